@@ -1,4 +1,4 @@
-"""What raises inside the loop: the drive goes off, the outcome says what it was, and the other records are written."""
+"""Exceptions inside the loop: the drive is switched off, the outcome names the error, and all records are written."""
 
 import json
 from dataclasses import replace
@@ -29,7 +29,7 @@ from dualbrain.safety.cbf.filter import SafetyFilter
 from tests.grounding.perceived_scenes import bowl, box, scene
 from tests.stories.story_session import hold_contract, run_config, run_session
 
-BODY = load_robot("panda")
+MODEL = load_robot("panda")
 GRASP = {
     "object": "red_cube",
     "speed": 0.2,
@@ -43,10 +43,10 @@ GRASP = {
 
 
 class World:
-    """A robot that stands still, and a scene that `seen(t)` describes."""
+    """A robot at rest in the scene `scene_at(t)`."""
 
-    def __init__(self, seen):
-        self.state, self.seen, self.stopped = home_state(BODY), seen, False
+    def __init__(self, scene_at):
+        self.state, self.scene_at, self.stopped = home_state(MODEL), scene_at, False
 
     def read(self):
         return self.state
@@ -57,39 +57,39 @@ class World:
     def stop(self):
         self.stopped = True
 
-    def look(self):
-        return msgspec.structs.replace(self.seen(self.state.stamp), stamp=self.state.stamp)
+    def perceive(self):
+        return msgspec.structs.replace(self.scene_at(self.state.stamp), stamp=self.state.stamp)
 
     def advance(self):
         state = self.state
-        self.state = replace(state, stamp=state.stamp + BODY.period, sequence=state.sequence + 1)
+        self.state = replace(state, stamp=state.stamp + MODEL.period, sequence=state.sequence + 1)
 
 
-def crowd(count):
+def scene_with_posts(count):
     return scene(*(box(f"post_{index}", 0.9, 0.6 - 0.02 * index, role="obstacle") for index in range(count)))
 
 
-def run(seen, *actions, interrupted=lambda: False):
-    world = World(seen)
-    log = FlightLog(Trace(BODY.n))
-    layer = ContractExecutor(
+def run(scene_at, *actions, interrupted=lambda: False):
+    world = World(scene_at)
+    log = FlightLog(Trace(MODEL.n))
+    executor = ContractExecutor(
         ControlLoop(
-            BODY,
+            MODEL,
             world,
             world,
-            SafetyFilter(BODY),
+            SafetyFilter(MODEL),
             log,
             ControlLoopConfig(settle_time=0.1),
             inputs=LoopInputs(interrupted=interrupted),
         )
     )
-    return world, layer.execute(Contract("c-1", Context("panda", ""), actions)), log.trace
+    return world, executor.execute(Contract("c-1", Context("panda", ""), actions)), log.trace
 
 
-def test_a_target_that_is_gone_ends_the_contract_stopped():
+def test_a_target_that_disappeared_ends_the_contract_stopped():
     world, outcome, trace = run(lambda t: scene(bowl()), Action("grasp", GRASP), Action("home", {"speed": 0.2}))
     assert outcome.kind == "stopped"
-    assert outcome.reason.startswith("UnknownName: 'red_cube' is not a scene object")
+    assert outcome.reason.startswith("UnknownNameError: 'red_cube' is not a scene object")
     assert [action.status for action in outcome.actions] == ["stopped", "not_run"]
     assert world.stopped
     assert any("Traceback" in event.data.get("traceback", "") for event in trace.events)
@@ -97,7 +97,7 @@ def test_a_target_that_is_gone_ends_the_contract_stopped():
 
 @pytest.mark.parametrize("when", [0.05, 0.45], ids=["in the action", "while it settles"])
 def test_more_obstacles_than_the_kernel_takes_end_the_contract_stopped(when):
-    world, outcome, _ = run(lambda t: crowd(600 if t > when else 3), Action("hold", {"duration": 0.4}))
+    world, outcome, _ = run(lambda t: scene_with_posts(600 if t > when else 3), Action("hold", {"duration": 0.4}))
     assert outcome.kind == "stopped"
     assert "obstacles at once" in outcome.reason
     assert world.stopped
@@ -105,7 +105,7 @@ def test_more_obstacles_than_the_kernel_takes_end_the_contract_stopped(when):
 
 def test_a_fault_after_an_interruption_leaves_it_an_interruption():
     world, outcome, _ = run(
-        lambda t: crowd(600 if t > 0.02 else 3), Action("hold", {"duration": 0.4}), interrupted=lambda: True
+        lambda t: scene_with_posts(600 if t > 0.02 else 3), Action("hold", {"duration": 0.4}), interrupted=lambda: True
     )
     assert outcome.kind == "aborted"
     assert world.stopped
@@ -118,12 +118,12 @@ def test_an_action_that_never_ends_is_taken_over(monkeypatch):
     assert not world.stopped
 
 
-def test_a_rule_that_raises_refuses():
-    def broken(contract):
+def test_a_rule_that_raises_rejects_the_contract():
+    def broken_rule(contract):
         raise ZeroDivisionError("no such thing")
 
     registry = load_skill_registry("panda")
-    gate = Gate(registry, planner_grants(registry), (broken,))
+    gate = Gate(registry, planner_grants(registry), (broken_rule,))
     text = {
         "id": "c-0001",
         "context": {"robot": "panda", "registry": registry.hash},
@@ -134,7 +134,7 @@ def test_a_rule_that_raises_refuses():
     assert (verdict.stage, verdict.got) == ("envelope", "ZeroDivisionError: no such thing")
 
 
-def test_what_moved_is_on_record_even_when_memory_cannot_take_it(tmp_path, monkeypatch):
+def test_an_episode_is_saved_even_if_memory_cannot_store_it(tmp_path, monkeypatch):
     def full(self, episode, state, **more):
         raise OSError("no space left")
 
@@ -146,14 +146,14 @@ def test_what_moved_is_on_record_even_when_memory_cannot_take_it(tmp_path, monke
     assert episode.outcome.kind == "succeeded"
 
 
-def test_a_writer_that_fails_neither_blocks_the_loop_nor_calls_the_recording_whole(tmp_path, monkeypatch):
+def test_a_failing_writer_does_not_block_the_loop_and_marks_the_recording_incomplete(tmp_path, monkeypatch):
     def broken(self, batch):
         raise MemoryError("no room")
 
     monkeypatch.setattr(recorder_module.Recorder, "_ticks", broken)
     trace = Trace(7)
     recorder = Recorder(tmp_path / "episode.mcap", trace, capacity=2, when_full="wait")
-    alarm = Timer(20.0, recorder._queue.queue.clear)  # so that a failure is no hang
+    alarm = Timer(20.0, recorder._queue.queue.clear)  # so that a failing test ends
     alarm.daemon = True
     alarm.start()
     for k in range(20):

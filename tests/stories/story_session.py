@@ -1,4 +1,4 @@
-"""What the stories share: contracts as text, a session in a folder of its own, and what it left there."""
+"""Helpers of the stories: contracts as text, and sessions in a temporary folder with their results."""
 
 import json
 import time
@@ -12,7 +12,7 @@ from dualbrain.grounding.vocabulary import load_skill_registry
 from dualbrain.memory.ledger.ledger import LedgerReader
 from dualbrain.planner.scripted import ScriptedPlanner
 from dualbrain.records import Episode
-from dualbrain.runtime import session as session_module
+from dualbrain.runtime.backends import simulated
 from dualbrain.runtime.session import Clocks, RunConfig, RunObserver, RunResult, Session
 
 REGISTRY = load_skill_registry("panda").hash
@@ -37,17 +37,17 @@ def contract_text(*actions, robot="panda", registry=REGISTRY, id="c-0001"):
 
 
 def hold_contract(duration=0.5):
-    """A contract that is good on every scene and soon over."""
+    """A short contract that is accepted in every scene."""
     return contract_text(("hold", {"duration": duration}))
 
 
-def decline_contract(reason="there is no such thing here"):
+def decline_contract(reason="there is no such object here"):
     return contract_text(("decline", {"reason": reason}))
 
 
 @dataclass
 class StoryResult:
-    """A finished run: what was returned, what the planner was asked, what the folder holds."""
+    """A finished run: its result, planner and configuration, interrupted runs, and the largest joint motion [rad]."""
 
     result: RunResult
     planner: ScriptedPlanner
@@ -61,7 +61,7 @@ class StoryResult:
 
     @property
     def stored_episode(self) -> Episode:
-        """The episode as it lies on disk."""
+        """The episode as stored on disk."""
         return msgspec.json.decode(self.config.out.joinpath("episode.json").read_bytes(), type=Episode)
 
 
@@ -84,7 +84,7 @@ def make_clocks() -> Clocks:
 def run_session(config: RunConfig, *answers: str, finish="stop", observer=None, before=None) -> StoryResult:
     """Run a session whose planner gives `answers`; `before(session)` may prepare it."""
     planner = ScriptedPlanner(answers, finish_reason=finish)
-    usual, session_module.PLANNING_TIME = session_module.PLANNING_TIME, 0.02
+    planning_time, simulated.PLANNING_TIME = simulated.PLANNING_TIME, 0.02
     try:
         with Session(config, make_clocks(), {}, planner) as session:
             if before:
@@ -94,11 +94,11 @@ def run_session(config: RunConfig, *answers: str, finish="stop", observer=None, 
             moved = float(abs(session.plant.read().q - start).max())
             return StoryResult(finished, planner, config, session.interrupted_runs, moved)
     finally:
-        session_module.PLANNING_TIME = usual
+        simulated.PLANNING_TIME = planning_time
 
 
 def ledger_episodes(path: Path) -> list[dict]:
-    """The episodes that a ledger holds, and the proof that its chain is whole."""
+    """The episodes of a ledger, whose hash chain is verified."""
     with LedgerReader(path) as ledger:
         assert ledger.verify().is_intact
         return [msgspec.json.decode(event.payload) for event in ledger.events("kind = 'episode'")]

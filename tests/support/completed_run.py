@@ -1,4 +1,4 @@
-"""One finished run of the command line, shared by all tests that only look at what it left."""
+"""One completed run of the command line, shared by all tests that only read its results."""
 
 import os
 import subprocess
@@ -11,7 +11,7 @@ CLI_PROGRAM = "import sys; from dualbrain.cli.main import run_command_line as ru
 
 
 def run_command(folder, *arguments, **environment):
-    """`dualbrain ARGUMENTS` in a process of its own, at home in `folder`."""
+    """`dualbrain ARGUMENTS` in a separate process, with `folder` as home and working folder."""
     home = {"DUALBRAIN_HOME": str(folder), "COLUMNS": "500"}
     return subprocess.run(
         [sys.executable, "-c", CLI_PROGRAM, *arguments],

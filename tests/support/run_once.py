@@ -1,4 +1,4 @@
-"""Work that is done once however many processes run the tests: the first one does it, the others read what it left."""
+"""Work that is done once for all test processes: the first one does it, and the others read its results."""
 
 import fcntl
 import os
@@ -9,7 +9,7 @@ from typing import Any
 
 
 def run_once(factory, name: str, make: Callable[[Path], tuple[Any, ...]]) -> tuple[Any, ...]:
-    """(folder, *what `make(folder)` returned), with one folder for all; tests read there and change nothing."""
+    """(folder, *result of `make(folder)`), with one folder for all processes, which tests only read."""
     base = factory.getbasetemp()
     shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
     folder, result = shared / f"once_{name}", shared / f"once_{name}.pickle"

@@ -26,7 +26,7 @@ from dualbrain.skills.registry import SkillExecution, skill_registry
 from dualbrain.skills.skill import HeldObject, SkillResult, SkillStatus
 
 MAX_ACTION_TIME = 300.0
-"""Time [s] after which an action that has not ended by itself is taken over, for example by a person who keeps passing."""
+"""Time [s] after which an action that has not ended is taken over, for example because a person keeps passing."""
 CLEARING_TIMEOUT = 0.8
 """Time [s] that a new contract waits for the conditions of an earlier stop to clear."""
 TIME_LIMIT_REASON = "out of time"
@@ -81,7 +81,7 @@ class ContractExecutor:
         self.loop.hold(duration, phase)
 
     def gate(self, grants: Grants) -> Gate:
-        """The three-stage gate; its envelope rules use the scene and the gripper as they are when a contract is checked."""
+        """The three-stage gate; its envelope rules use the scene and the gripper at the time of the check."""
         return Gate(skill_registry(self.robot_model), grants, (self._check_scene_rules,))
 
     def _check_scene_rules(self, contract: Contract) -> Rejected | None:
@@ -135,7 +135,7 @@ class ContractExecutor:
             self.loop.rest_tick("continue", IDLE_ACTION)
 
     def _come_to_rest(self, kind: OutcomeClass) -> tuple[OutcomeClass, str]:
-        """Come to rest and withdraw all permits; an error on the way replaces every outcome that is not a stop already."""
+        """Come to rest and withdraw all permits; an error on the way replaces an outcome that is not already a stop."""
         try:
             self.hold(self.loop.config.settle_time, "settle")
             self.loop.end_contract(succeeded=kind == "succeeded")

@@ -1,7 +1,7 @@
 """The control loop: each tick reads sensors, filters the nominal control, writes it, and lets one period pass.
 
 One tick: supervisor decision → skill's nominal control φ(c, x) → filter → write → record → advance → sense. Every
-hazard becomes a condition, and the supervisor's decision says what is done about it, in lockstep and in real time alike.
+hazard becomes a condition, and the supervisor decides how the robot reacts to it, in lockstep and in real time alike.
 """
 
 from __future__ import annotations
@@ -66,9 +66,9 @@ class TickSnapshot:
 class ControlLoopConfig:
     """Settings of a control loop.
 
-    `guard` False writes the nominal control unfiltered (the paper's B1). `perception_period` [s] is the time between two
-    perceived scenes, `snapshot_period` [s] that between two snapshots for observers, `settle_time` [s] the time at rest
-    after a contract. `timing` holds the limits on delays of the robot's interface.
+    `guard` False writes the nominal control unfiltered (the paper's B1). `perception_period` [s] is the time between
+    two perceived scenes, `snapshot_period` [s] that between two snapshots for observers, `settle_time` [s] the time at
+    rest after a contract. `timing` holds the limits on delays of the robot's interface.
     """
 
     guard: bool = True
@@ -207,7 +207,7 @@ class ControlLoop:
     def hold(self, duration: float, phase: str = "hold") -> None:
         """Hold position for `duration` [s], during planning or to settle; the filter may still give way.
 
-        Contacts that the last phase permitted stay permitted: a hand that was stopped around an object still touches it.
+        The contacts of the last phase remain permitted: a hand that was stopped around an object still touches it.
         """
         self._skill = phase
         for _ in range(round(duration / self.robot_model.period)):
@@ -289,7 +289,7 @@ class ControlLoop:
         self.log.note(self.state.stamp, kind, text)
 
     def _read_sensors(self) -> None:
-        """Read the newest joint state and, every perception period, the scene; implausible data is reported and not used."""
+        """Read the joint state and, every perception period, the scene; implausible data is reported and not used."""
         state = self.robot.read()
         now = self.inputs.clock() if self.inputs.clock else state.stamp
         if self.safety_controller.accept_state(state, now):

@@ -1,4 +1,4 @@
-"""What the episode loop needs of whatever moves the robot: in this process, behind a gatekeeper, or on a target."""
+"""The interface between the episode loop and a robot: in this process or behind a gatekeeper."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ Grants = Mapping[str, frozenset[str]]
 
 
 class ContractGate(Protocol):
-    """A gate that a proposal has to pass: the three-stage gate, a gatekeeper's, or that of a compared method."""
+    """A gate that a proposal has to pass: the three-stage gate, a gatekeeper's gate, or the gate of a baseline."""
 
     def check(self, data: bytes, *, names: SceneNames, principal: str, now: float, header: ContractHeader) -> Verdict:
-        """The verdict on `data`; never raises, whatever the bytes."""
+        """The verdict on `data`, the JSON text of a contract; invalid bytes are rejected and never raise."""
         ...
 
 
@@ -57,7 +57,7 @@ class Executor(Protocol):
         ...
 
     def gate(self, grants: Grants) -> ContractGate:
-        """The gate in front of this executor; `grants` says which principal may call which skills."""
+        """The gate in front of this executor; `grants` defines which principal may call which skills."""
         ...
 
     def hold(self, duration: float, phase: str = "hold") -> None:

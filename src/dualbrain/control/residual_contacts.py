@@ -1,8 +1,9 @@
-"""What a hand still touches when its skill was stopped: contacts that outlive the contract they were permitted for.
+"""Contact permits that outlive their contract, because the hand still touches an object when its skill is stopped.
 
-A skill that ends by itself leaves its contacts; one that is stopped leaves the hand where it is: around a thing, on it,
-the load on its support. The permits of its last phase then stay, for those pairs that are still near, until each is
-clear; the next contract has them beside its own. Nothing is added that no skill's specification has permitted.
+A skill that ends by itself ends its contacts. A skill that is stopped leaves the hand around or on an object, or the
+grasped object on its support. The permits of the skill's last phase then remain for every pair that is still near,
+until the pair is clear; the next contract has them in addition to its own. No contact is added that no skill's
+specification permits.
 """
 
 from __future__ import annotations
@@ -17,66 +18,74 @@ from dualbrain.robots.interface import RobotState
 from dualbrain.skills.skill import MotionModel, PermittedContact
 
 CLEARANCE = 0.010
-"""A part is clear of a thing when this much is between them beyond the error of its position [m]."""
+"""Distance [m] from an object, beyond the error of its position, at which a part of the robot is clear of it."""
 CLOSING_PHASE = "close"
 """The phase in which the fingers close on a target."""
 HELD_GROUP = "held"
+"""Group of the spheres that cover the grasped object."""
 
 
 class ResidualContacts:
-    """The contacts that were left over. State: `touches`, and what the fingers were `closing_on`."""
+    """The residual contacts of one robot.
+
+    State: `contacts`, the permits that remain, and `closing_target`, the object on which the fingers were closing, ""
+    if there is none.
+    """
 
     def __init__(self, motion: MotionModel) -> None:
-        """Nothing is touched."""
+        """Start without residual contacts; `motion` computes the robot's spheres."""
         self._motion = motion
-        self.touches: tuple[PermittedContact, ...] = ()
+        self.contacts: tuple[PermittedContact, ...] = ()
         self.closing_target = ""
 
     @property
     def object_names(self) -> frozenset[str]:
-        """The things that the hand is still at."""
-        return frozenset(touch.obstacle for touch in self.touches)
+        """Names of the objects that the robot still touches."""
+        return frozenset(contact.obstacle for contact in self.contacts)
 
     @property
     def object_in_fingers(self) -> str | None:
-        """The thing that the fingers are still at."""
-        return next((touch.obstacle for touch in self.touches if touch.robot_part == "fingers"), None)
+        """Name of the object that the fingers still touch, None if there is none."""
+        return next((contact.obstacle for contact in self.contacts if contact.robot_part == "fingers"), None)
 
-    def retain(self, phase: str, touches: Iterable[PermittedContact], state: RobotState, scene: Scene) -> None:
-        """A skill is over that stood in `phase`, whose contacts were `touches`: those that are not clear stay."""
-        self.touches = tuple(touches)
+    def retain(self, phase: str, contacts: Iterable[PermittedContact], state: RobotState, scene: Scene) -> None:
+        """Retain those of the `contacts` of a skill that ended in `phase` that are not clear."""
+        self.contacts = tuple(contacts)
         self.closing_target = (self.object_in_fingers or "") if phase == CLOSING_PHASE else ""
         self.update(state, scene)
 
     def update(self, state: RobotState, scene: Scene) -> bool:
-        """Let go of what is clear; True if there is less of it now. What is not perceived is not known to be clear."""
-        if not self.touches:
+        """Remove the contacts that are clear; returns whether any was removed.
+
+        A contact with an object that is not perceived is not known to be clear and remains.
+        """
+        if not self.contacts:
             return False
         centres, radii, groups = self._motion.spheres(state.q, state.opening)
-        seen = {thing.name: thing for thing in scene.objects}
+        perceived = {obj.name: obj for obj in scene.objects}
 
-        def near(touch: PermittedContact) -> bool:
-            part = np.array([group == touch.robot_part for group in groups])
-            thing = seen.get(touch.obstacle)
-            if thing is None or (touch.robot_part == HELD_GROUP and not part.any()):
+        def near(contact: PermittedContact) -> bool:
+            part = np.array([group == contact.robot_part for group in groups])
+            obj = perceived.get(contact.obstacle)
+            if obj is None or (contact.robot_part == HELD_GROUP and not part.any()):
                 return True
-            return _min_clearance(thing, centres[part], radii[part]) < CLEARANCE
+            return _min_clearance(obj, centres[part], radii[part]) < CLEARANCE
 
-        left = tuple(touch for touch in self.touches if near(touch))
-        if all(touch.robot_part == HELD_GROUP for touch in left) and HELD_GROUP not in groups:
-            left = ()
-        fewer, self.touches = len(left) < len(self.touches), left
+        remaining = tuple(contact for contact in self.contacts if near(contact))
+        if all(contact.robot_part == HELD_GROUP for contact in remaining) and HELD_GROUP not in groups:
+            remaining = ()
+        removed, self.contacts = len(remaining) < len(self.contacts), remaining
         if self.closing_target not in self.object_names:
             self.closing_target = ""
-        return fewer
+        return removed
 
-    def combine(self, touches: tuple[PermittedContact, ...]) -> tuple[PermittedContact, ...]:
-        """`touches`, and what is left over of other pairs."""
-        pairs = {(touch.robot_part, touch.obstacle) for touch in touches}
-        return (*touches, *(touch for touch in self.touches if (touch.robot_part, touch.obstacle) not in pairs))
+    def combine(self, contacts: tuple[PermittedContact, ...]) -> tuple[PermittedContact, ...]:
+        """`contacts`, and the residual contacts of all other pairs of a robot part and an object."""
+        pairs = {(contact.robot_part, contact.obstacle) for contact in contacts}
+        return (*contacts, *(one for one in self.contacts if (one.robot_part, one.obstacle) not in pairs))
 
 
-def _min_clearance(thing: SceneObject, centres: np.ndarray, radii: np.ndarray) -> float:
-    """Least distance [m] of spheres from `thing`, beyond its error."""
-    apart = signed_distance(*bounding_solid(thing.shape, thing.pose), centres) - radii
-    return float(apart.min(initial=np.inf)) - thing.error
+def _min_clearance(obj: SceneObject, centres: np.ndarray, radii: np.ndarray) -> float:
+    """Minimum distance [m] of the spheres (n, 3) with `radii` (n,) from `obj`, minus the error of its position."""
+    distances = signed_distance(*bounding_solid(obj.shape, obj.pose), centres) - radii
+    return float(distances.min(initial=np.inf)) - obj.error

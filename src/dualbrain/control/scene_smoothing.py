@@ -1,7 +1,7 @@
-"""Things at rest, averaged over looks: what stands still is seen better the longer one looks at it.
+"""Averaging of the perceived positions of objects at rest: x̂ ← x̂ + (x − x̂) Δt / T.
 
-x̂ ← x̂ + (x − x̂) Δt / T. An average of sightings that each lie within the error bound lies within it too (a ball is
-convex), so the bound handed to the filter stays true. A thing that is seen to have moved is believed at once.
+If every measurement is within the error bound, so is their average, because a ball is convex. The bound that the filter
+gets therefore remains valid. The position of an object that has moved is taken over at once.
 """
 
 from __future__ import annotations
@@ -18,34 +18,34 @@ from dualbrain.records import Scene, SceneObject
 TIME_CONSTANT = 1.0
 """Time constant T of the average [s]."""
 MOVED_ERROR_BOUNDS = 2.0
-"""A sighting farther than this many error bounds from the average means that the thing moved."""
+"""Distance of a measurement from the average, in error bounds, beyond which the object has moved."""
 
 
 class SceneSmoother:
-    """The averaged positions, by name."""
+    """Averages the positions of objects at rest. State: stamp [s] and averaged position (3,) [m] by object name."""
 
     def __init__(self) -> None:
-        """Nothing seen yet."""
+        """Start without measurements."""
         self._averages: dict[str, tuple[float, NDArray[np.float64]]] = {}
 
     def update(self, scene: Scene, moving: Collection[str] = ()) -> Scene:
-        """`scene` with the positions of things at rest averaged; those in `unsteady` (held, just let go) as seen."""
+        """`scene` with averaged positions of objects at rest; those in `moving` (held, just released) are unchanged."""
         for name in moving:
             self._averages.pop(name, None)
         return msgspec.structs.replace(
             scene,
-            objects=tuple(thing if thing.name in moving else self._average(thing) for thing in scene.objects),
+            objects=tuple(obj if obj.name in moving else self._average(obj) for obj in scene.objects),
         )
 
-    def _average(self, thing: SceneObject) -> SceneObject:
-        if thing.role in ("person", "support") or thing.error == 0.0:
-            return thing
-        at = np.asarray(thing.pose.position)
-        stamp, mean = self._averages.get(thing.name, (thing.stamp, at))
-        if float(np.linalg.norm(at - mean)) > MOVED_ERROR_BOUNDS * thing.error:
-            mean = at
+    def _average(self, obj: SceneObject) -> SceneObject:
+        if obj.role in ("person", "support") or obj.error == 0.0:
+            return obj
+        position = np.asarray(obj.pose.position)
+        stamp, mean = self._averages.get(obj.name, (obj.stamp, position))
+        if float(np.linalg.norm(position - mean)) > MOVED_ERROR_BOUNDS * obj.error:
+            mean = position
         else:
-            mean = mean + (at - mean) * min(1.0, (thing.stamp - stamp) / TIME_CONSTANT)
-        self._averages[thing.name] = (thing.stamp, mean)
+            mean = mean + (position - mean) * min(1.0, (obj.stamp - stamp) / TIME_CONSTANT)
+        self._averages[obj.name] = (obj.stamp, mean)
         x, y, z = mean.tolist()
-        return msgspec.structs.replace(thing, pose=Pose((x, y, z), thing.pose.quaternion))
+        return msgspec.structs.replace(obj, pose=Pose((x, y, z), obj.pose.quaternion))

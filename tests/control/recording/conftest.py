@@ -1,4 +1,4 @@
-"""Fixtures of the runtime's tests."""
+"""Fixtures of the recording tests."""
 
 import pytest
 

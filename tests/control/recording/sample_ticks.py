@@ -1,4 +1,4 @@
-"""Ticks of a made-up control loop, the same every time."""
+"""Reproducible ticks of an imaginary control loop."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from dualbrain.robots.interface import RobotState
 
 @dataclass(frozen=True)
 class FakeFilterResult:
-    """What a filter answers."""
+    """The logged fields of a filter result."""
 
     u: Array
     status: int = 0
@@ -25,16 +25,16 @@ class FakeFilterResult:
 
 
 def append_ticks(trace: Trace, count: int, *, start: float = 0.0, special_values: bool = False) -> list[Array]:
-    """Append `count` ticks; `odd` puts NaN, infinities and a negative zero among them."""
+    """Append `count` ticks; `special_values` adds NaN, infinities, a negative zero and a subnormal number."""
     rng = np.random.default_rng(7)
     rows: list[Array] = []
     for k in range(count):
         t = start + k * 1e-3
         q, u_nom = rng.normal(size=trace.n), rng.normal(size=trace.n)
-        answer = FakeFilterResult(u_nom.astype(np.float32), delta=float(rng.random()), h_min=float(rng.normal()))
+        result = FakeFilterResult(u_nom.astype(np.float32), delta=float(rng.random()), h_min=float(rng.normal()))
         if special_values:
             q[k % trace.n] = (np.nan, -0.0, np.inf, 5e-324)[k % 4]
-            answer = FakeFilterResult(answer.u, h_min=(np.inf if k % 2 else -np.inf))
+            result = FakeFilterResult(result.u, h_min=(np.inf if k % 2 else -np.inf))
         state = RobotState(stamp=t, sequence=k, q=q, v=-q, opening=0.04, finger_forces=(0.0, 1.0))
-        rows.append(trace.append(t, state, u_nom, answer, action=k // 100, phase=("approach", "lift")[k // 150 % 2]))
+        rows.append(trace.append(t, state, u_nom, result, action=k // 100, phase=("approach", "lift")[k // 150 % 2]))
     return rows

@@ -1,4 +1,4 @@
-"""The flight recorder: order, exactness, never blocking, and what is left after a kill."""
+"""The recorder: order, exactness, no blocking, and the readable part of a recording after a kill."""
 
 import math
 import os
@@ -95,7 +95,7 @@ def test_rows_come_back_bit_for_bit(tmp_path: Path) -> None:
     assert math.isinf(back["h_min"][1])
 
 
-def test_arguments_are_taken_when_called(tmp_path: Path) -> None:
+def test_arguments_are_copied_when_the_call_is_recorded(tmp_path: Path) -> None:
     spheres = np.ones((1, 4))
     with Recorder(tmp_path / "a.mcap", Trace(7)) as recorder:
         recorder.call(0.0, "attach", spheres=spheres, error=0.001)
@@ -106,20 +106,20 @@ def test_arguments_are_taken_when_called(tmp_path: Path) -> None:
 
 
 class _SlowDisk:
-    """Holds the writer's thread until `release` is set."""
+    """Blocks the writer's thread until `release` is set."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.release = Signal()
         monkeypatch.setattr(recorder_module, "encode", lambda message: self.release.wait(10) and encode(message))
 
 
-def test_a_slow_disk_never_blocks_and_leaves_a_mark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_slow_disk_never_blocks_and_the_gap_is_marked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     disk = _SlowDisk(monkeypatch)
     recorder = Recorder(tmp_path / "a.mcap", Trace(7), capacity=4)
-    begun = time.perf_counter()
+    started = time.perf_counter()
     for k in range(20):
         recorder.call(k * 0.01, "reset")
-    assert time.perf_counter() - begun < 1.0
+    assert time.perf_counter() - started < 1.0
     disk.release.set()
     while not recorder._queue.empty():
         time.sleep(0.001)
@@ -134,7 +134,7 @@ def test_a_slow_disk_never_blocks_and_leaves_a_mark(tmp_path: Path, monkeypatch:
     assert last == FilterCall(1.0, "reset", {})
 
 
-def test_lockstep_waits_and_loses_nothing(tmp_path: Path) -> None:
+def test_a_lockstep_recorder_waits_and_loses_nothing(tmp_path: Path) -> None:
     trace = Trace(7)
     with Recorder(tmp_path / "a.mcap", trace, capacity=1, when_full="wait") as recorder:
         for row in append_ticks(trace, 500):
@@ -145,11 +145,11 @@ def test_lockstep_waits_and_loses_nothing(tmp_path: Path) -> None:
     assert recorder.close().complete
 
 
-def test_a_full_disk_is_told_not_raised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(_: object) -> bytes:
+def test_a_full_disk_is_reported_and_does_not_raise(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def raise_disk_full(_: object) -> bytes:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(recorder_module, "encode", full)
+    monkeypatch.setattr(recorder_module, "encode", raise_disk_full)
     with Recorder(tmp_path / "a.mcap", Trace(7)) as recorder:
         recorder.call(0.0, "reset")
         recorder.call(0.1, "reset")
@@ -173,15 +173,15 @@ def test_an_exception_still_closes_the_file(tmp_path: Path) -> None:
     assert len(back) == 3
 
 
-KILLED = """
+WRITER = """
 import sys, time
 from pathlib import Path
 from dualbrain.control.recording.recorder import Recorder
 from dualbrain.control.recording.trace import Trace
-from tests.control.recording.sample_ticks import fill
+from tests.control.recording.sample_ticks import append_ticks
 trace = Trace(7)
 recorder = Recorder(Path(sys.argv[1]), trace, when_full="wait")
-for row in fill(trace, 4000):
+for row in append_ticks(trace, 4000):
     recorder.tick(row)
 while not recorder._queue.empty():
     time.sleep(0.01)
@@ -192,9 +192,9 @@ time.sleep(60)
 
 def test_a_killed_process_leaves_a_readable_file(tmp_path: Path) -> None:
     path, root = tmp_path / "a.mcap", Path(__file__).parents[3]
-    places = os.pathsep.join((str(root), str(root / "src"), *sys.path))
+    import_path = os.pathsep.join((str(root), str(root / "src"), *sys.path))
     child = subprocess.Popen(
-        [sys.executable, "-c", KILLED, str(path)], stdout=subprocess.PIPE, env=os.environ | {"PYTHONPATH": places}
+        [sys.executable, "-c", WRITER, str(path)], stdout=subprocess.PIPE, env=os.environ | {"PYTHONPATH": import_path}
     )
     with child:
         assert child.stdout is not None
@@ -207,16 +207,16 @@ def test_a_killed_process_leaves_a_readable_file(tmp_path: Path) -> None:
     append_ticks(expected, len(back))
     assert np.array_equal(back.rows, expected.rows)
     assert not recording_state(path).complete
-    whole = path.read_bytes()
-    for cut in (len(whole) - 1, len(whole) - 5000, len(whole) // 2, 60):
-        path.write_bytes(whole[:cut])
+    complete = path.read_bytes()
+    for cut in (len(complete) - 1, len(complete) - 5000, len(complete) // 2, 60):
+        path.write_bytes(complete[:cut])
         rest = read_trace(path)
         assert rest is None or np.array_equal(rest.rows, expected.rows[: len(rest)])
 
 
 def test_another_kind_of_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.mcap").write_bytes(b"not a recording at all")
-    with pytest.raises(ConfigurationError, match="an MCAP file"):
+    with pytest.raises(ConfigurationError, match="is not an MCAP file"):
         list(read_recording(tmp_path / "a.mcap"))
 
 
@@ -229,5 +229,5 @@ def test_a_damaged_file_is_refused(tmp_path: Path) -> None:
     at = data.find(b"zstd") + 4 + 8 + 4000
     data[at] ^= 0x55
     (tmp_path / "a.mcap").write_bytes(data)
-    with pytest.raises(ConfigurationError, match="undamaged"):
+    with pytest.raises(ConfigurationError, match="is damaged"):
         list(read_recording(tmp_path / "a.mcap"))

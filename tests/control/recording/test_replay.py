@@ -1,4 +1,4 @@
-"""Replay: the same inputs give the same controls, bit for bit; one changed bit does not go unnoticed."""
+"""Replay: the same inputs give the same controls, bit for bit, and one changed bit is detected."""
 
 import struct
 
@@ -14,7 +14,7 @@ from tests.stories.story_session import contract_text, run_config, run_session
 from tests.support.run_once import run_once
 
 
-def _unguarded(folder):
+def _run_unfiltered(folder):
     move = {"target": "blue_bowl", "speed": 0.3, "clearance": 0.12, "route": "direct", "wait": "none"}
     story = run_session(run_config(folder, guard=False, scene="tabletop:1"), contract_text(("move_to", move)))
     return (story.episode.outcome.kind,)
@@ -22,13 +22,13 @@ def _unguarded(folder):
 
 @pytest.fixture(scope="module")
 def recordings(completed_run, tmp_path_factory):
-    folder, kind = run_once(tmp_path_factory, "unguarded", _unguarded)
+    folder, kind = run_once(tmp_path_factory, "unfiltered", _run_unfiltered)
     assert kind in ("succeeded", "failed", "taken_over")
     return {"on": completed_run[0] / "run" / "episode.mcap", "off": folder / "run" / "episode.mcap"}
 
 
 @pytest.mark.parametrize("guard", ["on", "off"])
-def test_a_recorded_run_is_reached_again_bit_for_bit(recordings, guard):
+def test_a_recorded_run_is_recomputed_bit_for_bit(recordings, guard):
     result = replay(recordings[guard])
     assert result.identical
     assert result.complete
@@ -36,14 +36,14 @@ def test_a_recorded_run_is_reached_again_bit_for_bit(recordings, guard):
     assert result.worst == {}
 
 
-def flipped(value, bit):
+def flip_bit(value, bit):
     (bits,) = struct.unpack("<Q", struct.pack("<d", value))
     (other,) = struct.unpack("<d", struct.pack("<Q", bits ^ (1 << bit)))
     return other
 
 
-def head(path, ticks=2000):
-    """The messages up to `ticks` ticks."""
+def first_messages(path, ticks=2000):
+    """The messages of the first `ticks` ticks."""
     messages, count = [], 0
     for message in read_recording(path):
         messages.append(message)
@@ -53,39 +53,39 @@ def head(path, ticks=2000):
     return messages
 
 
-def replayed(monkeypatch, path, messages):
+def replay_messages(monkeypatch, path, messages):
     monkeypatch.setattr(replay_module, "read_recording", lambda _: iter(messages))
     return replay(path)
 
 
 @pytest.mark.parametrize(("column", "bit"), [("u_nom", 29), ("u_nom", 51), ("q", 35)])
-def test_one_flipped_bit_of_an_input_is_found(recordings, monkeypatch, column, bit):
+def test_one_flipped_bit_of_an_input_is_detected(recordings, monkeypatch, column, bit):
     """Bit 29 is the lowest that a float32 keeps of a float64."""
-    messages = head(recordings["on"])
+    messages = first_messages(recordings["on"])
     where, batch = next((i, m) for i, m in enumerate(messages) if isinstance(m, Ticks) and m.columns["t"][0] > 0.5)
     values = [list(value) if isinstance(value, list) else value for value in batch.columns[column]]
-    elbow = values[7][3]  # what is nearest hangs on it: the hand comes toward the arm's own links
-    values[7] = [*values[7][:3], flipped(elbow, bit), *values[7][4:]]
+    elbow = values[7][3]  # it decides the nearest pair: the hand approaches the arm's own links
+    values[7] = [*values[7][:3], flip_bit(elbow, bit), *values[7][4:]]
     messages[where] = msgspec.structs.replace(batch, columns={**batch.columns, column: values})
-    result = replayed(monkeypatch, recordings["on"], messages)
+    result = replay_messages(monkeypatch, recordings["on"], messages)
     assert not result.identical
     before = sum(len(m.columns["t"]) for m in messages[:where] if isinstance(m, Ticks))
     assert result.first == before + 7
     assert result.worst
 
 
-def test_a_changed_scene_is_found(recordings, monkeypatch):
-    messages = head(recordings["on"])
+def test_a_changed_scene_is_detected(recordings, monkeypatch):
+    messages = first_messages(recordings["on"])
     for index, message in enumerate(messages):
         if isinstance(message, FilterCall) and message.name == "observe":
-            things = msgspec.to_builtins(message.arguments["obstacles"])
-            for thing in things:
-                thing["margin"] += 0.1
-            messages[index] = FilterCall(message.t, "observe", {**message.arguments, "obstacles": things})
-    assert not replayed(monkeypatch, recordings["on"], messages).identical
+            obstacles = msgspec.to_builtins(message.arguments["obstacles"])
+            for obstacle in obstacles:
+                obstacle["margin"] += 0.1
+            messages[index] = FilterCall(message.t, "observe", {**message.arguments, "obstacles": obstacles})
+    assert not replay_messages(monkeypatch, recordings["on"], messages).identical
 
 
-def test_a_changed_byte_of_the_file_is_refused_or_found(recordings, tmp_path):
+def test_a_changed_byte_of_the_file_is_refused_or_detected(recordings, tmp_path):
     data = recordings["off"].read_bytes()
     path = tmp_path / "changed.mcap"
     refused = 0
@@ -100,7 +100,7 @@ def test_a_changed_byte_of_the_file_is_refused_or_found(recordings, tmp_path):
     assert refused > 15
 
 
-def test_a_file_cut_short_is_replayed_as_far_as_it_goes(recordings, tmp_path):
+def test_a_truncated_file_is_replayed_to_its_end(recordings, tmp_path):
     data = recordings["off"].read_bytes()
     path = tmp_path / "cut.mcap"
     path.write_bytes(data[: len(data) // 2])

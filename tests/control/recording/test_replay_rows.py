@@ -1,4 +1,4 @@
-"""Rows that no table holds (handed in, or asked for by live barriers) are recorded, and a replay reaches the same."""
+"""Additional rows (of the user, or of live barriers) are record, and a replay recomputes the same controls."""
 
 from dataclasses import replace
 
@@ -19,14 +19,14 @@ from dualbrain.safety.barriers.singularity import SingularityBarrier
 from dualbrain.safety.cbf.filter import ConstraintRow, SafetyFilter
 from tests.grounding.perceived_scenes import scene
 
-BODY = load_robot("panda")
+MODEL = load_robot("panda")
 
 
 class Follower:
-    """A robot that does what it is told, in an empty room."""
+    """A robot that follows its commands exactly, in an empty room."""
 
     def __init__(self):
-        self.state, self.u = home_state(BODY), np.zeros(BODY.n)
+        self.state, self.u = home_state(MODEL), np.zeros(MODEL.n)
 
     def read(self):
         return self.state
@@ -35,61 +35,65 @@ class Follower:
         self.u = np.array(command.u)
 
     def stop(self):
-        self.u = np.zeros(BODY.n)
+        self.u = np.zeros(MODEL.n)
 
-    def look(self):
+    def perceive(self):
         return scene()
 
     def advance(self):
         last = self.state
         self.state = replace(
-            last, stamp=last.stamp + BODY.period, sequence=last.sequence + 1, q=last.q + BODY.period * self.u, v=self.u
+            last,
+            stamp=last.stamp + MODEL.period,
+            sequence=last.sequence + 1,
+            q=last.q + MODEL.period * self.u,
+            v=self.u,
         )
 
 
-class Sway:
-    """The first joint must turn on, at a pace that changes with the posture and the hour."""
+class SwayBarrier:
+    """The first joint must turn, at a speed that changes with posture and time."""
 
     def rows(self, state, jacobian):
-        pace = 0.02 + 0.02 * np.sin(20.0 * state.stamp) + 0.1 * float(jacobian[0, 0])
-        return (ConstraintRow("sway", (1.0, *(0.0,) * (BODY.n - 1)), pace),)
+        speed = 0.02 + 0.02 * np.sin(20.0 * state.stamp) + 0.1 * float(jacobian[0, 0])
+        return (ConstraintRow(name="sway", a=(1.0, *(0.0,) * (MODEL.n - 1)), b=speed),)
 
 
-def recorded(folder, barriers, rows):
-    """A short rest under a filter with live barriers and rows of its own; the recording."""
-    path, robot, trace = folder / "episode.mcap", Follower(), Trace(BODY.n)
-    safety = SafetyFilter(BODY, barriers=barriers)
+def record(folder, barriers, rows):
+    """The recording and trace of a short hold, under a filter with live barriers and additional rows."""
+    path, robot, trace = folder / "episode.mcap", Follower(), Trace(MODEL.n)
+    safety = SafetyFilter(MODEL, barriers=barriers)
     safety.constrain(rows)
     with Recorder(path, trace, when_full="wait") as recorder:
         recorder.episode(0.0, {"robot": "panda", "guard": True, "instruction": ""})
-        layer = ContractExecutor(
-            ControlLoop(BODY, robot, robot, safety, FlightLog(trace, recorder), ControlLoopConfig(settle_time=0.05))
+        executor = ContractExecutor(
+            ControlLoop(MODEL, robot, robot, safety, FlightLog(trace, recorder), ControlLoopConfig(settle_time=0.05))
         )
-        layer.execute(Contract("c-1", Context("panda", ""), (Action("hold", {"duration": 0.3}),)))
+        executor.execute(Contract("c-1", Context("panda", ""), (Action("hold", {"duration": 0.3}),)))
     return path, trace
 
 
-def without_rows(monkeypatch, path):
-    """The replay of the recording had rows not been recorded."""
-    kept = [m for m in read_recording(path) if not (isinstance(m, FilterCall) and m.name == "constrain")]
-    monkeypatch.setattr(replay_module, "read_recording", lambda _: iter(kept))
+def replay_without_rows(monkeypatch, path):
+    """The replay of the recording without its recorded rows."""
+    messages = [m for m in read_recording(path) if not (isinstance(m, FilterCall) and m.name == "constrain")]
+    monkeypatch.setattr(replay_module, "read_recording", lambda _: iter(messages))
     return replay(path)
 
 
-def test_rows_of_live_barriers_and_rows_handed_in_are_reached_again(tmp_path, monkeypatch):
-    second = ConstraintRow("user_rows: second", (0.0, 1.0, *(0.0,) * (BODY.n - 2)), 0.01)
-    path, trace = recorded(tmp_path, (Sway(), SingularityBarrier(BODY.alpha)), [second])
-    assert np.all(trace["u"][1:, 1] > 0.009), "the row handed in is met"
+def test_rows_of_live_barriers_and_of_the_user_are_replayed(tmp_path, monkeypatch):
+    second = ConstraintRow(name="user_rows: second", a=(0.0, 1.0, *(0.0,) * (MODEL.n - 2)), b=0.01)
+    path, trace = record(tmp_path, (SwayBarrier(), SingularityBarrier(MODEL.alpha)), [second])
+    assert np.all(trace["u"][1:, 1] > 0.009), "the row of the user is met"
     assert np.ptp(trace["u"][50:, 0]) > 0.01, "and the live one, which changes"
     result = replay(path)
     assert result.ticks == len(trace) > 250
     assert (result.identical, result.worst) == (True, {})
-    assert not without_rows(monkeypatch, path).identical
+    assert not replay_without_rows(monkeypatch, path).identical
 
 
-def test_rows_that_stay_are_recorded_once(tmp_path):
-    first = ConstraintRow("user_rows: first", (1.0, *(0.0,) * (BODY.n - 1)), 0.01)
-    path, _ = recorded(tmp_path, (), [first])
+def test_unchanged_rows_are_recorded_once(tmp_path):
+    first = ConstraintRow(name="user_rows: first", a=(1.0, *(0.0,) * (MODEL.n - 1)), b=0.01)
+    path, _ = record(tmp_path, (), [first])
     calls = [m for m in read_recording(path) if isinstance(m, FilterCall) and m.name == "constrain"]
     assert len(calls) == 1
     assert replay(path).identical

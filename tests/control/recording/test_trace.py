@@ -1,4 +1,4 @@
-"""The trace: what goes in comes out, whatever the length; Δ by its definition."""
+"""The trace: rows are returned unchanged for any length, and Δ follows its definition."""
 
 from itertools import pairwise
 
@@ -16,7 +16,7 @@ from tests.control.recording.sample_ticks import FakeFilterResult, append_ticks
 ZEROS = np.zeros(2)
 
 
-def _of(deltas: list[float], h: list[float], actions: list[int]) -> Trace:
+def make_trace(deltas: list[float], h: list[float], actions: list[int]) -> Trace:
     trace = Trace(2)
     for k, (delta, h_min, action) in enumerate(zip(deltas, h, actions, strict=True)):
         state = RobotState(stamp=k * 1e-3, sequence=k, q=ZEROS, v=ZEROS, opening=0.0, finger_forces=(0.0, 0.0))
@@ -31,11 +31,11 @@ def test_columns_tile_the_row() -> None:
     assert covered == list(range(len(covered)))
 
 
-def test_rows_survive_growth_and_stay_where_they_are() -> None:
+def test_rows_remain_valid_while_the_trace_grows() -> None:
     trace = Trace(7)
-    handed_out = append_ticks(trace, 2 * BLOCK_ROWS + 5)
+    returned_rows = append_ticks(trace, 2 * BLOCK_ROWS + 5)
     assert len(trace) == 2 * BLOCK_ROWS + 5
-    assert np.array_equal(np.stack(handed_out), trace.rows)
+    assert np.array_equal(np.stack(returned_rows), trace.rows)
     assert np.array_equal(trace["sequence"], np.arange(len(trace)))
     assert trace["q"].shape == trace["u"].shape == (len(trace), 7)
     assert np.array_equal(trace["v"], -trace["q"])
@@ -60,7 +60,7 @@ TICKS = st.lists(st.tuples(st.floats(0, 2), st.floats(-0.1, 1.0), st.integers(0,
 
 @given(TICKS)
 def test_summary_is_the_definition(ticks: list[tuple[float, float, int]]) -> None:
-    trace = _of(*map(list, zip(*ticks, strict=True)))
+    trace = make_trace(*map(list, zip(*ticks, strict=True)))
     whole = trace.summary(dead_band=0.5)
     deltas = [delta for delta, _, _ in ticks]
     assert whole.Delta == pytest.approx(sum(deltas) / len(deltas))
@@ -72,14 +72,14 @@ def test_summary_is_the_definition(ticks: list[tuple[float, float, int]]) -> Non
     assert sum(part.Delta_sum for part in parts) == pytest.approx(whole.Delta_sum)
 
 
-def test_nothing_happened() -> None:
+def test_an_empty_trace_has_no_intervention() -> None:
     summary = Trace(7).summary()
     assert (summary.ticks, summary.Delta, summary.h_min) == (0, None, None)
     assert Trace(7).interventions() == []
 
 
-def test_what_was_not_computed_was_not_safe() -> None:
-    summary = _of([np.nan, 0.0], [0.1, np.nan], [0, 0]).summary()
+def test_a_value_that_was_not_computed_counts_as_unsafe() -> None:
+    summary = make_trace([np.nan, 0.0], [0.1, np.nan], [0, 0]).summary()
     assert summary.Delta == 1.0
     assert summary.h_min == -np.inf
 
@@ -91,13 +91,13 @@ def test_spans_cover_every_tick_once(codes: list[int]) -> None:
     assert all(a.end == b.start and a.code != b.code for a, b in pairwise(found))
 
 
-def test_the_outcome_of_a_contract_counts_such_ticks_alike() -> None:
-    outcome = FlightLog(_of([np.nan, 0.0], [np.nan, np.nan], [0, 0])).outcome("failed", "", 0, ())
+def test_the_outcome_of_a_contract_counts_values_that_were_not_computed() -> None:
+    outcome = FlightLog(make_trace([np.nan, 0.0], [np.nan, np.nan], [0, 0])).outcome("failed", "", 0, ())
     assert (outcome.Delta, outcome.delta_peak, outcome.intervention_frequency, outcome.h_min) == (1.0, 2.0, 0.5, None)
 
 
-def test_interventions_lie_above_the_dead_band() -> None:
-    trace = _of([0.0, 5e-5, 0.2, 0.3, 0.0, 0.4], [0.1] * 6, [0] * 6)
+def test_interventions_are_above_the_dead_band() -> None:
+    trace = make_trace([0.0, 5e-5, 0.2, 0.3, 0.0, 0.4], [0.1] * 6, [0] * 6)
     assert [(span.first, span.last) for span in trace.interventions()] == [(2, 3), (5, 5)]
 
 

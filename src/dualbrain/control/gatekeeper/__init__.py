@@ -1,4 +1,4 @@
-"""The gatekeeper: a process of its own that owns robot, skills, filter, supervisor and the control tick.
+"""The gatekeeper: a separate process that owns robot, skills, filter, supervisor and control tick.
 
-Planner, memory and user interfaces talk to it over a Unix socket; nothing they send is trusted.
+Planner, memory and user interfaces connect to it over a Unix socket; nothing that they send is trusted.
 """

@@ -1,8 +1,9 @@
-"""What a principal may ask for: skills, narrower bounds than the registry's, and how often.
+"""Capabilities: the skills of a principal, bounds narrower than the registry's, a rate and an expiry.
 
-    a ∧ b = (skills of both, the intersection of every interval, the lower rate, the earlier end)
+    a ∧ b = (the intersection of the skills and of every interval, the lower rate, the earlier expiry)
 
-Delegation is ∧ and nothing else: it is commutative, associative and idempotent, and never allows what one side refuses.
+A capability is only ever delegated by ∧, which is commutative, associative and idempotent, and never allows anything
+that either side refuses.
 """
 
 from __future__ import annotations
@@ -20,7 +21,11 @@ Interval = tuple[float, float]
 
 
 class Capability(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """`bounds` narrows numbers by "skill.parameter"; `rate` [contracts per minute]; good until `expires` [s]."""
+    """Authority of a principal over the robot.
+
+    `bounds` narrows numbers by "skill.parameter"; `rate` is in contracts per minute; valid until `expires` [s] in the
+    robot's time.
+    """
 
     skills: frozenset[str]
     bounds: dict[str, Interval] = {}
@@ -28,7 +33,7 @@ class Capability(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     expires: float = inf
 
     def intersect(self, other: Capability) -> Capability:
-        """What both allow; an empty interval allows no number at all."""
+        """The capability that both allow; an empty interval allows no number."""
         names = {*self.bounds, *other.bounds}
         return Capability(
             self.skills & other.skills,
@@ -41,7 +46,10 @@ class Capability(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         )
 
     def check_bounds(self, contract: Contract) -> Rejected | None:
-        """The first number of `contract` outside these bounds; the skills are the gate's own stage."""
+        """The rejection of the first number of `contract` outside these bounds; None if there is none.
+
+        The gate's authorization stage checks the skills.
+        """
         for index, action in enumerate(contract.action_sequence):
             for name, value in action.params.items():
                 low, high = self.bounds.get(f"{action.skill}.{name}", UNBOUNDED)

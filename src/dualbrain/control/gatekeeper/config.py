@@ -9,11 +9,12 @@ from dualbrain.simulation.scenes.scene_spec import SceneSpec
 
 
 class GatekeeperConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """What a gatekeeper is to be: which robot in which scene, where it listens, what it writes ("" for nothing).
+    """Configuration of a gatekeeper: robot, scene, socket, keys, and files to write ("" for none).
 
-    `capability` narrows what the planner may ask for; `stage` is the speed to begin with. `report` and `punctuality`
-    are files that the robot and the gatekeeper leave at their end. `site` is a site file. With a `driver` a real arm at
-    `address` is moved (or its fake) instead of the simulated one; hardware demands the record in `commissioned`.
+    `capability` narrows the planner's authority; `stage` is the initial speed scale, (0, 1]. `report` and `punctuality`
+    are files that the robot process and the gatekeeper write at their end. `site` is a site file. With a `driver`, the
+    gatekeeper moves a real arm at `address` (or its fake) instead of the simulated one; hardware requires the
+    commissioning record `commissioned`.
     """
 
     robot: str

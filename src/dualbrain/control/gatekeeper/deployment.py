@@ -1,4 +1,4 @@
-"""Where a gatekeeper is put to work: the body as the site narrows it, what stands there, who may ask for what."""
+"""The deployment of a gatekeeper: the robot with the site's limits, its fixed obstacles, capability and driver."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from dualbrain.skills.registry import skill_registry
 
 @dataclass(frozen=True, slots=True)
 class Deployment:
-    """What a plan comes to, checked before anything is connected. Without a `kind` the robot is simulated."""
+    """A checked configuration, before anything is connected. Without a `driver` the robot is simulated."""
 
     robot_model: RobotModel
     fixed_obstacles: tuple[Obstacle, ...]
@@ -34,17 +34,19 @@ class Deployment:
 
     @classmethod
     def from_config(cls, config: GatekeeperConfig) -> Deployment:
-        """The place of `plan`.
+        """The deployment of `config`.
 
         Raises:
-            SiteError: the site file does not fit the body.
-            NotCommissioned: the driver is one for hardware, and nobody has answered for this body at this site.
-            UnknownName, InvalidSetup: there is no such robot or driver, or they do not go together.
+            SiteError: the site file does not fit the robot.
+            NotCommissionedError: the driver moves hardware, and there is no valid commissioning record for this robot
+                at this site.
+            UnknownNameError: there is no such robot or driver.
+            ConfigurationError: the driver does not fit the robot, or an object of the scene moves.
         """
         path = Path(config.site) if config.site else None
         site = read_site(path) if path else None
-        whole = load_robot(config.robot)
-        robot_model = site_robot(whole, site) if site else whole
+        full_model = load_robot(config.robot)
+        robot_model = site_robot(full_model, site) if site else full_model
         kind = find_driver_kind(config.driver, robot_model.name) if config.driver else None
         if kind is not None and kind.hardware:
             require_record(Path(config.commissioned) if config.commissioned else None, robot_model, path, kind)
@@ -60,16 +62,16 @@ class Deployment:
 
     @property
     def timing(self) -> Timing:
-        """How punctual the robot's bus is."""
+        """Limits on the delays of the robot's interface."""
         return self.driver.timing if self.driver else simulated_timing(self.robot_model.period)
 
     @property
     def filter_config(self) -> FilterConfig | None:
-        """The filter's dials: an arm that refuses a jerk has its limits in the filter."""
+        """Settings of the filter; for an arm that refuses high jerk, the filter enforces its jerk limits."""
         return FilterConfig(jerk_limits=True) if self.driver and self.driver.jerk_limits else None
 
     def process_settings(self, config: GatekeeperConfig) -> SimulatedRobotSettings | DriverSettings:
-        """What the robot's process needs to know."""
+        """Settings of the robot process."""
         if self.driver is not None:
             return DriverSettings(self.driver.name, config.address, self.robot_model, config.scene)
         robot_model = self.robot_model if config.site else None
@@ -83,7 +85,7 @@ class Deployment:
         )
 
     def recording_metadata(self, config: GatekeeperConfig) -> dict[str, Any]:
-        """What a recording says of itself; with a site, all that replay needs of it."""
+        """Metadata of the recording; with a site file, everything about the site that a replay needs."""
         about: dict[str, Any] = {"robot": config.robot, "guard": True, "instruction": config.instruction}
         if config.site:
             about |= {"body": self.robot_model, "standing": self.fixed_obstacles}

@@ -1,6 +1,7 @@
-"""The clerk: all three stages of the gate, on a thread of its own with a limb of its own, so that no tick waits for it.
+"""The gate worker: runs all three stages of the gate on its own thread, so that no control tick waits for them.
 
-It judges what it is handed (raw bytes, and the scene, posture and grip of that moment) and never touches the robot.
+It checks the raw bytes of a contract against the scene, the joint state and the grasped object at the time of arrival,
+with its own filter and controller. It has no access to the robot.
 """
 
 from __future__ import annotations
@@ -28,7 +29,10 @@ from dualbrain.skills.skill import HeldObject, Observation
 
 
 class GateRequest(msgspec.Struct, frozen=True, kw_only=True):
-    """A contract to be judged, as it came, and what the robot was like when it came."""
+    """A contract to be checked, as received, with `stamp`, its header, and the robot's state and scene at arrival.
+
+    `now` is the robot's time [s]; the reply goes to connection `connection_number` for its frame `sequence`.
+    """
 
     connection_number: int
     sequence: int
@@ -41,7 +45,7 @@ class GateRequest(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class GateReply(msgspec.Struct, frozen=True):
-    """What the gate says of a case, and how long it took [s]."""
+    """The gate's verdict on a request, and the time it took [s]."""
 
     request: GateRequest
     verdict: Verdict
@@ -49,7 +53,7 @@ class GateReply(msgspec.Struct, frozen=True):
 
 
 class GateWorker:
-    """Hand cases in with `submit`, take rulings out with `ruling`; at most one case at a time."""
+    """Takes one request at a time with `submit` and returns the reply with `take_reply`."""
 
     def __init__(
         self,
@@ -57,7 +61,7 @@ class GateWorker:
         capabilities: Mapping[str, Capability],
         fixed_obstacles: tuple[Obstacle, ...] = (),
     ) -> None:
-        """Open the gate; the thread ends with the process. `standing` is what a site says stands there for good."""
+        """Start the thread, which ends with the process. `fixed_obstacles` are those of the site file."""
         self.registry = registry = skill_registry(robot_model)
         self._safety = SafetyFilter(robot_model, obstacles=fixed_obstacles)
         self._controller = make_controller(robot_model, self._safety)
@@ -66,11 +70,11 @@ class GateWorker:
         self._requests: Queue[GateRequest | None] = Queue(2)
         self._replies: Queue[GateReply] = Queue()
         self.busy = False
-        self._thread = Thread(target=self._serve, name="clerk", daemon=True)
+        self._thread = Thread(target=self._serve, name="gate worker", daemon=True)
         self._thread.start()
 
     def submit(self, request: GateRequest) -> bool:
-        """Take a case; False while there is another."""
+        """Take a request; returns False while another one is being checked."""
         if self.busy:
             return False
         self.busy = True
@@ -78,44 +82,44 @@ class GateWorker:
         return True
 
     def take_reply(self) -> GateReply | None:
-        """The ruling that is ready, if one is."""
+        """The reply, or None while none is ready."""
         if not self.busy or self._replies.empty():
             return None
         self.busy = False
         return self._replies.get()
 
     def wait_until_idle(self) -> None:
-        """Wait until the case that it has is judged."""
+        """Wait until the current request has been checked."""
         while self.busy and self._replies.empty() and self._thread.is_alive():
             time.sleep(1e-4)
 
     def close(self) -> None:
-        """End the thread once it has judged what it has."""
+        """End the thread after the current request."""
         self._requests.put(None)
         self._thread.join(timeout=5.0)
 
     def _serve(self) -> None:
-        while (case := self._requests.get()) is not None:
+        while (request := self._requests.get()) is not None:
             start = time.monotonic()
-            self._replies.put(GateReply(case, self.check(case), time.monotonic() - start))
+            self._replies.put(GateReply(request, self.check(request), time.monotonic() - start))
 
     def check(self, request: GateRequest) -> Verdict:
-        """The gate's word on `case`; what makes the gate raise is refused."""
+        """The gate's verdict on `request`; a contract that makes the gate raise is rejected."""
         try:
-            limb, principal = self._controller, request.stamp.principal
-            limb.holding = request.holding
-            limb.observe(
+            controller, principal = self._controller, request.stamp.principal
+            controller.holding = request.holding
+            controller.observe(
                 Observation(
                     state=request.state, scene=request.scene, now=request.now, tool=self._safety.tool(request.state.q)
                 )
             )
             capability = self._capabilities[principal]
 
-            def against_scene(contract: Contract) -> Rejected | None:
-                rules = (capability.check_bounds, *scene_rules(request.scene, limb))
-                return next((refusal for rule in rules if (refusal := rule(contract))), None)
+            def check_envelope(contract: Contract) -> Rejected | None:
+                rules = (capability.check_bounds, *scene_rules(request.scene, controller))
+                return next((rejection for rule in rules if (rejection := rule(contract))), None)
 
-            self._gate.rules = (against_scene,)
+            self._gate.rules = (check_envelope,)
             return self._gate.check(
                 request.contract,
                 names=scene_names(request.scene),
@@ -123,7 +127,7 @@ class GateWorker:
                 now=request.now,
                 header=request.stamp,
             )
-        except Exception as error:  # what cannot be judged is not accepted
+        except Exception as error:  # a contract that cannot be checked is not accepted
             return Rejected(
                 stage="envelope",
                 pointer="",

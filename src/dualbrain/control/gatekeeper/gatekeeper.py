@@ -1,7 +1,8 @@
-"""The gatekeeper: owns robot, skills, filter, supervisor and the control tick; everyone else asks.
+"""The gatekeeper: owns robot, skills, filter, supervisor and control tick; other processes send it requests.
 
-In every tick it reads a little from the socket, hands contracts to its clerk, and gives what it finds to the supervisor
-as conditions. A commander that dies, hangs, floods or talks rubbish is a condition like any other.
+In every tick it reads a bounded amount from the socket, passes contracts to its gate worker, and reports the state of
+the connections to the supervisor as conditions. A commander that dies, hangs, floods the socket or sends malformed
+frames is a condition like any other.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ from dualbrain.control.gatekeeper.protocol.messages import (
     VerdictReport,
     Welcome,
 )
-from dualbrain.control.gatekeeper.protocol.server import Connection, SocketServer
+from dualbrain.control.gatekeeper.protocol.server import DISCONNECTED, FLOOD, Connection, SocketServer
 from dualbrain.control.gatekeeper.robot_link.interface import RobotLink
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.recorder import Recorder
@@ -50,18 +51,19 @@ from dualbrain.safety.supervisor.conditions import Condition
 from dualbrain.safety.supervisor.timing import Timing
 
 OPERATOR = "operator"
+"""Principal of the operator, a person with the operator's key."""
 HEARTBEAT_TIMEOUT = 0.3
-"""A commander not heard for this long [s] has gone silent."""
+"""Time [s] without a message after which the commander counts as silent."""
 AUTHENTICATION_TIMEOUT = 2.0
-"""Whoever has not said who they are by then is let go [s]."""
+"""Time [s] after which a connection that has not authenticated itself is closed."""
 FAULT_HOLD_TIME = 0.5
-"""How long a flood, or a refused message, is held against the commander [s]."""
+"""Time [s] for which the condition of a flood or of a refused message holds."""
 STATUS_PERIOD, CLEANUP_PERIOD = 0.05, 10.0
-"""Time between heartbeats downward, and between clean-ups while idle [s]."""
+"""Time between two status reports, and between two clean-ups while idle [s]."""
 TICK_REPORT_PERIOD = 0.066
-"""Time between glimpses for people [s]."""
+"""Time between two tick reports for observers [s]."""
 MAX_CONTRACT_LIFETIME = 660.0
-"""A contract may not be meant to live longer than this [s]."""
+"""Longest time from issue to expiry of a contract [s]; a later expiry is cut."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -135,7 +137,7 @@ class Gatekeeper:
         self.loop.safety_controller.speed_stage = settings.speed_stage
 
     def run(self) -> None:
-        """Tick until told to shut down. No garbage is collected while a contract runs."""
+        """Tick until a shutdown is requested. No garbage is collected while a contract runs."""
         gc.collect()
         gc.freeze()
         gc.disable()
@@ -157,15 +159,15 @@ class Gatekeeper:
 
     @property
     def busy(self) -> bool:
-        """Whether a contract runs, is next, or is being judged."""
+        """Whether a contract runs, is next, or is being checked by the gate."""
         return self._busy or self._next_contract is not None or self._gate_worker.busy
 
     def wait_for_gate_worker(self) -> None:
-        """Wait for the clerk, where time stands still meanwhile: lockstep does not depend on the machine."""
+        """Wait for the gate worker, so that a lockstep simulation does not depend on the speed of the machine."""
         self._gate_worker.wait_until_idle()
 
     def shut_down(self) -> None:
-        """End after this tick, or as soon as the contract that runs has been braked off."""
+        """End after this tick, or as soon as the robot has braked if a contract runs."""
         self._shutdown_requested = True
 
     def _execute(self, contract: Contract) -> None:
@@ -182,15 +184,15 @@ class Gatekeeper:
     # --- once a tick --------------------------------------------------------------------------------------------
 
     def _service_connections(self) -> int:
-        """Hear, answer, and say which conditions hold; called by the local layer in every tick."""
+        """Receive, reply, and return the `Condition` bits that hold; the control loop calls this in every tick."""
         now = self._monotonic()
         self._ticks += 1
-        for peer, sequence, message in self.server.receive(now):
-            self._dispatch(peer, sequence, message, now)
-        for peer in self.server.failed_connections():
-            self._on_disconnect(peer, now)
-        if (ruling := self._gate_worker.take_reply()) is not None:
-            self._apply_gate_reply(ruling)
+        for connection, sequence, message in self.server.receive(now):
+            self._dispatch(connection, sequence, message, now)
+        for connection in self.server.failed_connections():
+            self._on_disconnect(connection, now)
+        if (reply := self._gate_worker.take_reply()) is not None:
+            self._apply_gate_reply(reply)
         if self._ticks % self._status_period_ticks == 0:
             self._send_status(now)
         self.loop.safety_controller.speed_stage = self.operator_commands.speed_stage
@@ -209,135 +211,141 @@ class Gatekeeper:
         return flags | (Condition.INTERRUPT if self._shutdown_requested and self._busy else 0)
 
     def _send_status(self, now: float) -> None:
-        order = self.loop.safety_controller.decision
-        beat = StatusReport(
+        decision = self.loop.safety_controller.decision
+        report = StatusReport(
             now=self.robot.clock(),
-            action=order.action.name,
-            cause=order.cause.value,
-            check=order.check,
+            action=decision.action.name,
+            cause=decision.cause.value,
+            check=decision.check,
             busy=self.busy,
         )
-        for peer in self.server.connections:
-            if peer.role == "stranger" and now - peer.last_received_at > AUTHENTICATION_TIMEOUT:
-                peer.fault = peer.fault or "nobody"
-            elif peer.role != "stranger":
-                peer.send(beat)
+        for connection in self.server.connections:
+            if connection.role == "stranger" and now - connection.last_received_at > AUTHENTICATION_TIMEOUT:
+                connection.fault = connection.fault or "not authenticated in time"
+            elif connection.role != "stranger":
+                connection.send(report)
 
-    def _on_disconnect(self, peer: Connection, now: float) -> None:
-        """A peer is gone or was shut out."""
-        if not peer.fault.startswith("gone"):
+    def _on_disconnect(self, connection: Connection, now: float) -> None:
+        """Set the conditions of a connection that ended or was closed for a fault."""
+        if not connection.fault.startswith(DISCONNECTED):
             self._refused_until = now + FAULT_HOLD_TIME
-            self._log.note(self.robot.read().stamp, "operator", f"{peer.role} {peer.number} shut out: {peer.fault}")
-        if peer is self._commander:
+            self._log_operator(connection, f" closed: {connection.fault}")
+        if connection is self._commander:
             self._commander = None
-            if peer.fault == "flood":
+            if connection.fault == FLOOD:
                 self._flood_until = now + FAULT_HOLD_TIME
 
-    # --- what is said -------------------------------------------------------------------------------------------
+    def _log_operator(self, connection: Connection, text: str) -> None:
+        self._log.note(self.robot.read().stamp, "operator", f"{connection.role} {connection.number}{text}")
 
-    def _dispatch(self, peer: Connection, sequence: int, message: Message, now: float) -> None:
+    # --- received messages --------------------------------------------------------------------------------------
+
+    def _dispatch(self, connection: Connection, sequence: int, message: Message, now: float) -> None:
         match message:
-            case Hello() if peer.role == "stranger":
-                self._authenticate(peer, message, now)
+            case Hello() if connection.role == "stranger":
+                self._authenticate(connection, message, now)
             case OperatorCommand():
-                self._apply_operator_command(peer, message)
-            case Heartbeat() | SceneRequest() | Propose() if peer.role == "stranger":
-                peer.fault = "speaks before it has said who it is"
+                self._apply_operator_command(connection, message)
+            case Heartbeat() | SceneRequest() | Propose() if connection.role == "stranger":
+                connection.fault = f"{type(message).__name__} before authentication"
             case SceneRequest():
-                peer.send(self._scene_report())
+                connection.send(self._scene_report())
             case Propose():
-                self._submit_contract(peer, sequence, message, now)
+                self._submit_contract(connection, sequence, message, now)
             case Heartbeat():
                 pass
             case _:
-                peer.fault = f"{type(message).__name__} is out of place"
+                connection.fault = f"unexpected {type(message).__name__}"
 
-    def _authenticate(self, peer: Connection, hello: Hello, now: float) -> None:
-        """Observers need no key; the first who proves to be a commander is it until gone or silent."""
+    def _authenticate(self, connection: Connection, hello: Hello, now: float) -> None:
+        """Assign a role; observers need no key, and the first commander keeps the role until disconnected or silent."""
         secret = self._keys.secrets.get(hello.principal)
         if hello.principal:
-            if secret is None or not verify_hello_proof(secret, peer.nonce, hello.principal, hello.proof):
-                peer.fault = "not who it says it is"
+            if secret is None or not verify_hello_proof(secret, connection.nonce, hello.principal, hello.proof):
+                connection.fault = "the proof of the principal is not valid"
                 return
-            peer.role = "operator" if hello.principal == OPERATOR else "commander"
+            connection.role = "operator" if hello.principal == OPERATOR else "commander"
         else:
-            peer.role = "observer"
-        if peer.role == "commander":
+            connection.role = "observer"
+        if connection.role == "commander":
             if hello.principal not in self._capabilities:
-                peer.fault = "no capability was granted to this principal"
+                connection.fault = "no capability was granted to this principal"
                 return
             if self._commander is not None and now - self._commander.last_received_at <= HEARTBEAT_TIMEOUT:
-                peer.fault = "there is a commander already"
+                connection.fault = "there is a commander already"
                 return
             if self._commander is not None:
-                self._commander.fault = "silent, and another commander came"
-            self._commander, self._had_commander = peer, True
-        peer.principal, peer.receives_reports = hello.principal, hello.watch
+                self._commander.fault = "silent, and another commander connected"
+            self._commander, self._had_commander = connection, True
+        connection.principal, connection.receives_reports = hello.principal, hello.watch
         registry = self._gate_worker.registry
-        peer.send(Welcome(role=peer.role, now=self.robot.clock(), robot=registry.robot, registry=registry.hash))
+        connection.send(
+            Welcome(role=connection.role, now=self.robot.clock(), robot=registry.robot, registry=registry.hash)
+        )
 
-    def _apply_operator_command(self, peer: Connection, wish: OperatorCommand) -> None:
-        """A person's hand, told in the log whoever it is."""
-        if not is_allowed(wish.act, peer.role):
-            peer.send(RequestRefused(f"{wish.act} needs the operator's key"))
+    def _apply_operator_command(self, connection: Connection, command: OperatorCommand) -> None:
+        """Apply an operator command if the connection's role allows it, and log it."""
+        if not is_allowed(command.act, connection.role):
+            connection.send(RequestRefused(f"{command.act} needs the operator's key"))
             return
-        why = ""
-        if wish.act == "shut_down":
+        reason = ""
+        if command.act == "shut_down":
             self.shut_down()
         else:
-            why = self.operator_commands.apply(wish)
-        if why:
-            peer.send(RequestRefused(why))
+            reason = self.operator_commands.apply(command)
+        if reason:
+            connection.send(RequestRefused(reason))
             return
-        detail = f" {wish.speed:.0%}" if wish.act == "speed" else ""
-        self._log.note(self.robot.read().stamp, "operator", f"{peer.role} {peer.number}: {wish.act}{detail}")
+        detail = f" {command.speed:.0%}" if command.act == "speed" else ""
+        self._log_operator(connection, f": {command.act}{detail}")
 
-    def _submit_contract(self, peer: Connection, sequence: int, message: Propose, now: float) -> None:
-        """Seal, right and rate; then the clerk. What is refused here has not been parsed at all."""
-        why = self._refusal_reason(peer, sequence, message, now)
-        if not why:
-            state = self.loop.state
-            moment = self.robot.clock()
-            stamp = ContractHeader(
-                sequence=(peer.number << 32) + sequence,
+    def _submit_contract(self, connection: Connection, sequence: int, message: Propose, now: float) -> None:
+        """Check authentication, authority and rate, then pass the contract to the gate worker.
+
+        A contract that is refused here has not been parsed.
+        """
+        reason = self._refusal_reason(connection, sequence, message, now)
+        if not reason:
+            header = ContractHeader(
+                sequence=(connection.number << 32) + sequence,
                 issued=message.issued,
                 expires=min(message.expires, message.issued + MAX_CONTRACT_LIFETIME),
-                principal=peer.principal,
+                principal=connection.principal,
                 scene_version=message.scene_version,
             )
-            case = GateRequest(
-                connection_number=peer.number,
+            request = GateRequest(
+                connection_number=connection.number,
                 sequence=sequence,
                 contract=message.contract,
-                stamp=stamp,
-                now=moment,
+                stamp=header,
+                now=self.robot.clock(),
                 scene=self.loop.scene,
-                state=state,
+                state=self.loop.state,
                 holding=self.loop.controller.holding,
             )
-            why = "" if self._gate_worker.submit(case) else "another contract is being judged"
-        if why:
+            reason = "" if self._gate_worker.submit(request) else "another contract is being checked"
+        if reason:
             self._refused_until = now + FAULT_HOLD_TIME
-            self._log.note(self.robot.read().stamp, "verdict", f"not considered: {why}")
-            peer.send(RequestRefused(why))
+            self._log.note(self.robot.read().stamp, "verdict", f"not considered: {reason}")
+            connection.send(RequestRefused(reason))
 
-    def _refusal_reason(self, peer: Connection, sequence: int, message: Propose, now: float) -> str:
-        """Why a contract is not even looked at; "" if it is."""
-        if peer is not self._commander:
-            return "only the commander proposes"
-        if not verify_contract_mac(self._keys.secrets[peer.principal], peer.nonce, sequence, message):
-            peer.fault = "a seal that is not genuine"
-            return peer.fault
+    def _refusal_reason(self, connection: Connection, sequence: int, message: Propose, now: float) -> str:
+        """The reason why a contract is not passed to the gate; "" if it is."""
+        if connection is not self._commander:
+            return "only the commander may propose contracts"
+        if not verify_contract_mac(self._keys.secrets[connection.principal], connection.nonce, sequence, message):
+            connection.fault = "the contract's authentication code is not valid"
+            return connection.fault
         if self.busy:
             return "busy: one contract at a time"
-        if not self._within_rate_limit(peer.principal, now):
+        if not self._within_rate_limit(connection.principal, now):
             return "too many contracts: the granted rate is used up"
-        if self.robot.clock() >= self._capabilities[peer.principal].expires:
-            return "the capability of this principal has ended"
+        if self.robot.clock() >= self._capabilities[connection.principal].expires:
+            return "the capability of this principal has expired"
         return ""
 
     def _within_rate_limit(self, principal: str, now: float) -> bool:
-        """A bucket of `rate` contracts that fills within a minute."""
+        """Take one contract out of a token bucket of `rate` contracts that fills within a minute."""
         rate = self._capabilities[principal].rate
         level, since = self._rate_buckets.get(principal, (rate, now))
         level = min(rate, level + (now - since) * rate / 60.0)
@@ -345,17 +353,17 @@ class Gatekeeper:
         self._rate_buckets[principal] = (level - 1.0 if fits else level, now)
         return fits
 
-    def _apply_gate_reply(self, ruling: GateReply) -> None:
-        """A verdict is there: it is told, and an accepted contract is next, if the one who asked still commands."""
-        case, verdict = ruling.request, ruling.verdict
-        asker = next((peer for peer in self.server.connections if peer.number == case.connection_number), None)
+    def _apply_gate_reply(self, reply: GateReply) -> None:
+        """Report a verdict; an accepted contract is next if its proposer is still the commander."""
+        request, verdict = reply.request, reply.verdict
+        proposer = next((one for one in self.server.connections if one.number == request.connection_number), None)
         rejected = None if isinstance(verdict, Accepted) else verdict
-        if asker is not None:
-            asker.send(VerdictReport(sequence=case.sequence, rejected=rejected, gate_s=ruling.seconds))
-        if isinstance(verdict, Accepted) and asker is self._commander and asker is not None:
-            self._next_contract, self._proposer = verdict.contract, asker
+        if proposer is not None:
+            proposer.send(VerdictReport(sequence=request.sequence, rejected=rejected, gate_s=reply.seconds))
+        if isinstance(verdict, Accepted) and proposer is self._commander and proposer is not None:
+            self._next_contract, self._proposer = verdict.contract, proposer
 
-    # --- what is told -------------------------------------------------------------------------------------------
+    # --- reports ------------------------------------------------------------------------------------------------
 
     def _scene_report(self) -> SceneReport:
         return SceneReport(
@@ -370,14 +378,14 @@ class Gatekeeper:
         data = {key: value for key, value in event.data.items() if isinstance(value, str | float | int | bool)}
         self.server.broadcast(EventReport(event.t, event.kind, event.text, data))
 
-    def _broadcast_tick(self, moment: TickSnapshot) -> None:
-        if not any(peer.receives_reports for peer in self.server.connections):
+    def _broadcast_tick(self, snapshot: TickSnapshot) -> None:
+        if not any(connection.receives_reports for connection in self.server.connections):
             return
-        state, result = moment.state, moment.result
+        state, result = snapshot.state, snapshot.result
         self.server.broadcast(
             TickReport(
                 t=state.stamp,
-                scene=moment.scene,
+                scene=snapshot.scene,
                 q=tuple(state.q.tolist()),
                 opening=state.opening,
                 u=tuple(result.u.tolist()),
@@ -385,10 +393,10 @@ class Gatekeeper:
                 h_min=None if isnan(result.h_min) else result.h_min,
                 status=result.status.name,
                 barriers=result.barriers,
-                skill=moment.skill,
-                phase=moment.nominal.phase,
-                in_contract=moment.action >= 0,
-                order=moment.order.action.name,
-                check=moment.order.check,
+                skill=snapshot.skill,
+                phase=snapshot.nominal.phase,
+                in_contract=snapshot.action >= 0,
+                order=snapshot.order.action.name,
+                check=snapshot.order.check,
             )
         )

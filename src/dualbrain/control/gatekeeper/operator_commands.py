@@ -1,4 +1,4 @@
-"""The operator's hand: what a person has asked for, as conditions that hold or buttons that are pressed."""
+"""Operator commands, as conditions that hold until they are released or that hold for one tick."""
 
 from __future__ import annotations
 
@@ -6,40 +6,43 @@ from dualbrain.control.gatekeeper.protocol.messages import OperatorCommand
 from dualbrain.safety.supervisor.conditions import Condition
 
 UNRESTRICTED_ACTIONS = ("estop",)
-"""What every local process may do, without a key."""
+"""Commands that every local process may send, without a key."""
 MIN_SPEED = 0.01
+"""Lowest speed scale."""
 LATCHED_CONDITIONS = {"pause": Condition.PAUSE, "takeover": Condition.TAKEOVER, "estop": Condition.ESTOP}
+"""Conditions that hold until they are released."""
 RELEASE_ACTIONS = {"resume": Condition.PAUSE, "hand_back": Condition.TAKEOVER, "release_estop": Condition.ESTOP}
+"""Commands that release a latched condition."""
 MOMENTARY_CONDITIONS = {"resume": Condition.RESUME, "reset": Condition.RESET, "abort": Condition.ABORT}
-"""Resume both lets a pause go and leads out of the HOLD after a reset."""
+"""Conditions that hold for one tick; resume both releases a pause and ends the HOLD after a reset."""
 
 
 class OperatorCommands:
-    """Takes acts in, gives `Condition` bits out; `stage` is the chosen speed, (0, 1]."""
+    """Translates operator commands to `Condition` bits; `speed_stage` is the chosen speed scale, (0, 1]."""
 
     def __init__(self, speed_stage: float = 1.0) -> None:
-        """Nothing is held."""
+        """Start without conditions."""
         self.speed_stage = speed_stage
         self._latched = 0
-        self._pressed = 0
+        self._momentary = 0
 
     def apply(self, command: OperatorCommand) -> str:
-        """Do what is asked; "" or why not."""
+        """Apply a command; returns "" or the reason why it is refused."""
         self._latched |= int(LATCHED_CONDITIONS.get(command.act, 0))
         self._latched &= ~int(RELEASE_ACTIONS.get(command.act, 0))
-        self._pressed |= int(MOMENTARY_CONDITIONS.get(command.act, 0))
+        self._momentary |= int(MOMENTARY_CONDITIONS.get(command.act, 0))
         if command.act == "speed":
             if not MIN_SPEED <= command.speed <= 1.0:
-                return f"speed {command.speed}: allowed is {MIN_SPEED} to 1"
+                return f"speed: got {command.speed}, allowed {MIN_SPEED} to 1"
             self.speed_stage = command.speed
         return ""
 
     def conditions(self) -> int:
-        """What is held, and what was pressed since the last call."""
-        pressed, self._pressed = self._pressed, 0
-        return self._latched | pressed
+        """The latched `Condition` bits, and the momentary ones of commands since the last call."""
+        momentary, self._momentary = self._momentary, 0
+        return self._latched | momentary
 
 
 def is_allowed(act: str, role: str) -> bool:
-    """Whoever commands may also stop; only the operator's key lets go, resets, resumes, or changes the speed."""
+    """Whether `role` may send `act`: a commander may also stop; all other commands need the operator's key."""
     return act in UNRESTRICTED_ACTIONS or role == "operator" or (role == "commander" and act in ("pause", "abort"))

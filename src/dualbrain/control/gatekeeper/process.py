@@ -1,4 +1,4 @@
-"""Putting a gatekeeper together: settings, robot, server, keys; and starting one as a process of its own."""
+"""Assembly of a gatekeeper from its configuration, and its start as a child process."""
 
 from __future__ import annotations
 
@@ -28,14 +28,16 @@ from dualbrain.control.recording.trace import Trace
 from dualbrain.errors import ConfigurationError
 
 SWITCH_INTERVAL = 1e-4
-"""How long another thread may keep the interpreter from the control tick [s]."""
+"""Interval of the interpreter's thread switches [s]: the longest wait of the control tick for another thread."""
 STARTUP_TIMEOUT = 60.0
+"""Longest time [s] until a started gatekeeper listens."""
 
 
 def run_gatekeeper(config: GatekeeperConfig, on_ready: Callable[[], None] = lambda: None) -> TickTimingSummary:
-    """Be the gatekeeper until told to shut down (by the operator, SIGTERM or SIGINT); how punctual it was.
+    """Run a gatekeeper until the operator, SIGTERM or SIGINT shuts it down; returns the timing of its ticks.
 
-    `ready` is called once robot and server are there and nothing was refused, before the first tick.
+    `on_ready` is called before the first tick, once robot and server are ready. Raises what `Deployment.from_config`
+    raises, and `ConfigurationError` if the socket or the key file cannot be used.
     """
     sys.setswitchinterval(SWITCH_INTERVAL)
     _request_realtime_priority()
@@ -94,7 +96,7 @@ class GatekeeperProcess:
     """A gatekeeper as a child process."""
 
     def __init__(self, config: GatekeeperConfig) -> None:
-        """Start it and wait until it listens; raises `InvalidSetup` if it does not come up."""
+        """Start the process and wait until it listens; raises `ConfigurationError` if it does not start."""
         flags = ["-S"] if sys.flags.no_site else []
         self.config = config
         self.process = subprocess.Popen(
@@ -113,10 +115,14 @@ class GatekeeperProcess:
         ):
             time.sleep(0.02)
         if not up:
-            raise ConfigurationError("gatekeeper", got=f"exit code {self.process.poll()}", allowed="one that comes up")
+            code = self.process.poll()
+            happened = f"did not listen within {STARTUP_TIMEOUT:.0f} s" if code is None else f"exited with code {code}"
+            raise ConfigurationError.stating(
+                f"The gatekeeper process {happened}.", fix="See its messages on standard error."
+            )
 
     def stop(self) -> None:
-        """Ask it to brake and leave; insist if it does not."""
+        """Terminate the process, which brakes the robot first; kill it if it does not end."""
         if self.process.poll() is None:
             self.process.terminate()
             with suppress(subprocess.TimeoutExpired):
@@ -127,7 +133,7 @@ class GatekeeperProcess:
 
 
 def _request_realtime_priority() -> None:
-    """A real-time priority where the system grants one; where it does not, the histogram tells."""
+    """Request a real-time priority; without one, the tick timing shows the effect."""
     with suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
 

@@ -28,12 +28,12 @@ SCENE_REQUEST_PERIOD = 0.1
 
 
 class RemoteExecutor:
-    """Executes contracts through a gatekeeper; implements `Executor`. `interrupted`: a person wants the robot to stop."""
+    """Executes contracts through a gatekeeper; implements `Executor`."""
 
     def __init__(
         self, robot_model: RobotModel, client: GatekeeperClient, log: FlightLog, interrupted: Callable[[], bool]
     ) -> None:
-        """Connect, and request the scene once."""
+        """Use `client`, and request the scene once; `interrupted`: whether a person wants the robot to stop."""
         self.robot_model, self.client, self.log, self.interrupted = robot_model, client, log, interrupted
         self.refresh()
 
@@ -52,7 +52,7 @@ class RemoteExecutor:
         self.held_object = report.holding or None
 
     def gate(self, grants: Grants) -> RemoteGate:
-        """The gatekeeper's own gate; it applies its own grants, whatever `grants` are here."""
+        """The gatekeeper's own gate, which applies its own grants; `grants` is ignored."""
         del grants
         return RemoteGate(self.client)
 
@@ -79,7 +79,7 @@ class RemoteExecutor:
                     return ended.outcome
                 self.refresh()
         except ConnectionLostError as error:
-            return Outcome(kind="stopped", reason=f"the gatekeeper is gone: {error}")
+            return Outcome(kind="stopped", reason=f"the connection to the gatekeeper was lost: {error}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,15 +91,15 @@ class RemoteGate:
     def check(self, data: bytes, *, names: SceneNames, principal: str, now: float, header: ContractHeader) -> Verdict:
         """The gatekeeper's verdict on `data`; the arm starts to move as soon as it accepts."""
         del names, principal, now
-        answer = self.client.propose(data, header.scene_version)
-        if isinstance(answer, RequestRefused):
+        reply = self.client.propose(data, header.scene_version)
+        if isinstance(reply, RequestRefused):
             return Rejected(
                 stage="authorization",
                 pointer="",
-                got=answer.reason,
+                got=reply.reason,
                 allowed="a contract that is fit to be judged",
                 hint="not considered",
             )
-        if answer.rejected is not None:
-            return answer.rejected
+        if reply.rejected is not None:
+            return reply.rejected
         return Accepted(msgspec.json.decode(data, type=Contract))

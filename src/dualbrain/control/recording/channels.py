@@ -1,7 +1,7 @@
-"""What a flight recording holds (MCAP channels, their messages) and how it is read back, in order and exactly.
+"""Channels and messages of a recording (MCAP), and functions that read them in their order and exactly.
 
 Every message is JSON. Finite floats round-trip bit for bit (shortest decimal form); the others are written as
-`{"float": "nan"}`, `{"float": "inf"}` and `{"float": "-inf"}`, because JSON has no word for them.
+`{"float": "nan"}`, `{"float": "inf"}` and `{"float": "-inf"}`, because JSON cannot represent them.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ FORMAT = "dualbrain-1"
 METADATA = "dualbrain"
 MAGIC = b"\x89MCAP0\r\n"
 PRE_SUPERVISOR_DEFAULTS = {"delta_supervisor": 0.0, "order": 0.0, "touched": 1.0}
-"""What recordings from before there was a supervisor leave out: nothing stood above the filter."""
+"""Values of the columns that recordings from before the supervisor lack."""
 
 
 class EpisodeInfo(msgspec.Struct, frozen=True):
-    """What is known when recording starts (robot, guard, instruction, versions)."""
+    """Data that is known when recording starts: robot, guard, instruction, versions."""
 
     t: float
     data: dict[str, Any]
@@ -46,16 +46,16 @@ class SceneSeen(msgspec.Struct, frozen=True):
 
 
 class AttemptMade(msgspec.Struct, frozen=True):
-    """One shot of the planner and the gate's verdict."""
+    """One proposal of the planner and the gate's verdict."""
 
     t: float
     attempt: Attempt
 
 
 class FilterCall(msgspec.Struct, frozen=True):
-    """A call that changes what the filter knows (observe, permit, attach, detach, constrain), with all its arguments.
+    """A call that changes the filter's tables (observe, permit, attach, detach, constrain), with all its arguments.
 
-    `constrain` holds every row of the ticks that follow, also those that live barriers asked for at each of them.
+    `constrain` holds every additional row of the following ticks, including those that live barriers add per tick.
     """
 
     t: float
@@ -99,7 +99,7 @@ MESSAGE_TYPES = {topic: kind for kind, topic in CHANNELS.items()}
 
 @dataclass(frozen=True, slots=True)
 class RecordingState:
-    """Whether a recording holds everything: `dropped` messages, and the `problem` that ended it early, if any."""
+    """Whether a recording is complete, the number of `dropped` messages, and the `problem` that ended it, or ""."""
 
     complete: bool
     dropped: int
@@ -107,9 +107,12 @@ class RecordingState:
 
 
 def encode(message: Message) -> bytes:
-    """The message as JSON; arrays become lists."""
+    """The message as JSON; arrays become lists.
+
+    Raises `ConfigurationError` if an argument of a filter call cannot be recorded.
+    """
     fast = msgspec.json.encode(message, enc_hook=_encode_array)
-    if b"null" not in fast:  # which is also what became of a NaN
+    if b"null" not in fast:  # msgspec writes a NaN as null
         return fast
     return msgspec.json.encode(_encode_non_finite(msgspec.to_builtins(message, enc_hook=_encode_array)))
 
@@ -147,12 +150,15 @@ def _decode_non_finite(value: Any) -> Any:
 
 
 def read_recording(path: Path) -> Iterator[Message]:
-    """Every message of the file in the order it was recorded; a file cut short is read up to its last whole chunk."""
+    """Every message of the file in the order of recording; a truncated file is read up to its last complete chunk.
+
+    Raises `ConfigurationError` if the file is not a recording or is damaged.
+    """
     return (decode(topic, data) for topic, data in _read_records(path) if topic in MESSAGE_TYPES)
 
 
 def recording_state(path: Path) -> RecordingState:
-    """What the file says of itself; a file whose recorder was killed says nothing and is incomplete."""
+    """The state that is stored in the file; a file without one, because its recorder was killed, is incomplete."""
     for topic, data in _read_records(path):
         if topic == METADATA:
             return msgspec.json.decode(data, type=RecordingState)
@@ -185,7 +191,7 @@ def _read_records(path: Path) -> Iterator[tuple[str, bytes]]:
     topics: dict[int, str] = {}
     data = path.read_bytes()
     if not data.startswith(MAGIC):
-        raise ConfigurationError("recording", got=path.name, allowed="an MCAP file", fix=str(path))
+        raise ConfigurationError.stating(f"The file {path} is not an MCAP file.", fix="Name a recording of dualbrain.")
     try:
         for record in StreamReader(BytesIO(data[: _complete_length(data)]), validate_crcs=True).records:
             if isinstance(record, Channel):
@@ -197,11 +203,13 @@ def _read_records(path: Path) -> Iterator[tuple[str, bytes]]:
     except EndOfFile:
         return
     except (CRCValidationError, McapError, ZstdError, struct.error, KeyError, ValueError) as error:
-        raise ConfigurationError("recording", got=str(error), allowed="an undamaged file", fix=str(path)) from error
+        raise ConfigurationError.stating(
+            f"The recording {path} is damaged: {error}.", fix="Use an undamaged copy of it."
+        ) from error
 
 
 def _complete_length(data: bytes) -> int:
-    """Where the last whole record ends; a record is one byte of kind, eight of length, then its content."""
+    """End [bytes] of the last complete record; a record is one byte of kind, eight of length, then its content."""
     if data.endswith(MAGIC) and len(data) > len(MAGIC):
         return len(data)
     end = len(MAGIC)

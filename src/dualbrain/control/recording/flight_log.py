@@ -1,4 +1,4 @@
-"""The flight log: one place where the control loop writes; it feeds the trace in memory and the recorder on disk."""
+"""The flight log: the control loop's only output, which feeds the trace in memory and the recorder on disk."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ Array = NDArray[np.float64]
 
 
 RECENT_TIME, MAX_HINDRANCES = 3.0, 2
-"""A row that bound this long [s] before the end of an action is named as what held it back, this many at most."""
+"""A hindrance is a row that was active within this time [s] before the end of an action; at most so many are named."""
 
 
 class FlightLog:
-    """Trace and recorder behind one door; the recorder may be absent (tests, sweeps)."""
+    """Trace and recorder behind one interface; the recorder may be absent, for example in an evaluation."""
 
     def __init__(
         self,
@@ -32,9 +32,9 @@ class FlightLog:
         recorder: Recorder | None = None,
         on_event: Callable[[Event], None] | None = None,
     ) -> None:
-        """Bind the trace and, if given, the recorder and whoever is told of events as they happen.
+        """Write to `trace` and, if given, to `recorder`; `on_event` gets each event when it happens.
 
-        `binding` counts the ticks of actions on which each barrier bound.
+        `binding` counts, for each barrier, the ticks of actions in which it was active.
         """
         self.trace, self.recorder, self._on_event = trace, recorder, on_event
         self.binding: Counter[str] = Counter()
@@ -53,7 +53,7 @@ class FlightLog:
         order: int = 0,
         scale_applied: float = 1.0,
     ) -> None:
-        """Log one control tick; `order` and `touched` say what the supervisor did to it."""
+        """Log one control tick; `order` and `scale_applied` are the supervisor's action and the scale of u_nom."""
         row = self.trace.append(
             now, state, u_nom, result, action=action, phase=phase, order=order, scale_applied=scale_applied
         )
@@ -69,7 +69,7 @@ class FlightLog:
             self.recorder.call(t, name, **arguments)
 
     def extra_rows(self, t: float, rows: tuple[ConstraintRow, ...]) -> None:
-        """Log the rows that no table holds, where they are not those of the last tick."""
+        """Log the rows of live barriers, if they are not those of the last tick."""
         if rows != self._rows:
             self._rows = rows
             self.call(t, "constrain", rows=rows)
@@ -88,7 +88,7 @@ class FlightLog:
             self.recorder.scene(scene)
 
     def attempt(self, t: float, attempt: Attempt) -> None:
-        """Log a planner's shot."""
+        """Log a proposal of the planner with the gate's verdict."""
         if self.recorder:
             self.recorder.attempt(t, attempt)
 
@@ -98,13 +98,13 @@ class FlightLog:
         return float(np.mean(delta)) if len(delta) else 0.0
 
     def outcome(self, kind: OutcomeClass, reason: str, first: int, actions: tuple[ActionResult, ...]) -> Outcome:
-        """The outcome of the segment that began at tick `first`; only ticks of its actions count (design 4)."""
+        """The outcome of the segment that began at tick `first`; only ticks of its actions count."""
         chosen = np.flatnonzero(self.trace["action"][first:] >= 0) + first
         if kind == "declined" or not len(chosen):
             return Outcome(kind=kind, reason=reason, actions=actions)
         delta, h, t = (self.trace[name][chosen] for name in ("delta", "h_min", "t"))
         delta = np.nan_to_num(delta, nan=FULL_INTERVENTION)
-        h = h[~np.isnan(h)]  # ticks whose input was refused: nothing was measured
+        h = h[~np.isnan(h)]  # h is NaN in a tick whose input the filter refused
         return Outcome(
             kind=kind,
             reason=reason,
@@ -119,7 +119,7 @@ class FlightLog:
         )
 
     def _hindrance(self, end: float, actions: tuple[ActionResult, ...]) -> str:
-        """The rows that bound within `LATELY` of `end` [s], strongest first; "" where every action was done."""
+        """The rows that were active within `RECENT_TIME` of `end` [s], strongest first; "" if every action was done."""
         if (
             self._last_binding is None
             or end - self._last_binding[0] > RECENT_TIME

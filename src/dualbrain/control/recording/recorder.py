@@ -1,7 +1,7 @@
-"""The flight recorder: MCAP, written by its own thread so that the control loop never waits for a disk.
+"""The recorder: writes an MCAP file in its own thread, so that the control loop never waits for a disk.
 
-The control thread only puts references into a bounded queue (ticks in batches of 50). A recording whose process is
-killed stays readable up to its last chunk; chunks are flushed every half second of recorded time.
+The control thread only puts references into a bounded queue (ticks in batches of 50). The recording of a killed process
+is readable up to its last chunk; chunks are flushed every half second of recorded time.
 """
 
 from __future__ import annotations
@@ -37,17 +37,19 @@ from dualbrain.records import Attempt, Scene
 Array = NDArray[np.float64]
 
 BATCH_TICKS = 50
+"""Ticks of one /tick message."""
 FLUSH_PERIOD = 0.5
+"""Recorded time [s] between two flushes of the file."""
 
 Item = Message | list[Array]
-"""What crosses the queue: a message or a batch of rows; with it the number of items lost just before it."""
+"""An item of the queue: a message or a batch of rows; the number of items lost just before it goes with it."""
 
 
 class Recorder:
     """Writes one episode to `path`.
 
-    `when_full` says what a full queue does: "drop" loses the message, counts it and leaves a mark in the file at the
-    place of the gap (live control); "wait" waits for the disk (lockstep simulation, where nothing is lost by it).
+    `when_full` defines the behaviour of a full queue: "drop" loses the message, counts it and marks the gap in the file
+    (live control); "wait" waits for the disk (lockstep simulation).
     """
 
     def __init__(
@@ -62,7 +64,7 @@ class Recorder:
         self._pending: list[Array] = []
         self._state: RecordingState | None = None
         self._file = _McapFile(path)
-        self._thread = Thread(target=self._drain, name="flight recorder", daemon=True)
+        self._thread = Thread(target=self._drain, name="recorder", daemon=True)
         self._thread.start()
 
     # --- called by the control thread ---------------------------------------------------------------------------
@@ -74,11 +76,11 @@ class Recorder:
             self._put_pending()
 
     def call(self, t: float, name: str, **arguments: Any) -> None:
-        """Record a call that changes the filter's tables; mutable arguments are copied now."""
+        """Record a call that changes the filter's tables; mutable arguments are copied at once."""
         self._put(FilterCall(t, name, {key: _snapshot(value) for key, value in arguments.items()}))
 
     def event(self, event: Event) -> None:
-        """Record an event (as `Trace.note` returns it)."""
+        """Record an event, as `Trace.note` returns it."""
         self._put(event)
 
     def scene(self, scene: Scene) -> None:
@@ -86,15 +88,15 @@ class Recorder:
         self._put(SceneSeen(scene.stamp, scene))
 
     def attempt(self, t: float, attempt: Attempt) -> None:
-        """Record a planner's shot."""
+        """Record a proposal of the planner with the gate's verdict."""
         self._put(AttemptMade(t, attempt))
 
     def episode(self, t: float, data: Mapping[str, Any]) -> None:
-        """Record what is known of the episode."""
+        """Record the data that is known when the episode starts."""
         self._put(EpisodeInfo(t, dict(data)))
 
     def close(self) -> RecordingState:
-        """Write what is left and close the file; safe to call again. Says whether the recording is complete."""
+        """Write the rest and close the file; returns whether the recording is complete. May be called repeatedly."""
         if self._state is None:
             self._put_pending()
             self._queue.put(None)
@@ -107,7 +109,7 @@ class Recorder:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        """Close, whatever happened."""
+        """Close the file."""
         self.close()
 
     def _put(self, item: Message) -> None:
@@ -132,7 +134,7 @@ class Recorder:
         while (entry := self._queue.get()) is not None:
             try:
                 self._write(*entry)
-            except Exception as error:  # this thread must go on emptying the queue: the control loop may wait for it
+            except Exception as error:  # the thread must continue to empty the queue: the control loop may wait for it
                 self._file.problem = self._file.problem or f"{type(error).__name__}: {error}"
 
     def _write(self, lost: int, item: Item) -> None:
@@ -158,7 +160,7 @@ class Recorder:
 
 
 class _McapFile:
-    """An open MCAP file. An error (a full disk) is kept as `problem`, not raised: the robot is still moving."""
+    """An open MCAP file. An error such as a full disk is stored as `problem` and not raised: the robot still moves."""
 
     def __init__(self, path: Path) -> None:
         from mcap.writer import CompressionType, Writer  # noqa: PLC0415  (heavy imports are lazy)
@@ -188,7 +190,7 @@ class _McapFile:
             if abs(message.t - self._last_flush) >= FLUSH_PERIOD:
                 self._writer.flush()
                 self._last_flush = message.t
-        except Exception as error:  # whatever fails here must not reach the control loop
+        except Exception as error:  # no failure of the recording may reach the control loop
             self.problem = f"{type(error).__name__}: {error}"
 
     def finish(self, dropped: int) -> RecordingState:
@@ -203,6 +205,6 @@ class _McapFile:
 
 
 def _snapshot(value: object) -> object:
-    """A copy of what could still change (arrays, lists); frozen records, and tuples of them, as they are."""
+    """A copy of mutable values (arrays, lists); frozen records, and tuples of them, are returned unchanged."""
     frozen = isinstance(value, int | float | str | tuple | msgspec.Struct)
     return cast("object", value) if frozen else copy.deepcopy(value)

@@ -1,7 +1,7 @@
-"""Replay: every control computed again from the recorded inputs, compared bit for bit.
+"""Replay: recomputes every control from the recorded inputs and compares it with the recorded control bit for bit.
 
-Playing back recorded controls would prove nothing. Here a fresh filter gets the recorded calls and states in order
-and must arrive at the same u, δ and h, to the last bit.
+A fresh filter gets the recorded calls and states in their order and must compute the same u, δ, h and status, to the
+last bit.
 """
 
 from __future__ import annotations
@@ -31,11 +31,16 @@ from dualbrain.safety.supervisor.intervention import with_supervisor_control
 Array = NDArray[np.float64]
 
 COMPARED_COLUMNS = ("u", "delta", "h_min", "status")
+"""Columns of the trace that a replay recomputes and compares."""
 
 
 @dataclass(slots=True, kw_only=True)
 class ReplayResult:
-    """What a replay found: ticks compared, ticks that differ (index of the first), and whether the file is whole."""
+    """Result of a replay.
+
+    `ticks` were compared and `differing` of them differ, beginning at index `first`; `worst` is the largest difference
+    by column. `complete` is False if messages are missing in the file; `problem` is the error that ended the recording.
+    """
 
     ticks: int = 0
     differing: int = 0
@@ -47,29 +52,32 @@ class ReplayResult:
 
     @property
     def identical(self) -> bool:
-        """Whether every recorded control was reached again, bit for bit."""
+        """Whether every recorded control was recomputed bit for bit."""
         return self.ticks > 0 and self.differing == 0
 
 
 def replay(path: Path) -> ReplayResult:
-    """Replay the recording at `path`; raises `InvalidSetup` when it is none."""
+    """Replay the recording at `path`.
+
+    Raises `ConfigurationError` if the file is not a recording or is damaged.
+    """
     result = ReplayResult()
-    machine: _ReplayFilter | None = None
+    replay_filter: _ReplayFilter | None = None
     for message in read_recording(path):
         match message:
             case EpisodeInfo(_, data):
-                machine = _ReplayFilter(data)
+                replay_filter = _ReplayFilter(data)
                 result.instruction = str(data.get("instruction", ""))
-            case FilterCall(_, name, arguments) if machine:
-                machine.apply_call(name, arguments)
-            case Ticks() if machine:
+            case FilterCall(_, name, arguments) if replay_filter:
+                replay_filter.apply_call(name, arguments)
+            case Ticks() if replay_filter:
                 for row in message.rows():
-                    machine.compare(row, result)
+                    replay_filter.compare(row, result)
             case _:
                 pass
-    if machine is None:
-        raise ConfigurationError(
-            "recording", got="no /episode message", allowed="a file written by dualbrain", fix=str(path)
+    if replay_filter is None:
+        raise ConfigurationError.stating(
+            f"The file {path} has no /episode message.", fix="Name a recording that dualbrain wrote."
         )
     state = recording_state(path)
     result.complete, result.problem = state.complete, state.problem
@@ -77,17 +85,17 @@ def replay(path: Path) -> ReplayResult:
 
 
 class _ReplayFilter:
-    """A fresh filter that is fed what was recorded."""
+    """A fresh filter that gets the recorded calls and states."""
 
     def __init__(self, data: Mapping[str, Any]) -> None:
-        """`data` is the /episode message: robot and guard, and what a site file changed."""
+        """Make the filter of the /episode message `data`: robot, guard, and the changes that a site file made."""
         robot_model = msgspec.convert(data["body"], RobotModel) if "body" in data else load_robot(str(data["robot"]))
-        standing = msgspec.convert(data.get("standing", ()), tuple[Obstacle, ...])
-        self._filter, self._guard = SafetyFilter(robot_model, obstacles=standing), bool(data["guard"])
+        obstacles = msgspec.convert(data.get("standing", ()), tuple[Obstacle, ...])
+        self._filter, self._guard = SafetyFilter(robot_model, obstacles=obstacles), bool(data["guard"])
         self._columns = columns(robot_model.n, robot_model.nq)
 
     def apply_call(self, name: str, arguments: dict[str, Any]) -> None:
-        """Repeat one call that changes the filter's tables."""
+        """Repeat one recorded call that changes the filter's tables."""
         match name:
             case "observe":
                 self._filter.observe(msgspec.convert(arguments["obstacles"], tuple[Obstacle, ...]), arguments["stamp"])
@@ -104,23 +112,23 @@ class _ReplayFilter:
                     "recorded call", got=name, allowed="observe, permit, attach, detach, constrain"
                 )
 
-    def _recompute(self, state: RobotState, part: dict[str, Array], now: float, touched: float) -> FilterResult | None:
-        """The control as the supervisor let it be written; None where braking stood in for a broken filter."""
+    def _recompute(self, state: RobotState, part: dict[str, Array], now: float, scale: float) -> FilterResult | None:
+        """The result with the control that the supervisor wrote; None where braking replaced a failed filter."""
         u_nom = part["u_nom"]
-        wish = u_nom if touched == UNSCALED else max(0.0, touched) * u_nom
-        got = self._filter.filter(state, wish, now)
+        scaled = u_nom if scale == UNSCALED else max(0.0, scale) * u_nom
+        result = self._filter.filter(state, scaled, now)
         if not self._guard:
-            got = got.unfiltered()
-        if touched == BRAKING:
+            result = result.unfiltered()
+        if scale == BRAKING:
             self._filter.reset(part["u"])
             return None
-        if touched == STANDSTILL:
+        if scale == STANDSTILL:
             self._filter.reset(0.0)
-            return with_supervisor_control(got, u_nom, np.zeros_like(got.u))
-        return got if touched == UNSCALED else with_supervisor_control(got, u_nom, got.u)
+            return with_supervisor_control(result, u_nom, np.zeros_like(result.u))
+        return result if scale == UNSCALED else with_supervisor_control(result, u_nom, result.u)
 
     def compare(self, row: Array, result: ReplayResult) -> None:
-        """Compute one tick again and note how it differs from the recorded one."""
+        """Recompute the tick of one recorded row (width,) and add its differences to `result`."""
         part = {name: row[where] for name, where in self._columns.items()}
         forces = (float(part["forces"][0]), float(part["forces"][1]))
         state = RobotState(
@@ -132,17 +140,16 @@ class _ReplayFilter:
             finger_forces=forces,
             drive_enabled=bool(part["drive"][0]),
         )
-        touched = float(part["touched"][0])
-        got = self._recompute(state, part, float(part["t"][0]), touched)
+        got = self._recompute(state, part, float(part["t"][0]), float(part["touched"][0]))
         if got is None:
             result.ticks += 1
             return
-        again = {"u": got.u, "delta": got.delta, "h_min": got.h_min, "status": float(got.status)}
-        same = all(np.array_equal(part[name], np.atleast_1d(again[name]), equal_nan=True) for name in COMPARED_COLUMNS)
+        values = {"u": got.u, "delta": got.delta, "h_min": got.h_min, "status": float(got.status)}
+        same = all(np.array_equal(part[name], np.atleast_1d(values[name]), equal_nan=True) for name in COMPARED_COLUMNS)
         if not same:
             result.differing += 1
             result.first = result.ticks if result.first is None else result.first
             for name in COMPARED_COLUMNS:
-                away = float(np.max(np.abs(part[name] - again[name])))
-                result.worst[name] = max(result.worst.get(name, 0.0), away)
+                difference = float(np.max(np.abs(part[name] - values[name])))
+                result.worst[name] = max(result.worst.get(name, 0.0), difference)
         result.ticks += 1

@@ -1,4 +1,4 @@
-"""What the control loop saw and did, tick by tick, in memory: the source of Δ, of the plots, of the recording."""
+"""The trace: inputs and outputs of every control tick in memory, from which Δ, plots and recordings are made."""
 
 from __future__ import annotations
 
@@ -19,11 +19,12 @@ STATUSES = ("SAFE", "MODIFIED", "RELAXED", "STOPPED", "FAULT")
 """Names of the filter's status codes 0..4."""
 
 FULL_INTERVENTION = 2.0
-"""δ of an intervention that leaves nothing of what was asked, and of a tick whose δ could not be computed."""
+"""δ of a tick in which nothing remains of the nominal control, or whose δ could not be computed."""
 DEAD_BAND = 1e-4
 """δ at or below this counts as no intervention: the kernel's rounding in float32, 0.01 % of full speed."""
 
 BLOCK_ROWS = 4096
+"""Rows of one preallocated block of a trace."""
 
 EventKind = Literal[
     "verdict",
@@ -42,7 +43,7 @@ EventKind = Literal[
 
 
 class Event(msgspec.Struct, frozen=True):
-    """Something that happened at `t` [s] and is worth a line: `text` for people, `data` for programs."""
+    """An event of `kind` at `t` [s]: `text` for people, `data` for programs."""
 
     t: float
     kind: EventKind
@@ -51,33 +52,62 @@ class Event(msgspec.Struct, frozen=True):
 
 
 class LoggedResult(Protocol):
-    """The part of the filter's answer that is logged (paper 4.3, 4.4)."""
+    """The fields of a filter result that are logged (paper 4.3, 4.4)."""
 
     @property
-    def u(self) -> Array: ...  # noqa: D102
+    def u(self) -> Array:
+        """Control (n,) [rad/s]."""
+        ...
+
     @property
-    def status(self) -> int: ...  # noqa: D102
+    def status(self) -> int:
+        """Code of the filter's status, an index of `STATUSES`."""
+        ...
+
     @property
-    def delta(self) -> float: ...  # noqa: D102
+    def delta(self) -> float:
+        """Intervention δ_t."""
+        ...
+
     @property
-    def delta_rows(self) -> float: ...  # noqa: D102
+    def delta_rows(self) -> float:
+        """Part of δ_t that the barrier rows caused."""
+        ...
+
     @property
-    def delta_box(self) -> float: ...  # noqa: D102
+    def delta_box(self) -> float:
+        """Part of δ_t that the control bounds caused."""
+        ...
+
     @property
-    def h_min(self) -> float: ...  # noqa: D102
+    def h_min(self) -> float:
+        """Least barrier value [m]."""
+        ...
+
     @property
-    def certified(self) -> bool: ...  # noqa: D102
+    def certified(self) -> bool:
+        """Whether the control is certified safe for one period."""
+        ...
+
     @property
-    def iterations(self) -> int: ...  # noqa: D102
+    def iterations(self) -> int:
+        """Iterations of the QP solver."""
+        ...
+
     @property
-    def n_rows(self) -> int: ...  # noqa: D102
+    def n_rows(self) -> int:
+        """Number of rows of the QP."""
+        ...
+
     @property
-    def delta_supervisor(self) -> float: ...  # noqa: D102
+    def delta_supervisor(self) -> float:
+        """Part of δ_t that the supervisor caused."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Span:
-    """A run of ticks `first`..`last` (inclusive) with one `code`, from `start` to `end` [s]."""
+    """Consecutive ticks `first` to `last` (inclusive) with the same `code`, from `start` to `end` [s]."""
 
     code: int
     first: int
@@ -88,7 +118,7 @@ class Span:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InterventionSummary:
-    """Δ(τ) and its companions over one segment (paper 4.4); `Delta` and `h_min` are None without ticks."""
+    """Δ(τ) and related quantities of one segment (paper 4.4); `Delta` and `h_min` are None without ticks."""
 
     ticks: int
     duration: float
@@ -100,13 +130,13 @@ class InterventionSummary:
 
 
 def columns(n: int, width: int | None = None) -> dict[str, slice]:
-    """Where each quantity lies in a logged row, for `n` joints and configurations of length `width` (default: n).
+    """Position of each quantity in a logged row, for `n` joints and configurations of length `width` (default: n).
 
     Inputs of the filter: `t` (its `now`) [s], the state's `stamp` [s], `sequence`, `q` [rad], `v` [rad/s], finger
     `opening` [m], finger `forces` [N], `drive`, and `u_nom` [rad/s]. Its outputs: `u` [rad/s], `delta`, `delta_rows`,
     `delta_box`, `h_min` [m], `status`, `certified`, `iterations`, `n_rows`. Of the supervisor: `delta_supervisor`, the
-    `order` (rung of the ladder) and `touched`: the scale of u_nom, −1 for a standstill, −2 for braking in the filter's
-    stead. Then the `action` index and `phase` code.
+    `order` (`SafetyAction` as a number) and `touched`: the scale of u_nom, −1 for a standstill, −2 for braking instead
+    of the filter. Then the `action` index and `phase` code.
     """
     widths = {
         "t": 1,
@@ -126,7 +156,7 @@ def columns(n: int, width: int | None = None) -> dict[str, slice]:
 
 
 def spans(codes: Array, t: Array) -> list[Span]:
-    """Runs of equal values in `codes`; each ends where the next begins, so that bars drawn from them touch."""
+    """Runs of equal values in `codes` (ticks,); each ends at the time [s] at which the next begins."""
     if not len(codes):
         return []
     starts = np.flatnonzero(np.r_[True, codes[1:] != codes[:-1]]).tolist()
@@ -142,12 +172,12 @@ def spans(codes: Array, t: Array) -> list[Span]:
 class Trace:
     """A growing log of ticks in preallocated blocks of float64 rows, and a list of events.
 
-    Appending never moves old rows, so the cost of a tick stays flat and a row handed out stays valid. All logged values
+    Appending never moves old rows: the cost of a tick is constant, and a returned row remains valid. All logged values
     are exact in float64 (the kernel's float32 control included).
     """
 
     def __init__(self, n: int, width: int | None = None) -> None:
-        """A log for a body with `n` joints and configurations of length `width` (default: n)."""
+        """A log for a robot with `n` joints and configurations of length `width` (default: n)."""
         self.n, self.width = n, width
         self.columns = columns(n, width)
         self.phases: list[str] = []
@@ -209,7 +239,7 @@ class Trace:
         return self._block[self._used - 1]
 
     def extend(self, rows: Array) -> None:
-        """Append whole rows (k, width), as read back from a recording."""
+        """Append rows (k, width), as read from a recording."""
         head = self._block[: self._used]
         self._full_blocks += (
             [head, np.asarray(rows, dtype=np.float64)] if self._used else [np.asarray(rows, np.float64)]
@@ -217,7 +247,7 @@ class Trace:
         self._block, self._used = np.zeros((BLOCK_ROWS, self._width)), 0
 
     def clear(self) -> None:
-        """Drop all ticks and events: for a loop that runs for days. Phase codes stay; rows handed out stay valid."""
+        """Drop all ticks and events, so that a loop can run for days. Phase codes and returned rows remain valid."""
         self.events.clear()
         self._full_blocks, self._used = [], 0
         self._block = np.zeros((BLOCK_ROWS, self._width))
@@ -246,7 +276,10 @@ class Trace:
         return self._cached_rows
 
     def __getitem__(self, name: str) -> Array:
-        """One quantity over all ticks: (ticks,) for scalars, (ticks, k) for vectors."""
+        """One quantity over all ticks: (ticks,) for scalars, (ticks, k) for vectors.
+
+        Raises `UnknownNameError` if there is no such column.
+        """
         where = self.columns.get(name)
         if where is None:
             raise UnknownNameError("trace column", name, tuple(self.columns))
@@ -257,14 +290,14 @@ class Trace:
         return spans(self[name], self["t"])
 
     def interventions(self, dead_band: float = DEAD_BAND) -> list[Span]:
-        """Runs of ticks in which δ_t lies above `dead_band`."""
+        """Runs of ticks in which δ_t is above `dead_band`."""
         return [span for span in spans((self["delta"] > dead_band).astype(np.float64), self["t"]) if span.code]
 
     def summary(self, action: int | None = None, dead_band: float = DEAD_BAND) -> InterventionSummary:
         """Δ(τ) = mean δ_t, its sum and peak, the share of ticks with δ_t above `dead_band`, and the least h [m].
 
-        Over all ticks, or over those of one `action`. δ counts NaN as full intervention, h as −inf: what was not
-        computed was not safe.
+        Over all ticks, or over those of one `action`. A NaN counts as full intervention in δ and as −inf in h, because
+        a control that was not computed is not known to be safe.
         """
         chosen = np.ones(len(self), bool) if action is None else self["action"] == action
         if not chosen.any():

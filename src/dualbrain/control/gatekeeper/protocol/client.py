@@ -1,4 +1,4 @@
-"""The other end of the socket: for the cortex (commander), for a person (operator), for whoever only watches."""
+"""Client of the gatekeeper's socket, for a commander, an operator or an observer."""
 
 from __future__ import annotations
 
@@ -38,20 +38,21 @@ from dualbrain.control.gatekeeper.protocol.messages import (
 from dualbrain.errors import ConfigurationError, DualbrainError
 
 HEARTBEAT_PERIOD = 0.05
-"""A commander's heartbeat [s]."""
+"""Time between two heartbeats of a commander [s]."""
 REPLY_TIMEOUT = 5.0
-"""How long to wait for a short answer [s]."""
+"""Longest wait for a short reply [s]."""
 CONTRACT_LIFETIME = 60.0
-"""A contract is meant to be judged within this time [s]."""
+"""Time from the issue to the expiry of a contract that the gate has not accepted [s]."""
+CLOSED_BY_GATEKEEPER = "the gatekeeper closed the connection"
 M = TypeVar("M", bound=Message)
 
 
 class ConnectionLostError(DualbrainError):
-    """The gatekeeper hung up, or fell silent."""
+    """The gatekeeper closed the connection, refused a request, or did not reply in time."""
 
 
 class GatekeeperClient:
-    """One connection. Reads on a thread of its own; a commander's heart beats on another."""
+    """One connection to a gatekeeper. One thread reads from it; for a commander, another one sends heartbeats."""
 
     def __init__(
         self,
@@ -61,10 +62,10 @@ class GatekeeperClient:
         *,
         on_report: Callable[[Message], None] | None = None,
     ) -> None:
-        """Connect and say who we are; without a principal one may only look, and press the emergency stop.
+        """Connect and authenticate; without a principal, the client may only observe and press the emergency stop.
 
-        Raises `InvalidSetup` when nobody listens, `LinkLost` when we are not let in. `watch` is given news and
-        glimpses, on the reading thread.
+        `on_report` gets event and tick reports on the reading thread. Raises `ConfigurationError` if no gatekeeper
+        listens at `path`, and `ConnectionLostError` if it refuses the connection.
         """
         self._on_report = on_report
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -72,11 +73,8 @@ class GatekeeperClient:
             self._socket.connect(str(path))
         except OSError as error:
             self._socket.close()
-            raise ConfigurationError(
-                "gatekeeper",
-                got=error.strerror,
-                allowed="one that listens",
-                fix=f"Start `dualbrain gatekeeper`. {path}",
+            raise ConfigurationError.stating(
+                f"No gatekeeper listens at {path}: {error.strerror}.", fix="Start `dualbrain gatekeeper`."
             ) from error
         self._secret = keys.secrets[principal] if keys and principal else b""
         self._lock, self._sent = Lock(), 0
@@ -87,7 +85,7 @@ class GatekeeperClient:
         self.disconnect_reason = ""
         self._clock_offset = 0.0
         self.nonce = b""
-        Thread(target=self._read_messages, name="gatekeeper link", daemon=True).start()
+        Thread(target=self._read_messages, name="gatekeeper client", daemon=True).start()
         try:
             self.welcome = self._authenticate(principal)
         except ConnectionLostError:
@@ -98,7 +96,7 @@ class GatekeeperClient:
             Thread(target=self._send_heartbeats, name="heartbeat", daemon=True).start()
 
     def _authenticate(self, principal: str) -> Welcome:
-        """Answer the challenge."""
+        """Reply to the challenge of the gatekeeper."""
         self.nonce = self.expect(Challenge).nonce
         proof = hello_proof(self._secret, self.nonce, principal) if principal else b""
         self.send(Hello(principal=principal, proof=proof, watch=self._on_report is not None))
@@ -106,11 +104,11 @@ class GatekeeperClient:
 
     @property
     def now(self) -> float:
-        """The gatekeeper's time as far as it is known here [s]."""
+        """Estimate of the gatekeeper's time [s]."""
         return time.monotonic() + self._clock_offset
 
     def send(self, message: Message) -> int:
-        """Send a message; its sequence number."""
+        """Send a message; returns its sequence number. Raises `ConnectionLostError`."""
         with self._lock:
             self._sent += 1
             self._send_bytes(encode(kind_code(message), self._sent, encode_body(message)))
@@ -119,16 +117,19 @@ class GatekeeperClient:
     def propose(
         self, contract: bytes, scene_version: int, *, lifetime: float = CONTRACT_LIFETIME
     ) -> VerdictReport | RequestRefused:
-        """Hand in a contract, sealed; the gate's answer, or why it was not even looked at."""
+        """Submit an authenticated contract; returns the gate's verdict, or the reason why it was not checked.
+
+        The contract expires `lifetime` [s] after its issue. Raises `ConnectionLostError`.
+        """
         self.submit(contract, scene_version, lifetime=lifetime)
         return self._receive_any(VerdictReport, RequestRefused)
 
     def submit(self, contract: bytes, scene_version: int, *, lifetime: float = CONTRACT_LIFETIME) -> int:
-        """As `propose`, without waiting for the answer; the number of the frame."""
+        """As `propose`, without waiting for the reply; returns the sequence number of the frame."""
         with self._lock:
             self._sent += 1
             issued, expires = self.now, self.now + lifetime
-            tag = contract_mac(
+            mac = contract_mac(
                 self._secret,
                 self.nonce,
                 self._sent,
@@ -137,16 +138,16 @@ class GatekeeperClient:
                 expires=expires,
                 scene_version=scene_version,
             )
-            message = Propose(contract=contract, issued=issued, expires=expires, scene_version=scene_version, mac=tag)
+            message = Propose(contract=contract, issued=issued, expires=expires, scene_version=scene_version, mac=mac)
             self._send_bytes(encode(kind_code(message), self._sent, encode_body(message)))
             return self._sent
 
     def operate(self, act: OperatorAction, speed: float = 1.0) -> None:
-        """A person's hand."""
+        """Send an operator command; `speed` (0, 1] belongs to the action "speed". Raises `ConnectionLostError`."""
         self.send(OperatorCommand(act=act, speed=speed))
 
     def request_scene(self) -> SceneReport:
-        """What a planner needs to know, now; what came before it stays to be taken out."""
+        """The current scene and joint state; other messages remain in their queue. Raises `ConnectionLostError`."""
         self.send(SceneRequest())
         return self._wait_for_scene(REPLY_TIMEOUT)
 
@@ -157,18 +158,18 @@ class GatekeeperClient:
                 return self._scene_reports.get(timeout=0.05)
             if self.disconnected.is_set():
                 break
-        raise ConnectionLostError(self.disconnect_reason or "nothing to be seen")
+        raise ConnectionLostError(self.disconnect_reason or f"no SceneReport within {timeout} s")
 
     def wait_for_outcome(self, timeout: float | None = None) -> OutcomeReport:
-        """Wait until the contract that runs is over; raises `LinkLost` when the gatekeeper is gone."""
+        """Wait until the running contract ends, at most `timeout` [s]; raises `ConnectionLostError`."""
         return self.expect(OutcomeReport, timeout)
 
     def poll_outcome(self, timeout: float) -> OutcomeReport | None:
-        """As `ended`, but None when there is no end within `patience` [s]."""
+        """As `wait_for_outcome`, but None if the contract has not ended within `timeout` [s]."""
         deadline = time.monotonic() + timeout
         while time.monotonic() < deadline:
             if self.disconnected.is_set() and self._replies.empty():
-                raise ConnectionLostError(self.disconnect_reason or "the gatekeeper hung up")
+                raise ConnectionLostError(self.disconnect_reason or CLOSED_BY_GATEKEEPER)
             try:
                 message = self._replies.get(timeout=0.02)
             except Empty:
@@ -178,14 +179,14 @@ class GatekeeperClient:
         return None
 
     def expect(self, kind: type[M], timeout: float | None = REPLY_TIMEOUT) -> M:
-        """The next message of `kind`; others are dropped, a refusal is raised."""
+        """The next message of `kind`; others are dropped. Raises `ConnectionLostError`, also for a refused request."""
         message = self._receive_any(kind, RequestRefused, timeout=timeout)
         if isinstance(message, RequestRefused):
             raise ConnectionLostError(message.reason)
         return message
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection."""
         self.disconnected.set()
         with suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
@@ -198,7 +199,7 @@ class GatekeeperClient:
                 message = self._replies.get(timeout=0.05)
             except Empty:
                 if self.disconnected.is_set():
-                    raise ConnectionLostError(self.disconnect_reason or "the gatekeeper hung up") from None
+                    raise ConnectionLostError(self.disconnect_reason or CLOSED_BY_GATEKEEPER) from None
                 continue
             if isinstance(message, kinds):
                 return message
@@ -209,7 +210,7 @@ class GatekeeperClient:
             self._socket.sendall(data)
         except OSError as error:
             self.disconnected.set()
-            raise ConnectionLostError(error.strerror or "the gatekeeper hung up") from error
+            raise ConnectionLostError(error.strerror or CLOSED_BY_GATEKEEPER) from error
 
     def _send_heartbeats(self) -> None:
         while not self.disconnected.wait(HEARTBEAT_PERIOD):

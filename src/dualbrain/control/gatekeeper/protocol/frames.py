@@ -1,9 +1,9 @@
-"""Frames on the socket: a fixed header, then at most `LIMIT` bytes.
+"""Frames on the socket: a fixed header and a body of at most `MAX_BODY_BYTES`.
 
     magic "dB" (2) | version (1) | kind (1) | length (4) | sequence (8) | body (length)        little-endian
 
-The sequence number of a connection rises by one with every frame, from 1. Whatever breaks a rule ends the connection:
-a stream that has lost its frame cannot be trusted to find the next one.
+The sequence number of a connection rises by one with every frame, from 1. A frame that breaks a rule ends the
+connection, because the boundary of the next frame in such a stream is unknown.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ import msgspec
 MAGIC = b"dB"
 VERSION = 1
 MAX_BODY_BYTES = 96 * 1024
-"""Longest body [bytes]: a contract (64 KiB) and what stands around it."""
+"""Longest body [bytes]: a contract (64 KiB) and its envelope."""
 HEADER = Struct("<2sBBIQ")
 
 
 class Frame(msgspec.Struct, frozen=True):
-    """One message as it travelled; `kind` says what the body should be."""
+    """One received message; `kind` is the code of the type of its body."""
 
     kind: int
     sequence: int
@@ -28,7 +28,7 @@ class Frame(msgspec.Struct, frozen=True):
 
 
 class BrokenStream(msgspec.Struct, frozen=True):
-    """Why a stream of bytes is no stream of frames."""
+    """The reason why a stream of bytes is not a stream of frames."""
 
     reason: str
 
@@ -39,26 +39,26 @@ def encode(kind: int, sequence: int, body: bytes) -> bytes:
 
 
 class FrameDecoder:
-    """Bytes come in as they arrive, frames go out. Holds at most one frame and what was fed beyond it."""
+    """Splits a stream of bytes into frames; `failure` is set for ever after the first fault."""
 
     def __init__(self) -> None:
-        """At the beginning of a stream."""
+        """Start at the beginning of a stream."""
         self._buffer = bytearray()
         self._expected_sequence = 1
         self.failure: BrokenStream | None = None
 
     def feed(self, data: bytes) -> None:
-        """Take in `data`; nothing more is kept once the stream is broken."""
+        """Append received `data`, which is dropped once the stream is broken."""
         if self.failure is None:
             self._buffer += data
 
     @property
     def n_buffered(self) -> int:
-        """Bytes that have come and are not yet taken out."""
+        """Number of received bytes that no returned frame contains."""
         return len(self._buffer)
 
     def next_frame(self) -> Frame | BrokenStream | None:
-        """The next whole frame; None if there is none yet; `Broken` for ever after the first fault."""
+        """The next complete frame; None if there is none yet; `BrokenStream` for ever after the first fault."""
         if self.failure is not None or len(self._buffer) < HEADER.size:
             return self.failure
         magic, version, kind, length, sequence = HEADER.unpack_from(self._buffer)

@@ -1,8 +1,8 @@
-"""What is said over the socket. Strictly typed MessagePack; an unknown field, type or kind is refused, never guessed.
+"""Messages on the socket: strictly typed MessagePack; an unknown field, type or kind is refused.
 
-Upward (to the gatekeeper): `Hello`, `Heartbeat`, `Propose`, `Operate`, `Look`. Downward: `Challenge`, `Welcome`,
-`Beat`, `Answer`, `Ended`, `Sight`, `News`, `Glimpse`, `Refused`. A contract travels as raw bytes; only the gatekeeper's
-own gate reads it.
+A client sends `Hello`, `Heartbeat`, `Propose`, `OperatorCommand` and `SceneRequest`. The gatekeeper sends `Challenge`,
+`Welcome`, `StatusReport`, `VerdictReport`, `OutcomeReport`, `SceneReport`, `EventReport`, `TickReport` and
+`RequestRefused`. A contract is sent as raw bytes, which only the gatekeeper's own gate parses.
 """
 
 from __future__ import annotations
@@ -19,15 +19,18 @@ from dualbrain.records import Outcome, Scene
 OperatorAction = Literal[
     "pause", "resume", "abort", "takeover", "hand_back", "speed", "estop", "release_estop", "reset", "shut_down"
 ]
-"""What a person may do. Everyone may press `estop`; only the operator's key releases, resets, resumes or speeds up."""
+"""Commands of a person. Every client may send `estop`; release, reset, resume and speed need the operator's key."""
 
 
 class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Root of the messages."""
+    """Base class of the messages."""
 
 
 class Hello(Message, frozen=True, kw_only=True):
-    """Who is there: `proof` = HMAC over the challenge. Without a key one may only look (principal "", proof empty)."""
+    """Authentication: `proof` is an HMAC over the challenge. An observer has no key (principal "", proof empty).
+
+    `watch` requests event and tick reports.
+    """
 
     principal: str
     proof: bytes
@@ -39,9 +42,9 @@ class Heartbeat(Message, frozen=True):
 
 
 class Propose(Message, frozen=True, kw_only=True, rename={"mac": "seal"}):
-    """A contract, unread, with what the commander's side stamps around it; `seal` covers all of it.
+    """A contract as raw bytes with its header; the authentication code `mac` covers all of it.
 
-    `issued` and `expires` [s] are in the gatekeeper's time; the frame's own sequence number is the stamp's.
+    `issued` and `expires` [s] are in the gatekeeper's time; the sequence number is that of the frame.
     """
 
     contract: bytes
@@ -52,24 +55,24 @@ class Propose(Message, frozen=True, kw_only=True, rename={"mac": "seal"}):
 
 
 class OperatorCommand(Message, frozen=True, kw_only=True):
-    """A person's hand; `speed` (0, 1] belongs to act "speed"."""
+    """A command of a person; `speed` (0, 1] belongs to the action "speed"."""
 
     act: OperatorAction
     speed: float = 1.0
 
 
 class SceneRequest(Message, frozen=True):
-    """Ask for a `Sight`."""
+    """Request for a `SceneReport`."""
 
 
 class Challenge(Message, frozen=True):
-    """First word on every connection: a fresh nonce, which also names the session."""
+    """First message of every connection: a fresh nonce, which also identifies the session."""
 
     nonce: bytes
 
 
 class Welcome(Message, frozen=True, kw_only=True):
-    """You are `role` now; `now` [s] is the gatekeeper's time."""
+    """The role of the client; `now` [s] is the gatekeeper's time, `registry` the hash of its skill registry."""
 
     role: Literal["commander", "operator", "observer"]
     now: float
@@ -78,7 +81,7 @@ class Welcome(Message, frozen=True, kw_only=True):
 
 
 class StatusReport(Message, frozen=True, kw_only=True):
-    """The gatekeeper is alive: its time [s], the order in force, whether a contract runs."""
+    """Periodic status: the gatekeeper's time [s], the supervisor's decision, and whether a contract runs."""
 
     now: float
     action: str
@@ -88,7 +91,10 @@ class StatusReport(Message, frozen=True, kw_only=True):
 
 
 class VerdictReport(Message, frozen=True, kw_only=True):
-    """The gate's verdict on the contract in frame `sequence`; None means accepted, and it runs."""
+    """The gate's verdict on the contract in frame `sequence`; `rejected` is None if it was accepted and runs.
+
+    `gate_s` is the time that the gate took [s].
+    """
 
     sequence: int
     rejected: Rejected | None
@@ -96,14 +102,14 @@ class VerdictReport(Message, frozen=True, kw_only=True):
 
 
 class OutcomeReport(Message, frozen=True):
-    """A contract is over."""
+    """The outcome of a contract; `binding` counts the ticks in which each barrier was active."""
 
     outcome: Outcome
     binding: dict[str, int]
 
 
 class SceneReport(Message, frozen=True, kw_only=True):
-    """What a planner needs to know: the scene as perceived, the posture, what is held, the time [s]."""
+    """The perceived scene, the joint positions [rad], the finger opening [m], the held object, and the time [s]."""
 
     now: float
     scene: Scene
@@ -122,7 +128,7 @@ class EventReport(Message, frozen=True):
 
 
 class TickReport(Message, frozen=True, kw_only=True):
-    """Enough of a tick to draw it; `h_min` [m] is None where the input was refused and nothing was measured."""
+    """One tick, for visualization; `h_min` [m] is None if the filter refused its input."""
 
     t: float
     scene: Scene
@@ -141,7 +147,7 @@ class TickReport(Message, frozen=True, kw_only=True):
 
 
 class RequestRefused(Message, frozen=True):
-    """Why something was not taken; the connection may be closed after it."""
+    """The reason why a request was refused; the gatekeeper may close the connection afterwards."""
 
     reason: str
 
@@ -177,9 +183,9 @@ def encode_body(message: Message) -> bytes:
 
 
 def decode_message(frame: Frame, *, from_client: bool) -> Message | str:
-    """The message in `frame`, or why there is none; never raises, whatever the bytes."""
+    """The message in `frame`, or the reason why it is invalid; invalid bytes never raise."""
     if frame.kind not in _DECODERS or (frame.kind <= LAST_CLIENT_KIND) != from_client:
-        return f"kind {frame.kind} is not spoken here"
+        return f"kind {frame.kind} is not known"
     try:
         return _DECODERS[frame.kind].decode(frame.body)
     except (*DECODE_ERRORS, ValueError) as error:

@@ -1,7 +1,8 @@
-"""The door: a Unix socket that only its owner can open, read a little in every tick, without ever waiting.
+"""Non-blocking Unix-domain socket server (mode 0600, same user only).
 
-Each tick every peer gets the same small budget of bytes and frames, in turn. A peer that sends more frames a second
-than it may is shut out; what it had sent is thrown away. So a flood costs a tick a bounded time, and memory is bounded.
+In each tick the server reads a bounded number of bytes and frames from every connection, in turn. It closes a
+connection that exceeds the rate limit and drops its unread frames. A flood therefore costs a bounded time per tick, and
+bounded memory.
 """
 
 from __future__ import annotations
@@ -27,20 +28,26 @@ from dualbrain.errors import ConfigurationError
 
 MAX_CONNECTIONS = 8
 BYTES_PER_TICK = 4096
+"""Bytes that are read per connection and tick."""
 FRAMES_PER_TICK = 2
-"""Per peer and tick."""
+"""Frames that are processed per connection and tick."""
 MAX_FRAMES_PER_SECOND = 400
-"""More than this from one peer within a second is a flood."""
+"""Rate limit of a connection; more frames within a second are a flood."""
 MAX_UNSENT_BYTES = 512 * 1024
-"""A peer that does not read what it is sent is let go [bytes]."""
+"""Unsent data [bytes] beyond which a connection is closed."""
 BACKLOG = 16
+DISCONNECTED, FLOOD = "disconnected", "flood"
+"""Beginning of the fault of a connection that the client ended, and the fault of one that exceeded the rate limit."""
 
 
 class Connection:
-    """One connection: where its frames stand, who it has proven to be, what it has not read yet."""
+    """One connection: role and principal, decoder of received frames, and data that is not sent yet.
+
+    `fault` is the reason why the connection ended or must be closed, "" if there is none.
+    """
 
     def __init__(self, sock: socket.socket, number: int) -> None:
-        """A stranger; `number` tells peers apart."""
+        """Start without authentication; `number` identifies the connection."""
         self.socket, self.number = sock, number
         self.nonce = secrets.token_bytes(NONCE_BYTES)
         self.principal, self.role, self.receives_reports = "", "stranger", False
@@ -52,29 +59,29 @@ class Connection:
         self._window_start, self._frames_in_window = 0.0, 0
 
     def send(self, message: Message) -> None:
-        """Queue a message and send what goes without waiting."""
+        """Queue a message and send as much as is possible without waiting."""
         self._sent += 1
         self._unsent += encode(kind_code(message), self._sent, encode_body(message))
         self.flush()
 
     def flush(self) -> None:
-        """Send what goes; a peer that does not read is at fault."""
+        """Send as much as is possible without waiting; too much unsent data is a fault."""
         try:
             while self._unsent:
                 del self._unsent[: self.socket.send(self._unsent)]
         except BlockingIOError:
             pass
         except OSError as error:
-            self.fault = self.fault or f"gone: {error.strerror}"
+            self.fault = self.fault or f"{DISCONNECTED}: {error.strerror}"
         if len(self._unsent) > MAX_UNSENT_BYTES:
-            self.fault = self.fault or "does not read what it is sent"
+            self.fault = self.fault or "the client does not read its messages"
 
     def receive(self, now: float) -> list[tuple[int, Message]]:
-        """Up to the tick's budget of messages with their sequence numbers; sets `fault` when something is wrong."""
+        """Received messages with their sequence numbers, within the budget of a tick; sets `fault` after an error."""
         if self._decoder.n_buffered < BYTES_PER_TICK:
             self._read_socket()
-        heard: list[tuple[int, Message]] = []
-        while len(heard) < FRAMES_PER_TICK:
+        received: list[tuple[int, Message]] = []
+        while len(received) < FRAMES_PER_TICK:
             frame = self._decoder.next_frame()
             if frame is None:
                 break
@@ -87,15 +94,15 @@ class Connection:
                 self.fault = self.fault or str(message)
                 break
             if self._exceeds_rate_limit(now):
-                self.fault = "flood"
+                self.fault = FLOOD
                 break
-            heard.append((frame.sequence, message))
-        if heard:
+            received.append((frame.sequence, message))
+        if received:
             self.last_received_at = now
-        return heard
+        return received
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection."""
         self.socket.close()
 
     def _read_socket(self) -> None:
@@ -104,12 +111,12 @@ class Connection:
         except BlockingIOError:
             return
         except OSError as error:
-            self.fault = self.fault or f"gone: {error.strerror}"
+            self.fault = self.fault or f"{DISCONNECTED}: {error.strerror}"
             return
         if data:
             self._decoder.feed(data)
         elif not self._decoder.n_buffered:
-            self.fault = self.fault or "gone"
+            self.fault = self.fault or DISCONNECTED
 
     def _exceeds_rate_limit(self, now: float) -> bool:
         if now - self._window_start >= 1.0:
@@ -119,10 +126,13 @@ class Connection:
 
 
 class SocketServer:
-    """The listening socket and all who came in."""
+    """The listening socket and its connections."""
 
     def __init__(self, path: Path) -> None:
-        """Listen at `path` (mode 0600); raises `InvalidSetup` if somebody already does, or the path is too long."""
+        """Listen at `path` (mode 0600).
+
+        Raises `ConfigurationError` if another process listens there, or if the path is too long.
+        """
         self.path = path
         path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
         if path.exists():
@@ -132,8 +142,9 @@ class SocketServer:
         try:
             self._listener.bind(str(path))
         except OSError as error:
-            raise ConfigurationError(
-                "socket", got=error.strerror, allowed="a path of up to 107 bytes", fix=str(path)
+            raise ConfigurationError.stating(
+                f"The socket {path} cannot be created: {error.strerror}.",
+                fix="Name a path of up to 107 bytes in a writable folder with --socket.",
             ) from error
         finally:
             os.umask(before)
@@ -144,48 +155,50 @@ class SocketServer:
         self._n_accepted = self._first_index = 0
 
     def receive(self, now: float) -> Iterator[tuple[Connection, int, Message]]:
-        """Everything that fits this tick's budget, each peer in turn; `now` [s] is a monotonic clock."""
+        """Messages of all connections in turn, within the budget of a tick; `now` [s] is a monotonic clock."""
         self._accept_connection(now)
         if not self.connections:
             return
         self._first_index = (self._first_index + 1) % len(self.connections)
-        for peer in [*self.connections[self._first_index :], *self.connections[: self._first_index]]:
-            for sequence, message in peer.receive(now):
-                yield peer, sequence, message
+        for connection in [*self.connections[self._first_index :], *self.connections[: self._first_index]]:
+            for sequence, message in connection.receive(now):
+                yield connection, sequence, message
 
     def failed_connections(self) -> list[Connection]:
-        """Peers that are gone or have broken a rule; they are hung up and forgotten with this call."""
-        wrong = [peer for peer in self.connections if peer.fault]
-        for peer in wrong:
-            if not peer.fault.startswith("gone"):
-                peer.send(RequestRefused(peer.fault))
-            peer.close()
-            self.connections.remove(peer)
-        return wrong
+        """Close, remove and return the connections that have a fault."""
+        failed = [connection for connection in self.connections if connection.fault]
+        for connection in failed:
+            if not connection.fault.startswith(DISCONNECTED):
+                connection.send(RequestRefused(connection.fault))
+            connection.close()
+            self.connections.remove(connection)
+        return failed
 
     def broadcast(self, message: Message) -> None:
-        """Say something to all who watch."""
-        for peer in self.connections:
-            if peer.receives_reports:
-                peer.send(message)
+        """Send a message to all connections that requested reports."""
+        for connection in self.connections:
+            if connection.receives_reports:
+                connection.send(message)
 
     def flush(self) -> None:
-        """Send on what could not be sent before."""
-        for peer in self.connections:
-            peer.flush()
+        """Send data that could not be sent before."""
+        for connection in self.connections:
+            connection.flush()
 
     def close(self) -> None:
-        """Hang up on everybody and remove the socket."""
-        for peer in self.connections:
-            peer.close()
+        """Close all connections and remove the socket."""
+        for connection in self.connections:
+            connection.close()
         self._listener.close()
         self.path.unlink(missing_ok=True)
 
     def _make_room(self) -> bool:
-        """Whether there is room, made if need be by letting the oldest go who neither commands nor operates."""
+        """Whether there is room for a connection; may close the oldest one that is neither commander nor operator."""
         if len(self.connections) < MAX_CONNECTIONS:
             return True
-        idle = next((peer for peer in self.connections if peer.role in ("stranger", "observer")), None)
+        idle = next(
+            (connection for connection in self.connections if connection.role in ("stranger", "observer")), None
+        )
         if idle is None:
             return False
         idle.close()
@@ -193,37 +206,39 @@ class SocketServer:
         return True
 
     def _accept_connection(self, now: float) -> None:
-        """At most one newcomer a tick, of our own user, while there is room."""
+        """Accept at most one connection per tick, of the same user, if there is room."""
         try:
-            link, _ = self._listener.accept()
+            accepted, _ = self._listener.accept()
         except (BlockingIOError, InterruptedError):
             return
-        link.setblocking(False)
-        if _peer_uid(link) != os.getuid() or not self._make_room():
-            link.close()
+        accepted.setblocking(False)
+        if _peer_uid(accepted) != os.getuid() or not self._make_room():
+            accepted.close()
             return
         self._n_accepted += 1
-        peer = Connection(link, self._n_accepted)
-        peer.last_received_at = now
-        self.connections.append(peer)
-        peer.send(Challenge(peer.nonce))
+        connection = Connection(accepted, self._n_accepted)
+        connection.last_received_at = now
+        self.connections.append(connection)
+        connection.send(Challenge(connection.nonce))
 
 
-def _peer_uid(link: socket.socket) -> int:
-    """The user on the other side, as the kernel knows it."""
+def _peer_uid(accepted: socket.socket) -> int:
+    """The user id of the client, as the operating system reports it."""
     size = 12
-    _, user, _ = unpack("3i", link.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size))
+    _, user, _ = unpack("3i", accepted.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size))
     return user
 
 
 def is_listening(path: Path) -> bool:
-    """Whether somebody listens at `path`: a gatekeeper that was killed leaves a socket at which nobody does."""
+    """Whether a process listens at `path`; a killed gatekeeper leaves a socket at which no process listens."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         return probe.connect_ex(str(path)) == 0
 
 
 def _remove_stale_socket(path: Path) -> None:
-    """Remove a socket that nobody listens at; refuse one that somebody does."""
+    """Remove a socket at which no process listens."""
     if is_listening(path):
-        raise ConfigurationError("socket", got="a gatekeeper that runs", allowed="a path of its own", fix=str(path))
+        raise ConfigurationError.stating(
+            f"The socket {path} is in use by a running gatekeeper.", fix="Stop it, or name another path with --socket."
+        )
     path.unlink()

@@ -1,11 +1,11 @@
-"""A driver as a process, in the place of the simulated robot: the same wire, the arm's own beat.
+"""The process of a driver, which replaces the simulated robot: the same packets, at the arm's own control period.
 
     python -m dualbrain.control.gatekeeper.robot_link.driver_process FD        (one line of settings on standard input)
 
-Each joint state goes up as it comes; the command that answers it is awaited for most of a period and handed to the
-driver. When the link is gone, or no command has come for `WATCHDOG`, the driver stops the arm; the arm's own watchdog
-stands behind that. There is no camera here: the scene is the surveyed one, in which nothing may move; its things keep
-the stamp of their survey, as nobody sees them anew.
+The process sends each joint state as it arrives, waits for its command for most of a period and passes the command to
+the driver. If the link is closed, or no command arrives for `WATCHDOG_TIMEOUT`, the driver stops the arm; the arm's own
+watchdog is a second safeguard. There is no camera: the scene is the surveyed one, in which no object may move. Its
+objects keep the stamp of their survey.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from __future__ import annotations
 import socket
 import sys
 import time
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -32,13 +31,13 @@ from dualbrain.simulation.perception.noisy_perception import TABLE_OBJECT
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
 
 REPLY_FRACTION = 0.7
-"""The share of a period for which the answer to a state is awaited."""
+"""Fraction of a period that the process waits for the command for a state."""
 SURVEY_ERROR = 0.005
-"""How far a surveyed thing may be from where the scene file says [m]."""
+"""Bound on the position error of a surveyed object [m]."""
 
 
 class DriverSettings(msgspec.Struct, frozen=True):
-    """Which driver at which address, the body as the site narrows it, and what was surveyed."""
+    """The driver and its address, the robot with the limits of its site, and the surveyed scene."""
 
     driver: str
     address: str
@@ -47,10 +46,10 @@ class DriverSettings(msgspec.Struct, frozen=True):
 
 
 class DriverProcess:
-    """A driver on one end of the wire."""
+    """A driver at one end of the robot link."""
 
     def __init__(self, driver: Driver, scene: Scene, link: socket.socket) -> None:
-        """Nothing moves; the drive is switched on when the gatekeeper says so."""
+        """Connect the parts; the drive remains off until the gatekeeper switches it on."""
         self._driver, self._scene = driver, scene
         self._packet_socket: PacketSocket[packets.ToRobot] = PacketSocket(link, packets.decode_to_robot)
         self._shutdown_requested = self._command_received = False
@@ -59,7 +58,7 @@ class DriverProcess:
         self._scene_period_ticks = perception_period_ticks(driver.timing.period)
 
     def serve(self) -> None:
-        """Until told to quit, or until the link is gone."""
+        """Run until shutdown, or until the link is closed."""
         try:
             while self._packet_socket.is_open and not self._shutdown_requested:
                 self._driver.wait()
@@ -79,7 +78,7 @@ class DriverProcess:
         self._ticks += 1
 
     def _await_command(self, deadline: float) -> None:
-        """Take in commands until one answers the state that was told, or time is up."""
+        """Apply packets until a command arrives for the sent state, at most until `deadline`."""
         self._command_received = False
         while (
             self._packet_socket.is_open and not self._command_received and (left := deadline - time.monotonic()) > 0.0
@@ -88,7 +87,7 @@ class DriverProcess:
                 self._apply_packet(self._packet_socket.receive())
 
     def _stop_drive(self) -> None:
-        """What was heard is no packet for this arm: it stops, and goes on only when it is switched on again."""
+        """Stop after a packet that this arm cannot use; the drive remains off until it is switched on again."""
         self._drive_on = False
         self._driver.stop()
 
@@ -107,41 +106,41 @@ class DriverProcess:
                 (self._driver.enable if on else self._driver.stop)()
             case packets.ShutdownPacket():
                 self._shutdown_requested = True
-            case _:  # who judges a simulation, and what may be touched in it, means nothing to an arm
+            case _:  # phases and contracts are for the monitor and the judge of a simulation
                 pass
 
 
 def surveyed_scene(spec: SceneSpec) -> Scene:
-    """The scene as it was surveyed; raises `InvalidSetup` if something in it moves, because nobody would see it."""
+    """The surveyed scene; raises `ConfigurationError` if an object in it moves, because no camera would detect it."""
     if spec.mover is not None:
-        raise ConfigurationError(
-            "scene for a real arm", got=f"{spec.mover.name}, which moves", allowed="things that stand"
+        raise ConfigurationError.stating(
+            f"{spec.mover.name} moves, but the scene of a real arm must not change.", fix="Name a scene without it."
         )
-    things = (
+    objects = (
         SceneObject(
-            name=thing.name,
-            role=thing.role,
-            shape=thing.shape,
-            pose=Pose(thing.position, thing.quaternion),
+            name=obj.name,
+            role=obj.role,
+            shape=obj.shape,
+            pose=Pose(obj.position, obj.quaternion),
             error=SURVEY_ERROR,
-            category=thing.category,
-            colour=thing.colour,
-            fragile_limit=thing.fragile_limit,
+            category=obj.category,
+            colour=obj.colour,
+            fragile_limit=obj.fragile_limit,
         )
-        for thing in spec.objects
+        for obj in spec.objects
     )
-    return Scene(robot=spec.robot, stamp=0.0, version=1, objects=(TABLE_OBJECT, *things), places=spec.places)
+    return Scene(robot=spec.robot, stamp=0.0, version=1, objects=(TABLE_OBJECT, *objects), places=spec.places)
 
 
 class RealTimePacer:
-    """Holds a fake back to real time; what it has missed it does not make up for."""
+    """Delays a fake arm to real time; a fake that is late does not catch up."""
 
     def __init__(self) -> None:
-        """Not begun."""
+        """Start with the first call."""
         self._clock_offset = 0.0
 
     def __call__(self, now: float) -> None:
-        """Until the fake's time `now` [s] has come."""
+        """Wait until the fake's time `now` [s]."""
         early = self._clock_offset + now - time.monotonic()
         if abs(early) > WATCHDOG_TIMEOUT:
             self._clock_offset, early = time.monotonic() - now, 0.0
@@ -152,10 +151,10 @@ class RealTimePacer:
 def main(arguments: list[str]) -> None:
     """Serve on the inherited socket."""
     link = socket.socket(fileno=int(arguments[0]))
-    settings: Any = msgspec.json.decode(sys.stdin.buffer.readline(), type=DriverSettings)
-    kind = find_driver_kind(settings.driver, settings.body.name)
+    settings = msgspec.json.decode(sys.stdin.buffer.readline(), type=DriverSettings)
+    kind = find_driver_kind(settings.driver, settings.robot_model.name)
     scene = surveyed_scene(settings.scene)
-    DriverProcess(kind.open(settings.address, settings.body, RealTimePacer()), scene, link).serve()
+    DriverProcess(kind.open(settings.address, settings.robot_model, RealTimePacer()), scene, link).serve()
 
 
 if __name__ == "__main__":

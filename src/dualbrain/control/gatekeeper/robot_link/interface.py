@@ -1,4 +1,4 @@
-"""What a gatekeeper asks of the robot at the other end of its wire, be it a process or a simulation in lockstep."""
+"""The interface between a gatekeeper and its robot: a separate process, or a simulation in lockstep."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from dualbrain.robots.interface import RobotInterface
 
 
 class RobotLink(RobotInterface, WorldInterface, Protocol):
-    """A robot and its surroundings, with a clock and conditions of timing of their own."""
+    """A robot and its environment, with a clock and timing conditions."""
 
     def clock(self) -> float:
-        """The robot's time as far as it can be known here [s]."""
+        """Estimate of the robot's time [s]."""
         ...
 
     def conditions(self) -> int:
-        """`Condition` bits of timing since the last call."""
+        """Timing `Condition` bits since the last call."""
         ...
 
     def set_phase(self, phase: str, roles: dict[str, str | None]) -> None:
-        """A phase begins: whoever judges a simulation knows what may be touched in it."""
+        """Report a new phase and its objects by role; a simulation's monitor derives the permitted contacts from it."""
         ...
 
     def start_contract(self, contract: Contract) -> None:
-        """A contract was accepted."""
+        """Report an accepted contract; a simulation's judge derives its goals from it."""
         ...

@@ -1,6 +1,7 @@
-"""One end of the wire between gatekeeper and robot: packets leave at once or never, and come when they come.
+"""One end of the non-blocking packet link between gatekeeper and robot.
 
-The ends are a pair of SOCK_SEQPACKET sockets, which keep packets whole. Nothing here waits, but for `wait`.
+The ends are a pair of SOCK_SEQPACKET sockets, which preserve packet boundaries. A packet that cannot be sent at once is
+lost. Only `wait` blocks.
 """
 
 from __future__ import annotations
@@ -17,26 +18,26 @@ from dualbrain.control.gatekeeper.robot_link import packets
 from dualbrain.errors import DECODE_ERRORS
 
 SEND_BUFFER_BYTES = 1 << 20
-"""How much may be on its way [bytes]."""
+"""Size of the send buffer [bytes]."""
 P = TypeVar("P", bound=packets.Packet)
 
 
 class MalformedPacket(msgspec.Struct, frozen=True):
-    """What came is no packet; why."""
+    """Received data that is not a valid packet, and the `reason`."""
 
     reason: str
 
 
 class PacketSocket(Generic[P]):
-    """An end at which packets of kind `P` are heard; `open` until the other end is gone."""
+    """One end of the link, which receives packets of type `P`; `is_open` until the other end is closed."""
 
     def __init__(self, link: socket.socket, decode: Callable[[bytes], P]) -> None:
-        """Take over `link`."""
+        """Take ownership of the socket `link`."""
         link.setblocking(False)
         self._socket, self._decode, self.is_open = link, decode, True
 
     def send(self, packet: packets.Packet) -> None:
-        """A packet that does not go at once is lost, as on a real bus; the robot's watchdog counts them."""
+        """Send a packet, which is lost if the buffer is full, as on a real bus; the robot has a watchdog for that."""
         if not self.is_open:
             return
         try:
@@ -47,7 +48,7 @@ class PacketSocket(Generic[P]):
             self.is_open = False
 
     def receive(self) -> P | MalformedPacket | None:
-        """The next packet that has come; None if there is none, or the wire has been closed."""
+        """The next received packet; None if there is none or the link is closed."""
         if not self.is_open:
             return None
         try:
@@ -65,20 +66,20 @@ class PacketSocket(Generic[P]):
             return MalformedPacket(str(error))
 
     def wait(self, seconds: float) -> bool:
-        """Until something has come, at most `seconds`; False if nothing has. Without the other end it just waits."""
+        """Wait for a packet, at most `seconds`; returns whether one arrived. On a closed link, wait all `seconds`."""
         if self.is_open:
             return bool(select.select((self._socket,), (), (), seconds)[0])
         time.sleep(seconds)
         return False
 
     def close(self) -> None:
-        """Hang up."""
+        """Close this end."""
         self.is_open = False
         self._socket.close()
 
 
 def socket_pair() -> tuple[socket.socket, socket.socket]:
-    """Both ends of a new wire."""
+    """Both ends of a new link."""
     ends = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     for end in ends:
         end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)

@@ -1,6 +1,6 @@
-"""What goes over the wire between the gatekeeper and the robot: one packet a message, joint states at the robot's beat.
+"""Packets between the gatekeeper and the robot process; the robot sends a joint state in each of its periods.
 
-The simulated robot is a process of its own, as a real one is a machine of its own: it goes on when the gatekeeper dies,
+The simulated robot is a separate process, as a real robot is a separate machine: it continues when the gatekeeper dies,
 and its own watchdog then switches its drive off.
 """
 
@@ -14,7 +14,7 @@ from dualbrain.robots.interface import RobotState
 
 
 class Packet(msgspec.Struct, frozen=True, array_like=True):
-    """Root of the packets."""
+    """Base class of the packets."""
 
 
 class CommandPacket(Packet, frozen=True, tag=1):
@@ -32,24 +32,24 @@ class DrivePacket(Packet, frozen=True, tag=2):
 
 
 class PhasePacket(Packet, frozen=True, tag=3):
-    """For the monitor: the phase that runs, and what it is about."""
+    """The running phase and its objects by role, for the monitor of a simulation."""
 
     phase: str
     roles: dict[str, str | None]
 
 
 class ContractPacket(Packet, frozen=True, tag=4):
-    """For the referee: the contract that was accepted."""
+    """The accepted contract, for the judge of a simulation."""
 
     contract: Contract
 
 
 class ShutdownPacket(Packet, frozen=True, tag=6):
-    """The robot may be switched off."""
+    """Request to end the robot process."""
 
 
 class StatePacket(Packet, frozen=True, tag=7):
-    """A joint state as `RobotState`."""
+    """A joint state; fields and units are those of `RobotState`."""
 
     stamp: float
     sequence: int
@@ -61,7 +61,7 @@ class StatePacket(Packet, frozen=True, tag=7):
 
     @classmethod
     def from_state(cls, state: RobotState) -> StatePacket:
-        """`state` as it goes over the wire."""
+        """The packet of a joint state."""
         q, v = tuple(state.q.tolist()), tuple(state.v.tolist())
         return cls(state.stamp, state.sequence, q, v, state.opening, state.finger_forces, state.drive_enabled)
 

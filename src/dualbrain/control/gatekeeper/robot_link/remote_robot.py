@@ -1,4 +1,4 @@
-"""The gatekeeper's end of the wire: a robot and its surroundings, whose joint states beat the control tick's time."""
+"""The gatekeeper's end of the robot link: the arrival of joint states paces the control tick."""
 
 from __future__ import annotations
 
@@ -22,20 +22,21 @@ from dualbrain.robots.interface import Command, RobotState
 from dualbrain.safety.supervisor.timing import Timing
 
 STATE_TIMEOUT_PERIODS = 5
-"""Periods that a tick waits for a state; then it goes on with the old one, and the watch sees that."""
+"""Periods that a tick waits for a state; it then continues with the old one, whose age the state monitor checks."""
 STARTUP_TIMEOUT = 60.0
-"""How long the robot may take to come up [s]."""
+"""Longest time [s] until the first state and scene of the robot process."""
+NOT_STARTED = "The robot process has not started."
 
 
 class RemoteRobot:
-    """`Robot` and `Surroundings` in one; `clock()` is the robot's time as far as it can be known here [s]."""
+    """A robot in another process; implements `RobotLink`."""
 
     def __init__(
         self, settings: SimulatedRobotSettings | DriverSettings, timing: Timing, profiler: TickProfiler | None = None
     ) -> None:
-        """Start the process of the simulated robot, or of a driver, and wait for its first state and scene.
+        """Start the process of the simulated robot or of a driver, and wait for its first state and scene.
 
-        Raises `InvalidSetup` if none comes.
+        Raises `ConfigurationError` if the process ends or none arrives in time.
         """
         here, there = socket_pair()
         self.process = subprocess.Popen(
@@ -58,9 +59,9 @@ class RemoteRobot:
     # --- robot --------------------------------------------------------------------------------------------------
 
     def read(self) -> RobotState:
-        """The newest joint state that has come."""
+        """The newest received joint state."""
         if self._state is None:
-            raise ConfigurationError("a robot without a state", got=None, allowed="a robot process that has started")
+            raise ConfigurationError.stating(NOT_STARTED)
         return self._state
 
     def write(self, command: Command) -> None:
@@ -76,18 +77,18 @@ class RemoteRobot:
         """Drive on."""
         self._packet_socket.send(packets.DrivePacket(on=True))
 
-    # --- surroundings -------------------------------------------------------------------------------------------
+    # --- environment --------------------------------------------------------------------------------------------
 
     def perceive(self) -> Scene:
-        """The newest scene that has come."""
+        """The newest received scene."""
         if self._scene is None:
-            raise ConfigurationError("a robot without a scene", got=None, allowed="a robot process that has started")
+            raise ConfigurationError.stating(NOT_STARTED)
         return self._scene
 
     def advance(self) -> None:
-        """Until the next joint state, at most `PATIENCE` periods, as a dead robot beats no time.
+        """Wait for the next joint state, at most `STATE_TIMEOUT_PERIODS` periods, because a dead robot sends none.
 
-        Where a period is long, no longer than a state may be old.
+        If a period is long, wait at most until the newest state counts as stale.
         """
         self.tick_timer.on_tick_end(time.monotonic())
         self._profiler.end_tick()
@@ -96,32 +97,32 @@ class RemoteRobot:
         before = self._state
         deadline = time.monotonic() + min(STATE_TIMEOUT_PERIODS * self._timing.period, self._timing.state_stale_after)
         while self._packet_socket.is_open and self._state is before and (left := deadline - time.monotonic()) > 0.0:
-            heard = self._packet_socket.wait(left)
+            arrived = self._packet_socket.wait(left)
             self._profiler.mark_part("wait")
-            if heard:
+            if arrived:
                 self._receive()
                 self._profiler.mark_part("read")
 
     def clock(self) -> float:
-        """The newest state's stamp, and the time since it came [s]."""
+        """The stamp of the newest state plus the time since its arrival [s]."""
         return self.read().stamp + (time.monotonic() - self._state_received_at)
 
     def conditions(self) -> int:
-        """`Condition` bits of timing since the last call."""
+        """Timing `Condition` bits since the last call."""
         return self.tick_timer.conditions()
 
-    # --- the simulated robot's own ------------------------------------------------------------------------------
+    # --- for the simulated robot ---------------------------------------------------------------------------------
 
     def set_phase(self, phase: str, roles: dict[str, str | None]) -> None:
-        """Tell the monitor what may be touched."""
+        """Report the phase to the monitor of a simulation."""
         self._packet_socket.send(packets.PhasePacket(phase, roles))
 
     def start_contract(self, contract: Contract) -> None:
-        """Tell the referee what is to be done."""
+        """Report the contract to the judge of a simulation."""
         self._packet_socket.send(packets.ContractPacket(contract))
 
     def close(self) -> None:
-        """Drive off, and the robot is switched off."""
+        """Switch the drive off and end the robot process; kill it if it does not end."""
         self.stop()
         self._packet_socket.send(packets.ShutdownPacket())
         self._packet_socket.close()
@@ -139,18 +140,19 @@ class RemoteRobot:
         deadline = time.monotonic() + STARTUP_TIMEOUT
         while (self._state is None or self._scene is None) and time.monotonic() < deadline:
             if self.process.poll() is not None:
-                raise ConfigurationError(
-                    "robot process", got=f"exit code {self.process.returncode}", allowed="one that runs"
+                raise ConfigurationError.stating(
+                    f"The robot process exited with code {self.process.returncode} before its first state.",
+                    fix="See its messages on standard error.",
                 )
             if self._packet_socket.wait(0.1):
                 self._receive()
         if self._state is None or self._scene is None:
-            raise ConfigurationError(
-                "robot process", got="silence", allowed=f"a first state within {STARTUP_TIMEOUT:.0f} s"
+            raise ConfigurationError.stating(
+                f"The robot process sent no state and scene within {STARTUP_TIMEOUT:.0f} s."
             )
 
     def _receive(self) -> None:
-        """Take in everything that has come."""
+        """Process all received packets."""
         while (packet := self._packet_socket.receive()) is not None:
             match packet:
                 case packets.StatePacket():
@@ -158,7 +160,7 @@ class RemoteRobot:
                 case packets.ScenePacket(scene):
                     self._scene = scene
                 case MalformedPacket(reason):
-                    raise ConfigurationError("packet of the robot", got=reason, allowed="a state or a scene")
+                    raise ConfigurationError.stating(f"The robot process sent a malformed packet: {reason}.")
 
     def _accept_state(self, state: packets.StatePacket) -> None:
         self._state_received_at = time.monotonic()
@@ -181,5 +183,5 @@ def _process_module(settings: SimulatedRobotSettings | DriverSettings) -> str:
 
 
 def _interpreter_flags() -> list[str]:
-    """How this interpreter was started, as far as it matters for finding packages."""
+    """The flags of this interpreter that decide where packages are found."""
     return ["-S"] if sys.flags.no_site else []

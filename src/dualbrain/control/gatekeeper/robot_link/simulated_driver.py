@@ -1,4 +1,4 @@
-"""The simulated arm behind the driver contract: the oracle of the conformance laws, at no period's mercy."""
+"""The simulated arm behind the driver interface: the reference of the driver conformance tests, in lockstep."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
 
 class SimulatedDriver:
-    """A plant in a bare scene. Nobody watches it: without commands it goes on (the robot process has the watchdog)."""
+    """A plant in a bare scene. It has no watchdog and continues without commands; the robot process has one."""
 
     watchdog: float = inf
 
     def __init__(self, robot_model: RobotModel) -> None:
-        """The arm at home, drive off."""
+        """Put the arm at its home position, with the drive off."""
         self._plant = make_plant(open_scene("bare:0", robot_model.name), robot_model)
         self.timing: Timing = simulated_timing(robot_model.period)
         self._faults: tuple[str, ...] = ()
@@ -31,7 +31,7 @@ class SimulatedDriver:
         return self._state
 
     def write(self, command: Command) -> None:
-        """Hold `command` until the next one."""
+        """Apply `command` until the next one."""
         if not self._state.drive_enabled:
             return
         if is_finite(command):
@@ -41,25 +41,25 @@ class SimulatedDriver:
             self._faults = ("a command that is not finite",)
 
     def stop(self) -> None:
-        """Brakes on."""
+        """Switch the drive off; the brakes engage."""
         self._plant.stop()
         self._state = replace(self._state, drive_enabled=False)
 
     def enable(self) -> None:
-        """Brakes off, standing."""
+        """Switch the drive on, at rest."""
         self._faults = ()
         self._plant.enable()
         self._state = replace(self._state, drive_enabled=True)
 
     def wait(self) -> None:
-        """One control period of physics."""
+        """Simulate one control period."""
         self._plant.advance()
         self._state = self._plant.read()
 
     def faults(self) -> tuple[str, ...]:
-        """What was refused."""
+        """Faults since the drive was switched on."""
         return self._faults
 
     def close(self) -> None:
-        """Brakes on."""
+        """Switch the drive off."""
         self.stop()

@@ -1,9 +1,10 @@
-"""The simulated robot as a process: physics at 1 kHz of real time, a watchdog of its own, perception at its own rate.
+"""The process of the simulated robot: physics in real time, with its own watchdog and perception rate.
 
     python -m dualbrain.control.gatekeeper.robot_link.simulated_robot FD        (one line of settings on standard input)
 
-When no command has come for `WATCHDOG` seconds, or the link is gone, the drive goes off and the brakes engage. Without
-a link it goes on for `AFTERMATH` seconds, so that what happens then is judged too, and leaves its report.
+If no command arrives for `WATCHDOG_TIMEOUT` seconds, or the link is closed, the drive is switched off and the brakes
+engage. Without a link, the simulation continues for `AFTERMATH_TIME` seconds, which the judgement then includes, and
+writes its report.
 """
 
 from __future__ import annotations
@@ -12,7 +13,6 @@ import socket
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -28,18 +28,19 @@ from dualbrain.simulation.tasks.multi_goal import parse_goals
 from dualbrain.simulation.world import make_world
 
 WATCHDOG_TIMEOUT = 0.1
-"""No command for this long [s]: the drive goes off."""
+"""Time [s] without a command after which the drive is switched off."""
 AFTERMATH_TIME = 1.0
+"""Simulated time [s] after the link is closed."""
 MAX_LAG = 0.1
-"""When physics falls this far behind the clock [s], it goes on from there instead of racing after it."""
+"""Delay [s] of the simulation beyond which it is resynchronized with the clock instead of catching up."""
 PERCEPTION_PERIOD = 0.033
-"""Time between two pictures [s]."""
+"""Time between two perceived scenes [s]."""
 
 
 class SimulatedRobotSettings(msgspec.Struct, frozen=True, kw_only=True):
-    """What the robot process needs to know; `report` is written at the end ("" for none).
+    """Settings of the robot process; `report` is a file that it writes at its end ("" for none).
 
-    `body` is the robot as a site narrows it, where there is one.
+    `robot_model` is the robot with the limits of a site file, None without one.
     """
 
     robot: str
@@ -51,10 +52,11 @@ class SimulatedRobotSettings(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class RobotReport(msgspec.Struct, frozen=True, kw_only=True):
-    """What is left of a robot: times [s of CLOCK_MONOTONIC], how long and how far it still moved, what truth says.
+    """Final report of the robot process; times in [s] of CLOCK_MONOTONIC.
 
-    `silent_at`: the last command came; `off_at`: the drive went off; `travel` [rad] since then; `speed` [rad/s] at the
-    end; `slips`: how often physics fell behind.
+    `silent_at`: arrival of the last command. `off_at`, `off_by`: time and cause of the drive's switching off.
+    `travel` [rad]: largest joint motion since then. `speed` [rad/s]: largest joint speed at the end. `slips`: number of
+    resynchronizations with the clock. `judgement`: result on ground truth.
     """
 
     silent_at: float
@@ -68,10 +70,10 @@ class RobotReport(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class RobotProcess:
-    """Plant, perception, monitor and watchdog on one end of the wire."""
+    """Plant, perception, monitor and watchdog at one end of the robot link."""
 
     def __init__(self, settings: SimulatedRobotSettings, link: socket.socket) -> None:
-        """Build the world; nothing moves yet."""
+        """Build the world; the robot is at rest."""
         robot_model, spec = settings.robot_model or load_robot(settings.robot), settings.scene
         goal = parse_goals(settings.goal, spec) if settings.goal else None
         self.world = make_world(spec, robot_model, seed=settings.seed, goal=goal)
@@ -85,7 +87,7 @@ class RobotProcess:
         self._slips = self._ticks = 0
 
     def serve(self) -> None:
-        """Run until told to quit or, without a link, until the aftermath is over."""
+        """Run until shutdown or, without a link, until `AFTERMATH_TIME` is over."""
         due = time.monotonic()
         while not self._shutdown_requested and (
             self._packet_socket.is_open or time.monotonic() - self._last_command_at < AFTERMATH_TIME
@@ -110,14 +112,14 @@ class RobotProcess:
         self._ticks += 1
 
     def _wait(self, ahead: float, due: float) -> None:
-        """Until the next tick; a command that comes meanwhile is taken at once."""
+        """Wait for the next tick; a command that arrives meanwhile is applied at once."""
         while ahead > 0.0:
             if self._packet_socket.wait(ahead):
                 self._receive()
             ahead = due - time.monotonic()
 
     def _check_watchdog(self, now: float) -> None:
-        """The robot's own watchdog: armed by the first command, it knows nothing of orders, only of silence."""
+        """The robot's own watchdog, armed by the first command: it reacts only to the absence of commands."""
         silent = self._armed and now - self._last_command_at > WATCHDOG_TIMEOUT
         if self._off_at is None and (silent or not self._packet_socket.is_open):
             self._stop_drive("watchdog")
@@ -170,14 +172,14 @@ class RobotProcess:
 
 
 def perception_period_ticks(period: float) -> int:
-    """Ticks from one picture to the next, for a robot whose states come every `period` [s]."""
+    """Ticks between two perceived scenes, for a robot with the control period `period` [s]."""
     return max(1, round(PERCEPTION_PERIOD / period))
 
 
 def main(arguments: list[str]) -> None:
     """Serve on the inherited socket."""
     link = socket.socket(fileno=int(arguments[0]))
-    settings: Any = msgspec.json.decode(sys.stdin.buffer.readline(), type=SimulatedRobotSettings)
+    settings = msgspec.json.decode(sys.stdin.buffer.readline(), type=SimulatedRobotSettings)
     RobotProcess(settings, link).serve()
 
 

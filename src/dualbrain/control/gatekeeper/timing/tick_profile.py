@@ -1,10 +1,9 @@
-"""What the parts of a control tick cost: a watch whose laps are named, read where one part ends and the next begins.
+"""Tick profile: time that each part of a control tick takes.
 
     wait → read → sense → skills → door → supervisor → filter → write → record → show → wait …
 
-Some ticks have no skill (nobody commands) and few have anything to show. A part's time is the wall's: when another
-thread (the gate, the recorder) has the interpreter meanwhile, its time is in it. What the control thread itself
-computed is told beside it.
+Ticks without a contract have no `skills`, and few ticks have a `show`. The time of a part is wall time: it contains the
+time of another thread (gate worker, recorder) that runs meanwhile. The CPU time of the control thread is given as well.
 """
 
 from __future__ import annotations
@@ -16,23 +15,27 @@ import msgspec
 from dualbrain.control.gatekeeper.timing.histogram import Histogram
 
 TICK_PARTS = {
-    "wait": "for the next joint state",
-    "read": "packets of the robot's bus, decoded",
-    "sense": "joint state and scene: plausible, fresh; obstacles to the filter",
-    "skills": "the contract's nominal control φ",
-    "door": "the socket: peers heard and answered, the gate's rulings taken in",
-    "supervisor": "conditions to one order",
-    "filter": "rows, quadratic program, checker, certificate; the control's own check",
-    "write": "the command onto the robot's bus",
-    "record": "trace and flight recorder",
-    "show": "glimpses for who watches",
+    "wait": "waiting for the next joint state",
+    "read": "decoding of packets from the robot",
+    "sense": "plausibility and age of joint state and scene; obstacles of the filter",
+    "skills": "nominal control φ of the contract",
+    "door": "socket server: messages, replies, verdicts of the gate",
+    "supervisor": "supervisor: conditions to a decision",
+    "filter": "rows, quadratic program, checks and certificate of the control",
+    "write": "sending of the command to the robot",
+    "record": "trace and recorder",
+    "show": "tick reports for observers",
 }
+"""Description of each part of a tick, by the name under which its time is stored."""
 BIN_WIDTH = 2e-6
-"""Bins of 2 µs, up to 2 ms."""
+"""Width of the histograms' bins [s]: 1000 bins up to 2 ms."""
 
 
 class PartTiming(msgspec.Struct, frozen=True):
-    """What a part cost in the `ticks` that had it [s]; `quantiles` at 50, 99, 99.9, 100 %, `cpu` this thread's own."""
+    """Time of a part over the `ticks` that had it [s].
+
+    `mean` and `quantiles` (50, 99, 99.9, 100 %) are wall time; `cpu` has quantiles of the control thread's CPU time.
+    """
 
     ticks: int
     mean: float
@@ -41,34 +44,34 @@ class PartTiming(msgspec.Struct, frozen=True):
 
 
 class TickProfiler:
-    """Told of the end of each part with `lap`, of the end of each tick with `ended`."""
+    """Measures the parts of ticks: call `mark_part` at the end of each part and `end_tick` at the end of each tick."""
 
     def __init__(self) -> None:
-        """The watch runs; what came before the first end of a tick is nobody's."""
+        """Start the measurement; the time before the first end of a tick is not counted."""
         self._parts = {name: (Histogram(BIN_WIDTH), Histogram(BIN_WIDTH)) for name in TICK_PARTS}
         self._current_tick = {name: (0.0, 0.0) for name in TICK_PARTS}
         self._last_wall, self._last_cpu, self._started = perf_counter(), thread_time(), False
 
     def mark_part(self, part: str) -> None:
-        """The time since the last lap was spent on `part`."""
+        """Add the time since the last mark to `part`."""
         now, used = perf_counter(), thread_time()
-        wall, own = self._current_tick[part]
-        self._current_tick[part] = wall + now - self._last_wall, own + used - self._last_cpu
+        wall, cpu = self._current_tick[part]
+        self._current_tick[part] = wall + now - self._last_wall, cpu + used - self._last_cpu
         self._last_wall, self._last_cpu = now, used
 
     def end_tick(self) -> None:
-        """The tick is over: each part counts once, with all that was spent on it; this itself is no part's."""
-        for part, (wall, own) in self._current_tick.items():
+        """End a tick: the total time of each part is one sample. The time of this method belongs to no part."""
+        for part, (wall, cpu) in self._current_tick.items():
             if wall and self._started:
-                whole, mine = self._parts[part]
-                whole.add(wall)
-                mine.add(own)
+                wall_times, cpu_times = self._parts[part]
+                wall_times.add(wall)
+                cpu_times.add(cpu)
             self._current_tick[part] = 0.0, 0.0
         self._last_wall, self._last_cpu, self._started = perf_counter(), thread_time(), True
 
     def summary(self) -> dict[str, PartTiming]:
-        """Every part so far."""
+        """The timing of every part so far, by its name."""
         return {
-            name: PartTiming(whole.n_samples, whole.mean, whole.summary(), mine.summary())
-            for name, (whole, mine) in self._parts.items()
+            name: PartTiming(wall_times.n_samples, wall_times.mean, wall_times.summary(), cpu_times.summary())
+            for name, (wall_times, cpu_times) in self._parts.items()
         }

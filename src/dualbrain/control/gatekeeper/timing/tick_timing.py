@@ -1,4 +1,4 @@
-"""How punctual the control tick is: intervals, work and latency of every tick, as conditions and as histograms."""
+"""Timing of the control tick: interval, work and latency of every tick, as conditions and as histograms."""
 
 from __future__ import annotations
 
@@ -12,17 +12,18 @@ from dualbrain.safety.supervisor.conditions import Condition
 from dualbrain.safety.supervisor.timing import Timing
 
 BIN_FRACTION = 0.02
-"""Histograms: bins of a fiftieth of a period up to twenty periods; the last bin holds what is beyond."""
+"""Width of the histograms' bins, as a fraction of the period: bins up to twenty periods."""
 OVERRUN_WINDOW = 1.0
-"""Late ticks are counted over so long [s]."""
+"""Time window over which late ticks are counted [s]."""
 WARM_UP_TIME = 0.2
-"""So long [s] at the start nothing is held against anybody."""
+"""Time [s] at the start in which no tick counts as late."""
 
 
 class TickTimingSummary(msgspec.Struct, frozen=True, kw_only=True):
-    """A summary [s]: percentiles (50, 99, 99.9, 100) of interval, work and latency; the shares of late ticks.
+    """Timing of `ticks`: percentiles (50, 99, 99.9, 100) of interval, work and latency [s].
 
-    `missed` states never came; `bins` are counts of intervals by `BIN` of a period; `parts`: what a tick is made of.
+    `late` ticks took too long, `missed` states never arrived. `bins` counts intervals by `BIN_FRACTION` of a period.
+    `parts` is the tick profile.
     """
 
     ticks: int
@@ -36,10 +37,10 @@ class TickTimingSummary(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class TickTimer:
-    """Told of each state's arrival, each command's leaving and each tick's end; all times monotonic [s]."""
+    """Measures ticks by the arrival of states, the sending of commands and the end of ticks, in monotonic time [s]."""
 
     def __init__(self, timing: Timing) -> None:
-        """Nothing has happened yet."""
+        """Start without ticks; `timing` has the limits."""
         self._timing = timing
         self._interval, self._work, self._latency = (Histogram(BIN_FRACTION * timing.period) for _ in range(3))
         self._window, self._warm_up = (round(time / timing.period) for time in (OVERRUN_WINDOW, WARM_UP_TIME))
@@ -51,7 +52,7 @@ class TickTimer:
         self._conditions = 0
 
     def on_state(self, now: float, lost: int) -> None:
-        """A state came, and `lost` before it never did."""
+        """Count a state that arrived, and `lost` states before it that did not."""
         if self._state_received_at is not None:
             gap = now - self._state_received_at
             self._interval.add(gap)
@@ -62,7 +63,7 @@ class TickTimer:
         self.missed += lost if self._ticks > self._warm_up else 0
 
     def on_command(self, now: float) -> None:
-        """The command that answers the last state leaves."""
+        """Count the command for the last state when it is sent."""
         if self._state_received_at is None or self._command_sent:
             return
         self._command_sent = True
@@ -72,7 +73,7 @@ class TickTimer:
             self._conditions |= Condition.COMMAND_LATE
 
     def on_tick_end(self, now: float) -> None:
-        """All work of the tick is done."""
+        """Count the end of the tick's work."""
         if self._state_received_at is None:
             return
         work = now - self._state_received_at
@@ -92,7 +93,7 @@ class TickTimer:
         return flags
 
     def summary(self) -> TickTimingSummary:
-        """Everything so far."""
+        """The timing of all ticks so far."""
         interval, work, latency = (one.summary() for one in (self._interval, self._work, self._latency))
         bins = tuple(self._interval.counts)
         return TickTimingSummary(
