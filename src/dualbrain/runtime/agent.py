@@ -14,7 +14,7 @@ from dualbrain.runtime.planner_request import PassageRetriever, Retriever
 
 
 class EpisodicMemory(Retriever, Protocol):
-    """What an episode needs of memory: `memory.memory.Memory`, or a baseline that stores nothing."""
+    """Interface of memory: `memory.memory.Memory`, or a baseline that stores nothing."""
 
     def store(self, episode: Episode, state: Posture, *, now: float, image: ImageFeatures | None = None) -> StoreReport:
         """Store the episode and update weights by its outcome; `now` in [s, 1970 UTC]."""
@@ -29,7 +29,7 @@ def no_passages(instruction: str, summary: str) -> tuple[Passage, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Agent:
-    """A `planner` with its `memory`; `retrieve_passages` gives the document passages for (instruction, scene summary)."""
+    """A `planner` with its `memory`; `retrieve_passages` returns the document passages for an instruction and scene."""
 
     planner: Planner
     memory: EpisodicMemory

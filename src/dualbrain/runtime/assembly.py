@@ -34,9 +34,9 @@ from dualbrain.skills.registry import skill_registry
 class CellOptions:
     """Options of a simulated cell; every default is that of `dualbrain run`.
 
-    `goal`: what counts as success on ground truth; None: what the contract itself says. `seed`: randomness of the
-    perception. `perception`: makes the perception model of a plant. `visuals`: meshes for pictures. `pace(now)` may
-    delay each period of the simulation. `permitted_skills`: the monitor reports every other skill that begins.
+    `goal`: goal that ground truth is judged by; None: the goals of the contract itself. `seed`: randomness of the
+    perception. `perception`: makes the perception model of a plant. `visuals`: load meshes for rendering. `pace(now)`
+    may delay each period of the simulation. `permitted_skills`: the monitor reports every other skill that begins.
     `configuration`: initial joint position [rad] and gripper opening [m].
     """
 
@@ -123,7 +123,7 @@ class SimulatedCell:
         return {"id": contract_id, "context": context, "action_sequence": actions}
 
     def execute(self, contract: Contract) -> Outcome:
-        """Execute an accepted contract; `judgement` then says what ground truth makes of it."""
+        """Execute an accepted contract; `judgement` then returns its result on ground truth."""
         self.world.start_contract(contract)
         return self.executor.execute(contract)
 

@@ -1,4 +1,4 @@
-"""What a run is asked to be, who watches it, and what it leaves."""
+"""Configuration, clocks, observers and result of a run."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from dualbrain.runtime.planning_time import Clock
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunConfig:
-    """What one run is: written beside its result as `config.json`."""
+    """Configuration of one run, which is stored as `config.json` in the run folder."""
 
     instruction: str
     out: Path
@@ -31,7 +31,7 @@ class RunConfig:
     seed: int = 0
     shots: int = 2
     tries: int = 1
-    """How many contracts may be carried out: another one is planned after one that failed or was taken over."""
+    """Maximum number of executed contracts; another one is planned after one that failed or was taken over."""
     knowledge: Path | None = None
     consult: bool = False
     map: str = ""
@@ -40,22 +40,23 @@ class RunConfig:
     measured: bool = False
     visuals: bool = True
     image_memory: bool = False
-    """Whether a picture of the scene is part of what memory compares (its image block)."""
+    """Whether memory also compares images of the scenes."""
     utility: bool = False
-    """Whether the planner is asked again without each exemplar, to tell which memory was of use."""
+    """Whether the planner plans again without each exemplar, to determine which memory was used."""
     static: bool = False
-    """Whether memory's weights stand still: recalled and stored alike, but nothing is learnt."""
+    """Whether the weights of memory are constant: episodes are retrieved and stored, but no weight is updated."""
     epsilon: float = EPSILON
-    """ε of memory: with more Δ than this even a success lowers the weights of what led to it."""
+    """Intervention threshold ε: a successful episode with Δ > ε lowers the weights of the memories it used."""
     adapters: Path | None = None
-    """The registry of adapters; None: the folder `adapters` beside the ledger."""
+    """Folder of the adapter registry; None: the folder `adapters` beside the ledger."""
 
 
 @dataclass(frozen=True, slots=True)
 class Clocks:
-    """The clocks, handed in from above: a monotonic one [s], and the date of the start (UTC, ISO 8601, and seconds).
+    """The clocks of a run.
 
-    `pace(now)` may delay each tick of the simulation for people.
+    `clock` is monotonic [s]. `started` is the date of the start (UTC, ISO 8601), `now` returns the date in [s, 1970
+    UTC]. `pace(now)` may delay each tick of the simulation to real time.
     """
 
     clock: Clock
@@ -66,16 +67,16 @@ class Clocks:
 
 @dataclass(frozen=True, slots=True)
 class RunObserver:
-    """Who watches: events as they happen, moments of the control loop, the start of each phase."""
+    """Callbacks of a run: each event, snapshots of the control loop, and the start of each phase."""
 
     on_event: Callable[[Event], None] = lambda event: None
-    on_tick: Callable[[TickSnapshot], None] = lambda moment: None
+    on_tick: Callable[[TickSnapshot], None] = lambda snapshot: None
     on_phase: Callable[[str], None] = lambda phase: None
 
 
 @dataclass(slots=True)
 class RunResult:
-    """What a run leaves: the episode, what memory changed, the trace, and the tries before it that did not succeed."""
+    """Result of a run: the episode, the changes of memory, the trace, and the earlier tries, which did not succeed."""
 
     episode: Episode
     store_report: StoreReport

@@ -45,7 +45,8 @@ class EpisodeRequest:
     `started` is its date (ISO 8601), `now` [s, 1970 UTC] the time under which memory stores it. The planner has
     `max_shots` proposals and is shown at most `max_exemplars` memories (0: neither exemplars nor warnings, as for a
     given contract). `tries_left` contracts may still be executed for the instruction, this one included; `setback` is
-    the feedback on the one before. `grants` says who may call which skill; by default the planner may call every one.
+    the feedback on the one before. `grants` defines which principal may call which skills; by default the planner may
+    call all of them.
     """
 
     id: str
@@ -65,7 +66,7 @@ class GroundTruth:
     """The part of an episode that only a simulation has.
 
     `start_contract` gets the accepted contract, `judge` returns the judgement on ground truth at the end, `versions`
-    are the versions in use, `image_features` what the robot's camera sees before planning, if it has one.
+    are the versions in use, `image_features` returns the features of the camera image before planning, if there is one.
     """
 
     start_contract: Callable[[Contract], None]
@@ -186,7 +187,7 @@ def _check(gate: ContractGate, proposal: Proposal, names: SceneNames, now: float
 def _outcome_without_motion(executor: Executor, attempts: Sequence[Attempt]) -> Outcome:
     """The outcome when no contract was accepted and the robot did not move.
 
-    A planner without an answer is a fault, which teaches memory nothing; a rejected contract teaches it.
+    A planner without an answer is a fault, which does not update memory; a rejected contract updates it.
     """
     if executor.interrupted():
         return Outcome(kind="aborted", reason="interrupted by a person before a contract was accepted")

@@ -1,4 +1,4 @@
-"""The question to a planner: what it is reminded of, and everything that stands in the prompt."""
+"""The request to a planner: retrieved memories and passages, and all other inputs of the prompt."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from dualbrain.robots.model import RobotModel
 from dualbrain.skills.registry import skill_registry
 
 PassageRetriever = Callable[[str, str], tuple[Passage, ...]]
-"""Instruction and scene summary → passages to show."""
+"""Function (instruction, scene summary) → document passages for the prompt."""
 
 
 class Retriever(Protocol):
-    """What a question asks of memory."""
+    """A memory from which episodes are retrieved."""
 
     def retrieve(
         self,
@@ -38,13 +38,13 @@ class Retriever(Protocol):
         k: int,
         image: ImageFeatures | None = None,
     ) -> RetrievedContext:
-        """The `k` best exemplars, and warnings."""
+        """The `k` best exemplars, and warnings, for an `instruction` in a scene with the `summary`."""
         ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanningContext:
-    """From where a question is asked: the body, the scene as perceived, what is held, posture, the camera's picture."""
+    """The situation in which a plan is requested: robot, perceived scene, held object, posture, image features."""
 
     robot_model: RobotModel
     scene: Scene
@@ -54,7 +54,7 @@ class PlanningContext:
 
     @property
     def registry(self) -> SkillRegistry:
-        """The vocabulary of the body."""
+        """The skill registry of the robot."""
         return skill_registry(self.robot_model)
 
     @property
@@ -70,7 +70,7 @@ def retrieve(
     max_exemplars: int,
     retrieve_passages: PassageRetriever,
 ) -> RetrievedContext:
-    """What bears on `instruction`: at most `exemplars` memories with warnings (none of both for 0), and passages."""
+    """The context for `instruction`: at most `max_exemplars` memories with warnings (neither for 0), and passages."""
     summary, recall = context.summary, RetrievedContext()
     if max_exemplars:
         recall = memory.retrieve(
@@ -88,7 +88,7 @@ def retrieve(
 def build_request(
     instruction: str, context: PlanningContext, recall: RetrievedContext, setback: FailureFeedback | None = None
 ) -> PlanRequest:
-    """The first question for `instruction`; `setback` is what became of the contract before, if there was one."""
+    """The first request for `instruction`; `setback` is the feedback on the contract before, if there was one."""
     registry, names = context.registry, scene_names(context.scene)
     return PlanRequest(
         instruction=instruction,
@@ -104,10 +104,10 @@ def build_request(
 
 
 def in_prompt_order(recall: RetrievedContext, registry: SkillRegistry) -> RetrievedContext:
-    """`recall` with every contract in the order in which a planner writes one.
+    """`recall` with the keys of every contract in the order in which a planner generates them.
 
-    A ledger keeps keys sorted, for its hashes. A small model that is shown parameters in one order and was taught to
-    write them in another loses its place.
+    A ledger stores keys sorted, for its hashes. A small model that sees parameters in another order than the one it was
+    trained to generate makes more errors.
     """
 
     def ordered(exemplars: tuple[Exemplar, ...]) -> tuple[Exemplar, ...]:

@@ -1,7 +1,7 @@
 """Time during planning: the control loop never waits for the planner.
 
-In lockstep the arm holds position for a fixed simulated time, so that results do not depend on the machine; in real time
-it holds position for as long as the planner takes.
+In lockstep the arm holds position for a fixed simulated time, so that results do not depend on the machine; in real
+time it holds position for as long as the planner takes.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class Clock(Protocol):
     """A monotonic clock [s]."""
 
     def __call__(self) -> float:
-        """Seconds since some fixed moment."""
+        """Seconds since a fixed moment."""
         ...
 
 
@@ -38,7 +38,7 @@ class PlanningClock:
     planning_time: float = PLANNING_TIME
 
     def wait_for(self, executor: Executor, ask: Callable[[], T]) -> T | None:
-        """The result of `ask`, called on a thread of its own while the arm holds position; None if a person interrupts.
+        """The result of `ask`, called on a separate thread while the arm holds position; None if a person interrupts.
 
         After an interruption the thread is not joined; it ends with the process.
         """

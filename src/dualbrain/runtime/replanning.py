@@ -43,11 +43,11 @@ def successive_tries(name: str, tries: int, finished: Sequence[Episode]) -> Iter
 
 
 def failure_feedback_of(episode: Episode) -> FailureFeedback:
-    """Feedback on `episode` for the next prompt: actions done, the action that failed, the reason, and the hindrance."""
+    """Feedback on `episode` for the next prompt: actions done, the action that failed, its reason and its hindrance."""
     actions: list[dict[str, Any]] = (episode.contract or {}).get("action_sequence", [])
     pairs = list(zip(map(format_action, actions), episode.outcome.actions, strict=False))
-    done = tuple(words for words, result in pairs if result.status == "done")
-    undone = next((words for words, result in pairs if result.status not in ("done", "not_run")), "")
+    done = tuple(action for action, result in pairs if result.status == "done")
+    undone = next((action for action, result in pairs if result.status not in ("done", "not_run")), "")
     outcome = episode.outcome
     return FailureFeedback(
         episode_id=episode.id,

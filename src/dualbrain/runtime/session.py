@@ -281,7 +281,7 @@ class Session:
 
 
 class _SavingMemory:
-    """A memory whose episodes are saved before they are stored: every motion is on record, whatever the ledger does."""
+    """A memory whose episodes are saved before they are stored, so that an error of the ledger loses no episode."""
 
     def __init__(self, memory: Memory, save: Callable[[Episode], None]) -> None:
         self._memory, self._save = memory, save

@@ -1,4 +1,7 @@
-"""A commander in a process of its own, to be killed, stopped, or made to misbehave: `cortex.py SOCKET KEYS HOW`."""
+"""A commander in a separate process, which a test kills, stops or makes fail.
+
+python commander_process.py SOCKET KEYS FAILURE        (FAILURE: flood, malformed, or any other word for none)
+"""
 
 import sys
 import time
@@ -33,37 +36,38 @@ def contract_bytes(*actions, id="c-0001"):
     return msgspec.json.encode({"id": id, "context": context, "action_sequence": sequence})
 
 
-def send_flood(link):
-    """Well-formed heartbeats as fast as they go, until hung up on."""
+def send_flood(client):
+    """Send well-formed heartbeats as fast as possible until the connection is closed."""
     body, kind = encode_body(Heartbeat()), kind_code(Heartbeat())
-    with link._lock:
-        first = link._sent + 1
-        link._link.settimeout(5.0)
+    with client._lock:
+        first = client._sent + 1
+        client._socket.settimeout(5.0)
         try:
             for start in range(first, first + 200_000, 200):
-                link._link.sendall(b"".join(encode(kind, start + k, body) for k in range(200)))
+                client._socket.sendall(b"".join(encode(kind, start + k, body) for k in range(200)))
         except OSError:
             return
 
 
-def send_malformed_bytes(link):
-    with link._lock:
+def send_malformed_bytes(client):
+    """Send bytes that are not frames until the connection is closed."""
+    with client._lock:
         try:
             for _ in range(2000):
-                link._link.sendall(bytes(range(256)) * 16)
+                client._socket.sendall(bytes(range(256)) * 16)
         except OSError:
             return
 
 
-def main(path, keys, how):
-    link = GatekeeperClient(Path(path), load_or_create_keys(Path(keys)), "planner")
-    link.propose(contract_bytes(), link.request_scene().scene.version)
+def main(path, keys, failure):
+    client = GatekeeperClient(Path(path), load_or_create_keys(Path(keys)), "planner")
+    client.propose(contract_bytes(), client.request_scene().scene.version)
     sys.stdout.write("running\n")
     sys.stdout.flush()
     line = sys.stdin.readline()
     assert line
-    if how in ("flood", "rubbish"):
-        {"flood": send_flood, "rubbish": send_malformed_bytes}[how](link)
+    if failure in ("flood", "malformed"):
+        {"flood": send_flood, "malformed": send_malformed_bytes}[failure](client)
         sys.stdout.write("done\n")
         sys.stdout.flush()
     time.sleep(60.0)

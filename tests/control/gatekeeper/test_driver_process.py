@@ -1,4 +1,4 @@
-"""A driver on the wire: its states are told, its orders obeyed, and what is no order for it stops it."""
+"""A driver at the robot link: its states are sent, its commands applied, and an invalid packet stops it."""
 
 import socket
 import threading
@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 
-from dualbrain.control.gatekeeper.robot_link import packets as bus
+from dualbrain.control.gatekeeper.robot_link import packets
 from dualbrain.control.gatekeeper.robot_link.driver_process import DriverProcess, surveyed_scene
 from dualbrain.control.gatekeeper.robot_link.simulated_robot import perception_period_ticks
 from dualbrain.control.scene_monitor import SceneMonitor
@@ -15,102 +15,110 @@ from dualbrain.records import Scene
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from tests.drivers.drivers_under_test import ur
 
-PATIENCE = 20.0
+pytestmark = pytest.mark.realtime
+TIMEOUT = 20.0
+"""Longest time [s] that a test waits for a condition."""
 
 
-class Wire:
-    """Our end: answers every state with the same words until a state is as wanted."""
+class GatekeeperEnd:
+    """The gatekeeper's end of the link; replies to every state with the same packets until a condition holds."""
 
     def __init__(self, link):
         self.link = link
 
-    def say(self, packet):
-        self.link.send(bus.encode(packet))
+    def send(self, packet):
+        self.link.send(packets.encode(packet))
 
-    def until(self, wanted, *words):
-        end = time.monotonic() + PATIENCE
+    def receive_until(self, condition, *replies):
+        end = time.monotonic() + TIMEOUT
         while time.monotonic() < end:
-            packet = bus.decode_from_robot(self.link.recv(bus.MAX_PACKET_BYTES))
-            if isinstance(packet, bus.StatePacket):
-                if wanted(packet):
+            packet = packets.decode_from_robot(self.link.recv(packets.MAX_PACKET_BYTES))
+            if isinstance(packet, packets.StatePacket):
+                if condition(packet):
                     return packet
-                for word in words:
-                    self.say(word)
-        raise AssertionError("no such state came")
+                for reply in replies:
+                    self.send(reply)
+        raise AssertionError("no state met the condition")
 
 
 @pytest.fixture
-def wire():
+def gatekeeper_end():
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     theirs.setblocking(False)
-    ours.settimeout(PATIENCE)
+    ours.settimeout(TIMEOUT)
     driver = ur().driver
     process = DriverProcess(driver, Scene(robot="ur5e", stamp=0.0, version=1, objects=()), theirs)
     thread = threading.Thread(target=process.serve)
     thread.start()
     try:
-        yield Wire(ours)
+        yield GatekeeperEnd(ours)
     finally:
         ours.close()
-        thread.join(PATIENCE)
+        thread.join(TIMEOUT)
         theirs.close()
     assert not thread.is_alive()
     assert not driver.read().drive_enabled
 
 
-def driven(wire):
-    wire.say(bus.DrivePacket(on=True))
-    wire.until(lambda state: state.driven, bus.CommandPacket((0.0,) * 6, 0.0, 0.0))
+def is_off(state):
+    return not state.drive_enabled
 
 
-def test_what_is_written_moves_the_arm_and_is_told(wire):
-    driven(wire)
-    start = wire.until(lambda state: True)
-    word = bus.CommandPacket((0.2, 0.0, 0.0, 0.0, 0.0, 0.0), 0.0, 0.0)
-    there = wire.until(lambda state: state.q[0] > start.q[0] + 0.01, word)
-    assert np.allclose(there.q[1:], start.q[1:], atol=1e-3)
+def switch_drive_on(gatekeeper_end):
+    gatekeeper_end.send(packets.DrivePacket(on=True))
+    gatekeeper_end.receive_until(lambda state: state.drive_enabled, packets.CommandPacket((0.0,) * 6, 0.0, 0.0))
+
+
+def test_a_command_moves_the_arm_and_its_states_are_sent(gatekeeper_end):
+    switch_drive_on(gatekeeper_end)
+    start = gatekeeper_end.receive_until(lambda state: True)
+    command = packets.CommandPacket((0.2, 0.0, 0.0, 0.0, 0.0, 0.0), 0.0, 0.0)
+    end = gatekeeper_end.receive_until(lambda state: state.q[0] > start.q[0] + 0.01, command)
+    assert np.allclose(end.q[1:], start.q[1:], atol=1e-3)
 
 
 @pytest.mark.parametrize(
-    "rubbish", [bus.CommandPacket((0.1,) * 5, 0.0, 0.0), bus.CommandPacket((float("nan"),) * 6, 0.0, 0.0)]
+    "command",
+    [packets.CommandPacket((0.1,) * 5, 0.0, 0.0), packets.CommandPacket((float("nan"),) * 6, 0.0, 0.0)],
+    ids=["too few joints", "not finite"],
 )
-def test_a_command_that_is_none_for_this_arm_ends_the_motion(wire, rubbish):
-    driven(wire)
-    wire.say(rubbish)
-    good = bus.CommandPacket((0.1, 0.0, 0.0, 0.0, 0.0, 0.0), 0.0, 0.0)
-    wire.until(lambda state: not state.driven, good)
+def test_an_invalid_command_ends_the_motion(gatekeeper_end, command):
+    switch_drive_on(gatekeeper_end)
+    gatekeeper_end.send(command)
+    valid = packets.CommandPacket((0.1, 0.0, 0.0, 0.0, 0.0, 0.0), 0.0, 0.0)
+    gatekeeper_end.receive_until(is_off, valid)
     for _ in range(20):
-        wire.until(lambda state: not state.driven, good)
+        gatekeeper_end.receive_until(is_off, valid)
 
 
-def test_bytes_that_are_no_packet_end_the_motion(wire):
-    driven(wire)
-    wire.link.send(b"\xff\x00 no packet")
-    wire.until(lambda state: not state.driven)
+def test_bytes_that_are_not_a_packet_end_the_motion(gatekeeper_end):
+    switch_drive_on(gatekeeper_end)
+    gatekeeper_end.link.send(b"\xff\x00 no packet")
+    gatekeeper_end.receive_until(is_off)
 
 
-def test_silence_ends_the_motion(wire):
-    driven(wire)
-    wire.until(lambda state: not state.driven)
+def test_the_absence_of_commands_ends_the_motion(gatekeeper_end):
+    switch_drive_on(gatekeeper_end)
+    gatekeeper_end.receive_until(is_off)
 
 
-def test_a_surveyed_scene_is_told_for_ever_and_is_no_camera_that_hangs():
+def test_a_surveyed_scene_is_sent_periodically_and_does_not_count_as_frozen():
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    ours.settimeout(PATIENCE)
-    driver, watch, looks = ur().driver, SceneMonitor(), 0
+    ours.settimeout(TIMEOUT)
+    driver, monitor, n_scenes = ur().driver, SceneMonitor(), 0
     process = DriverProcess(driver, surveyed_scene(open_scene("tabletop:1", "ur5e")), theirs)
     every = perception_period_ticks(driver.timing.period)
     for _ in range(10 * every):
         driver.wait()
         process._send_state()
-        packets = [bus.decode_from_robot(ours.recv(bus.MAX_PACKET_BYTES))]
+        received = [packets.decode_from_robot(ours.recv(packets.MAX_PACKET_BYTES))]
         if process._ticks % every == 1:
-            packets.append(bus.decode_from_robot(ours.recv(bus.MAX_PACKET_BYTES)))
-        for packet in packets:
-            if isinstance(packet, bus.ScenePacket):
-                looks += 1
-                assert not watch.update(packet.scene) | watch.age_conditions(packet.scene, packet.scene.stamp)
-    assert looks == 10
+            received.append(packets.decode_from_robot(ours.recv(packets.MAX_PACKET_BYTES)))
+        for packet in received:
+            if isinstance(packet, packets.ScenePacket):
+                n_scenes += 1
+                assert not monitor.update(packet.scene) | monitor.age_conditions(packet.scene, packet.scene.stamp)
+    assert n_scenes == 10
     assert packet.stamp > 0.0
     ours.close()
     theirs.close()

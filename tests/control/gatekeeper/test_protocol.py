@@ -1,4 +1,4 @@
-"""Frames, seals, capabilities and the door: laws that hold for any bytes."""
+"""Frames, authentication, capabilities and the socket server: laws that hold for any bytes."""
 
 import os
 import socket
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from dualbrain.contracts.contract import Action, Context, Contract
 from dualbrain.control.gatekeeper.capability import Capability
-from dualbrain.control.gatekeeper.protocol import server as door_module
+from dualbrain.control.gatekeeper.protocol import server as server_module
 from dualbrain.control.gatekeeper.protocol.authentication import (
     SECRET_BYTES,
     contract_mac,
@@ -50,7 +50,7 @@ from dualbrain.errors import ConfigurationError
 BODIES = st.lists(st.binary(max_size=200), max_size=6)
 
 
-def taken(decoder):
+def decode_all(decoder):
     out = []
     while (frame := decoder.next_frame()) is not None:
         out.append(frame)
@@ -63,23 +63,23 @@ def taken(decoder):
 
 
 @given(BODIES, st.randoms())
-def test_frames_come_out_as_they_went_in_however_they_are_cut(bodies, chance):
+def test_frames_round_trip_for_any_fragmentation_of_the_stream(bodies, random):
     stream = b"".join(encode(3, k, body) for k, body in enumerate(bodies, start=1))
     decoder, out = FrameDecoder(), []
     while stream:
-        cut = chance.randint(1, len(stream))
+        cut = random.randint(1, len(stream))
         decoder.feed(stream[:cut])
         stream = stream[cut:]
-        out += taken(decoder)
+        out += decode_all(decoder)
     assert out == [Frame(3, k, body) for k, body in enumerate(bodies, start=1)]
     assert decoder.n_buffered == 0
 
 
 @given(st.binary(max_size=400))
-def test_any_bytes_are_frames_or_broken_and_nothing_is_kept_after(data):
+def test_any_bytes_are_frames_or_a_broken_stream_which_keeps_no_data(data):
     decoder = FrameDecoder()
     decoder.feed(data)
-    out = taken(decoder)
+    out = decode_all(decoder)
     if out and isinstance(out[-1], BrokenStream):
         decoder.feed(data)
         assert decoder.n_buffered == 0
@@ -89,7 +89,7 @@ def test_any_bytes_are_frames_or_broken_and_nothing_is_kept_after(data):
 
 
 @pytest.mark.parametrize(
-    ("header", "why"),
+    ("header", "reason"),
     [
         (HEADER.pack(b"XX", VERSION, 1, 0, 1), "not a frame"),
         (HEADER.pack(MAGIC, VERSION + 1, 1, 0, 1), "not a frame"),
@@ -98,45 +98,41 @@ def test_any_bytes_are_frames_or_broken_and_nothing_is_kept_after(data):
         (HEADER.pack(MAGIC, VERSION, 1, 0, 0), "expected 1"),
     ],
 )
-def test_what_breaks_a_rule_says_which(header, why):
+def test_a_broken_stream_names_the_rule(header, reason):
     decoder = FrameDecoder()
     decoder.feed(header)
-    assert why in decoder.next_frame().reason
+    assert reason in decoder.next_frame().reason
 
 
 @settings(max_examples=300)
 @given(st.integers(0, 255), st.binary(max_size=300))
-def test_any_body_is_a_message_or_a_refusal(kind, body):
+def test_any_body_is_a_message_or_a_reason(kind, body):
     message = decode_message(Frame(kind, 1, body), from_client=True)
     assert isinstance(message, CLIENT_MESSAGES) if isinstance(message, Message) else isinstance(message, str)
 
 
-def test_nothing_downward_is_heard_upward():
+def test_a_message_is_only_accepted_in_its_direction():
     frame = Frame(kind_code(Heartbeat()), 1, encode_body(Heartbeat()))
     assert isinstance(decode_message(frame, from_client=True), Heartbeat)
     assert isinstance(decode_message(frame, from_client=False), str)
 
 
-# --- seals ------------------------------------------------------------------------------------------------------
+# --- authentication ---------------------------------------------------------------------------------------------
 
-FACTS = {"issued": 1.0, "expires": 2.0, "version": 3}
-
-
-def sealed(**changes):
-    facts = {"key": b"k" * SECRET_BYTES, "nonce": b"n" * 16, "sequence": 7, "contract": b"{}", **FACTS, **changes}
-    tag = contract_mac(b"k" * SECRET_BYTES, b"n" * 16, 7, b"{}", **FACTS)
-    message = Propose(
-        contract=facts["contract"],
-        issued=facts["issued"],
-        expires=facts["expires"],
-        scene_version=facts["version"],
-        mac=facts.get("seal", tag),
-    )
-    return verify_contract_mac(facts["key"], facts["nonce"], facts["sequence"], message)
+HEADER_FIELDS = {"issued": 1.0, "expires": 2.0, "scene_version": 3}
 
 
-def test_a_seal_is_good_for_exactly_what_it_was_made_for():
-    assert sealed()
+def verify_with(**changes):
+    """Whether the code of one contract is accepted after `changes` of the key, the connection or the message."""
+    mac = contract_mac(b"k" * SECRET_BYTES, b"n" * 16, 7, b"{}", **HEADER_FIELDS)
+    facts = {"key": b"k" * SECRET_BYTES, "nonce": b"n" * 16, "sequence": 7}
+    facts |= {"contract": b"{}", "mac": mac, **HEADER_FIELDS, **changes}
+    key, nonce, sequence = (facts.pop(name) for name in ("key", "nonce", "sequence"))
+    return verify_contract_mac(key, nonce, sequence, Propose(**facts))
+
+
+def test_an_authentication_code_is_valid_for_exactly_one_contract():
+    assert verify_with()
     changes = {
         "key": b"K" * SECRET_BYTES,
         "nonce": b"m" * 16,
@@ -144,14 +140,14 @@ def test_a_seal_is_good_for_exactly_what_it_was_made_for():
         "contract": b"[]",
         "issued": 1.1,
         "expires": 2.1,
-        "version": 4,
-        "seal": b"",
+        "scene_version": 4,
+        "mac": b"",
     }
     for name, value in changes.items():
-        assert not sealed(**{name: value}), name
+        assert not verify_with(**{name: value}), name
 
 
-def test_a_proof_is_of_one_principal_and_one_nonce():
+def test_a_proof_is_valid_for_one_principal_and_one_nonce():
     key, nonce = b"k" * SECRET_BYTES, b"n" * 16
     proof = hello_proof(key, nonce, "planner")
     assert verify_hello_proof(key, nonce, "planner", proof)
@@ -160,7 +156,7 @@ def test_a_proof_is_of_one_principal_and_one_nonce():
     assert not verify_hello_proof(b"j" * SECRET_BYTES, nonce, "planner", proof)
 
 
-def test_keys_are_private_and_kept(tmp_path):
+def test_a_key_file_is_private_and_persistent(tmp_path):
     path = tmp_path / "deep" / "keys.json"
     keys = load_or_create_keys(path)
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
@@ -171,7 +167,7 @@ def test_keys_are_private_and_kept(tmp_path):
         load_or_create_keys(path)
     path.chmod(0o600)
     path.write_text('{"secrets": {"planner": ""}}')
-    with pytest.raises(ConfigurationError, match="short"):
+    with pytest.raises(ConfigurationError, match="fewer than 32 bytes"):
         load_or_create_keys(path)
 
 
@@ -190,12 +186,12 @@ NUMBERS = st.floats(-3, 3)
 
 def allows(capability, skill, speed, force):
     contract = Contract("c", Context("panda", ""), (Action(skill, {"speed": speed, "force": force}),))
-    return skill in capability.skills and capability.refusal(contract) is None
+    return skill in capability.skills and capability.check_bounds(contract) is None
 
 
 @given(CAPABILITIES, CAPABILITIES, st.sampled_from(["grasp", "place", "home"]), NUMBERS, NUMBERS)
 def test_delegation_allows_exactly_what_both_sides_allow(one, other, skill, speed, force):
-    both = one.narrowed(other)
+    both = one.intersect(other)
     assert allows(both, skill, speed, force) == (
         allows(one, skill, speed, force) and allows(other, skill, speed, force)
     )
@@ -205,113 +201,112 @@ def test_delegation_allows_exactly_what_both_sides_allow(one, other, skill, spee
 
 @given(CAPABILITIES, CAPABILITIES, CAPABILITIES)
 def test_delegation_is_a_meet(a, b, c):
-    assert a.narrowed(b) == b.narrowed(a)
-    assert a.narrowed(a) == a
-    assert a.narrowed(b).narrowed(c) == a.narrowed(b.narrowed(c))
+    assert a.intersect(b) == b.intersect(a)
+    assert a.intersect(a) == a
+    assert a.intersect(b).intersect(c) == a.intersect(b.intersect(c))
 
 
-# --- the door ---------------------------------------------------------------------------------------------------
+# --- socket server ----------------------------------------------------------------------------------------------
 
 
-GUESTS = []
+HEARTBEAT = encode_body(Heartbeat())
+CLIENTS = []
 
 
 @pytest.fixture
-def door(tmp_path):
+def server(tmp_path):
     one = SocketServer(tmp_path / "s")
     yield one
     one.close()
-    see_out()
+    close_clients()
 
 
-def see_out():
-    while GUESTS:
-        GUESTS.pop().close()
+def close_clients():
+    while CLIENTS:
+        CLIENTS.pop().close()
 
 
-def guest(door):
-    link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    GUESTS.append(link)
-    link.connect(str(door.path))
-    link.setblocking(False)
-    list(door.hear(0.0))
-    return link
+def connect(server):
+    client = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    CLIENTS.append(client)
+    client.connect(str(server.path))
+    client.setblocking(False)
+    list(server.receive(0.0))
+    return client
 
 
-def test_only_the_owner_can_open_the_door(door):
-    assert stat.S_IMODE(door.path.stat().st_mode) == 0o600
+def test_only_the_owner_can_open_the_socket(server):
+    assert stat.S_IMODE(server.path.stat().st_mode) == 0o600
 
 
-def test_a_second_door_at_the_same_place_is_refused_and_a_dead_one_is_replaced(door, tmp_path):
-    with pytest.raises(ConfigurationError, match="gatekeeper that runs"):
-        SocketServer(door.path)
-    dead = tmp_path / "dead"
-    left = socket.socket(socket.AF_UNIX)
-    left.bind(str(dead))
-    left.close()
-    SocketServer(dead).close()
+def test_a_socket_in_use_is_refused_and_a_stale_one_is_replaced(server, tmp_path):
+    with pytest.raises(ConfigurationError, match="in use by a running gatekeeper"):
+        SocketServer(server.path)
+    stale = tmp_path / "stale"
+    closed = socket.socket(socket.AF_UNIX)
+    closed.bind(str(stale))
+    closed.close()
+    SocketServer(stale).close()
 
 
-def test_other_users_are_not_let_in(door, monkeypatch):
-    monkeypatch.setattr(door_module, "_peer_uid", lambda link: os.getuid() + 1)
-    guest(door)
-    assert door.peers == []
+def test_other_users_are_refused(server, monkeypatch):
+    monkeypatch.setattr(server_module, "_peer_uid", lambda accepted: os.getuid() + 1)
+    connect(server)
+    assert server.connections == []
 
 
-def test_a_tick_takes_no_more_than_its_share_and_a_flood_is_shut_out(door):
-    link = guest(door)
-    link.recv(4096)
-    beat = encode_body(Heartbeat())
-    sent, now, heard, most = 0, 0.0, 0, 0
+def test_a_tick_reads_no_more_than_its_budget_and_a_flood_is_disconnected(server):
+    client = connect(server)
+    client.recv(4096)
+    sent, now, n_received, most = 0, 0.0, 0, 0
     for _ in range(3000):
         with suppress(BlockingIOError):
             while True:
-                link.send(b"".join(encode(kind_code(Heartbeat()), sent + k + 1, beat) for k in range(1)))
+                client.send(encode(kind_code(Heartbeat()), sent + 1, HEARTBEAT))
                 sent += 1
-        got = len(list(door.hear(now)))
-        heard, most, now = heard + got, max(most, got), now + 1e-3
-        if wrong := door.failed_connections():
-            assert [peer.fault for peer in wrong] == ["flood"]
+        got = len(list(server.receive(now)))
+        n_received, most, now = n_received + got, max(most, got), now + 1e-3
+        if failed := server.failed_connections():
+            assert [connection.fault for connection in failed] == ["flood"]
             break
     assert most == FRAMES_PER_TICK
-    assert heard == MAX_FRAMES_PER_SECOND
-    assert door.peers == []
+    assert n_received == MAX_FRAMES_PER_SECOND
+    assert server.connections == []
 
 
-def test_a_flood_of_one_does_not_delay_another(door):
-    loud, quiet = guest(door), guest(door)
-    beat = encode_body(Heartbeat())
-    loud.send(b"".join(encode(kind_code(Heartbeat()), k, beat) for k in range(1, 300)))
-    quiet.send(encode(kind_code(Heartbeat()), 1, beat))
-    assert door.peers[1] in {peer for peer, _, _ in door.hear(0.0)}
+def test_a_flood_of_one_client_does_not_delay_another(server):
+    loud, quiet = connect(server), connect(server)
+    loud.send(b"".join(encode(kind_code(Heartbeat()), k, HEARTBEAT) for k in range(1, 300)))
+    quiet.send(encode(kind_code(Heartbeat()), 1, HEARTBEAT))
+    assert server.connections[1] in {connection for connection, _, _ in server.receive(0.0)}
 
 
-def test_whoever_does_not_read_is_let_go(door):
-    link = guest(door)
-    link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1)
+def test_a_client_that_does_not_read_is_disconnected(server):
+    client = connect(server)
+    client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1)
     for _ in range(100_000):
-        door.peers[0].say(Heartbeat())
-        if door.peers[0].fault:
+        server.connections[0].send(Heartbeat())
+        if server.connections[0].fault:
             break
-    assert [peer.fault for peer in door.failed_connections()] == ["does not read what it is sent"]
+    assert [one.fault for one in server.failed_connections()] == ["the client does not read its messages"]
 
 
-def test_there_is_always_room_for_one_more_of_those_who_only_look(door):
-    guests = [guest(door) for _ in range(3 * MAX_CONNECTIONS)]
-    assert len(door.peers) == MAX_CONNECTIONS
-    assert door.peers[-1].number == len(guests)
+def test_there_is_always_room_for_another_observer(server):
+    clients = [connect(server) for _ in range(3 * MAX_CONNECTIONS)]
+    assert len(server.connections) == MAX_CONNECTIONS
+    assert server.connections[-1].number == len(clients)
 
 
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.binary(min_size=1, max_size=600), min_size=1, max_size=8))
-def test_any_bytes_at_the_door_leave_it_open_for_the_next(tmp_path_factory, chunks):
-    door = SocketServer(tmp_path_factory.mktemp("door") / "s")
-    link = guest(door)
+def test_after_any_bytes_the_server_accepts_the_next_client(tmp_path_factory, chunks):
+    server = SocketServer(tmp_path_factory.mktemp("server") / "s")
+    client = connect(server)
     for chunk in chunks:
         with suppress(OSError):
-            link.send(chunk)
-        list(door.receive(0.0))
-    door.failed_connections()
-    assert guest(door).recv(2) == MAGIC
-    door.close()
-    see_out()
+            client.send(chunk)
+        list(server.receive(0.0))
+    server.failed_connections()
+    assert connect(server).recv(2) == MAGIC
+    server.close()
+    close_clients()

@@ -1,4 +1,4 @@
-"""Who watches a gatekeeper sees its arm move: pictures come as often as people can use them."""
+"""Tick reports: an observer of a gatekeeper gets them at the rate that people can use."""
 
 from concurrent.futures import ThreadPoolExecutor
 
@@ -23,37 +23,41 @@ from dualbrain.skills.registry import skill_registry
 SECONDS = 2.0
 
 
-def test_glimpses_come_some_fifteen_times_a_second_of_the_robots_time(tmp_path):
+def test_tick_reports_arrive_about_fifteen_times_per_second_of_the_robots_time(tmp_path):
     robot_model, spec = load_robot("panda"), open_scene("bare:0")
     plant = Plant(spec, robot_model)
     world = SimulatedWorld(plant, NoisyPerception(spec, PerceptionNoise(), np.random.default_rng(0)))
     injector = FaultInjector(Fault("state", "off", "closing"), lambda: plant.now)
-    keys, door, seen = load_or_create_keys(tmp_path / "keys"), SocketServer(tmp_path / "s"), []
-    with ThreadPoolExecutor() as aside:
-        watcher = aside.submit(GatekeeperClient, door.path, watch=seen.append)
-        came = []
+    keys, server, reports = load_or_create_keys(tmp_path / "keys"), SocketServer(tmp_path / "s"), []
+    with ThreadPoolExecutor() as background:
+        observer = background.submit(GatekeeperClient, server.path, on_report=reports.append)
+        connected_at = []
 
-        def each(now):
-            if watcher.done():
-                came.append(now)
-            if came and now > came[0] + SECONDS:
-                keeper.shut_down()
+        def on_period(now):
+            if observer.done():
+                connected_at.append(now)
+            if connected_at and now > connected_at[0] + SECONDS:
+                gatekeeper.shut_down()
 
         robot = LockstepRobot(
-            robot=FaultyRobot(plant, injector, robot_model), world=world, plant=plant, injector=injector, on_period=each
+            robot=FaultyRobot(plant, injector, robot_model),
+            world=world,
+            plant=plant,
+            injector=injector,
+            on_period=on_period,
         )
-        keeper = Gatekeeper(
+        gatekeeper = Gatekeeper(
             robot_model,
             robot,
-            door,
+            server,
             keys,
             {"planner": full_capability(skill_registry(robot_model))},
             settings=GatekeeperSettings(timing=SIMULATED),
         )
-        keeper.run()
-        door.close()
-        assert watcher.result().disconnected.wait(20.0)
-        watcher.result().close()
-    stamps = [one.t for one in seen if isinstance(one, TickReport)]
+        gatekeeper.run()
+        server.close()
+        assert observer.result().disconnected.wait(20.0)
+        observer.result().close()
+    stamps = [report.t for report in reports if isinstance(report, TickReport)]
     assert 10.0 * SECONDS < len(stamps) < 20.0 * SECONDS
     assert stamps == sorted(set(stamps))

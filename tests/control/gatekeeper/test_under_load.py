@@ -1,7 +1,7 @@
-"""What holds in live processes however busy the machine is: conditions are waited for, no time is measured.
+"""Properties of the live processes that hold on a machine of any load: the tests poll for conditions.
 
-On a machine that has no time for them the processes may stop the arm by themselves, through the checks of timing or the
-robot's own watchdog. Every promise here is one that holds then too.
+On a machine under load, the processes may stop the arm by themselves, through the timing checks or the robot's own
+watchdog. The properties that these tests check hold in that case, too.
 """
 
 import os
@@ -29,8 +29,9 @@ from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from dualbrain.skills.registry import skill_registry
 from tests.stories.story_session import GRASP, PLACE, contract_text
 
-PATIENCE = 300.0
-"""No promise: only so that what never comes is a failure and not a hang [s]."""
+pytestmark = pytest.mark.realtime
+TIMEOUT = 300.0
+"""Longest time [s] that a test waits for a condition, so that it fails instead of hanging."""
 SITE = """
 [robot]
 tool_speed = 0.3
@@ -41,61 +42,61 @@ half_extents = [0.1, 0.1, 0.4]
 [commander.planner]
 skills = ["grasp", "place", "hold"]
 """
-RUN = "import sys; from dualbrain.cli.main import run_command_line; sys.exit(run_command_line(sys.argv[1:]))"
+CLI_PROGRAM = "import sys; from dualbrain.cli.main import run_command_line; sys.exit(run_command_line(sys.argv[1:]))"
 PICK = (("grasp", GRASP), ("place", PLACE))
 FLAGS = ["-S"] if sys.flags.no_site else []
 
 
-def until(what, true):
-    """Wait for a condition; its first true value."""
-    deadline = time.monotonic() + PATIENCE
-    while not (value := true()):
-        assert time.monotonic() < deadline, what
+def wait_until(description, condition):
+    """Poll a condition; returns its first true value."""
+    deadline = time.monotonic() + TIMEOUT
+    while not (value := condition()):
+        assert time.monotonic() < deadline, description
         time.sleep(0.01)
     return value
 
 
-def link(socket, keys, principal):
-    """A connection, as soon as the gatekeeper lets us in."""
+def connect(socket, keys, principal):
+    """A client, as soon as the gatekeeper accepts it."""
 
-    def tried():
+    def try_to_connect():
         with suppress(ConnectionLostError):
             return GatekeeperClient(socket, load_or_create_keys(keys), principal)
         return None
 
-    return until(f"{principal or 'an observer'} is let in", tried)
+    return wait_until(f"{principal or 'an observer'} is accepted", try_to_connect)
 
 
-def at(watcher):
-    """The rung that was told last."""
-    return SafetyAction[watcher.beat.action] if watcher.beat else SafetyAction.NONE
+def reported_action(client):
+    """The supervisor's action in the newest status report."""
+    return SafetyAction[client.status.action] if client.status else SafetyAction.NONE
 
 
-def report_in(path):
-    """The robot's report, once it is whole."""
+def wait_for_report(path):
+    """The robot's report, once it is complete."""
 
     def read():
         with suppress(OSError, msgspec.DecodeError):
             return msgspec.json.decode(path.read_bytes(), type=RobotReport)
         return None
 
-    return until("the robot leaves its report", read)
+    return wait_until("the robot writes its report", read)
 
 
-def harmless(report):
-    """At rest, drive off, and nothing was touched that must not be."""
+def is_harmless(report):
+    """Whether the robot is at rest with the drive off, without any forbidden contact."""
     assert report.off_at is not None
     assert report.speed < 0.05
     return [one for one in report.judgement.violations if one.kind != "object_dropped"] == []
 
 
-def test_the_cortex_killed_leaves_a_held_arm_a_whole_ledger_and_a_gatekeeper_for_the_next(tmp_path: Path) -> None:
+def test_a_killed_commander_leaves_a_held_arm_an_intact_ledger_and_a_running_gatekeeper(tmp_path: Path) -> None:
     (tmp_path / "pick.json").write_text(contract_text(*PICK))
     command = [
         sys.executable,
         *FLAGS,
         "-c",
-        RUN,
+        CLI_PROGRAM,
         "run",
         "put it there",
         "--contract",
@@ -110,32 +111,32 @@ def test_the_cortex_killed_leaves_a_held_arm_a_whole_ledger_and_a_gatekeeper_for
         "one",
     ]
     environment = {**os.environ, "MUJOCO_GL": "disable", "COLUMNS": "500", "DUALBRAIN_HOME": str(tmp_path)}
-    cortex = subprocess.Popen(
+    run = subprocess.Popen(
         command, cwd=tmp_path, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
     )
     try:
-        heard = ""
-        for line in cortex.stderr:
-            heard += line
+        output = ""
+        for line in run.stderr:
+            output += line
             if "grasp: approach" in line:
                 break
         else:
-            pytest.fail(heard)
+            pytest.fail(output)
         socket, keys = (Path(line) for line in (tmp_path / "one" / "gatekeeper.address").read_text().split())
-        watcher = link(socket, keys, "")
-        cortex.send_signal(signal.SIGKILL)
-        cortex.wait()
+        observer = connect(socket, keys, "")
+        run.send_signal(signal.SIGKILL)
+        run.wait()
     finally:
-        cortex.kill()
-        cortex.stderr.close()
-    until("the arm is held", lambda: at(watcher) >= SafetyAction.HOLD)
-    until("its contract is over", lambda: not watcher.status.busy)
-    commander = link(socket, keys, "planner")
+        run.kill()
+        run.stderr.close()
+    wait_until("the arm is held", lambda: reported_action(observer) >= SafetyAction.HOLD)
+    wait_until("its contract is over", lambda: not observer.status.busy)
+    commander = connect(socket, keys, "planner")
     assert commander.welcome.role == "commander"
-    operator = link(socket, keys, "operator")
+    operator = connect(socket, keys, "operator")
     operator.operate("shut_down")
-    assert harmless(report_in(tmp_path / "one" / "robot.json"))
-    for one in (watcher, commander, operator):
+    assert is_harmless(wait_for_report(tmp_path / "one" / "robot.json"))
+    for one in (observer, commander, operator):
         one.close()
     with LedgerReader(tmp_path / "ledger.sqlite") as ledger:
         assert ledger.verify().is_intact
@@ -145,7 +146,7 @@ def test_the_cortex_killed_leaves_a_held_arm_a_whole_ledger_and_a_gatekeeper_for
 
 def test_a_site_an_emergency_stop_and_a_killed_gatekeeper(tmp_path: Path) -> None:
     (tmp_path / "lab.toml").write_text(SITE)
-    plan = GatekeeperConfig(
+    config = GatekeeperConfig(
         robot="panda",
         scene=open_scene("bare:0"),
         socket=str(tmp_path / "s"),
@@ -154,53 +155,54 @@ def test_a_site_an_emergency_stop_and_a_killed_gatekeeper(tmp_path: Path) -> Non
         site=str(tmp_path / "lab.toml"),
     )
     registry = skill_registry(site_robot(load_robot("panda"), read_site(tmp_path / "lab.toml"))).hash
-    process = GatekeeperProcess(plan)
+    process = GatekeeperProcess(config)
     try:
-        commander, operator = (link(tmp_path / "s", tmp_path / "k", who) for who in ("planner", "operator"))
-        _site_holds(commander, registry)
-        _stop_and_reset(tmp_path, operator)
-        answer = _propose(commander, contract_text(*PICK, registry=registry))
-        assert answer.rejected is None
-        until("the contract runs", lambda: commander.status and commander.status.busy)
+        commander, operator = (connect(tmp_path / "s", tmp_path / "k", who) for who in ("planner", "operator"))
+        check_site_limits(commander, registry)
+        stop_and_reset(tmp_path, operator)
+        reply = propose(commander, contract_text(*PICK, registry=registry))
+        assert reply.rejected is None
+        wait_until("the contract runs", lambda: commander.status and commander.status.busy)
         os.kill(process.process.pid, signal.SIGKILL)
-        until("the commander sees that the gatekeeper is gone", commander.disconnected.is_set)
-        report = report_in(tmp_path / "robot.json")
+        wait_until("the commander detects the end of the gatekeeper", commander.disconnected.is_set)
+        report = wait_for_report(tmp_path / "robot.json")
     finally:
         process.stop()
         process.process.wait()
     for one in (commander, operator):
         one.close()
-    assert harmless(report)
-    assert report.off_by in ("watchdog", "order"), "an order, if the machine had no time for the arm before"
+    assert is_harmless(report)
+    assert report.off_by in ("watchdog", "order"), "a decision of the supervisor, on a machine under load"
 
 
-def _propose(commander, text):
-    return commander.propose(text.encode(), commander.look().scene.version, life=PATIENCE)
+def propose(commander, text):
+    return commander.propose(text.encode(), commander.request_scene().scene.version, lifetime=TIMEOUT)
 
 
-def _site_holds(commander, registry):
-    """What the site does not grant, and what was written for the wider body, is refused; where and why is told."""
-    home = _propose(commander, contract_text(("home", {"speed": 0.1}), registry=registry)).rejected
-    fast = _propose(commander, contract_text(("grasp", {**GRASP, "speed": 0.35}), registry=registry)).rejected
-    wider = _propose(commander, contract_text(*PICK)).rejected
+def check_site_limits(commander, registry):
+    """Contracts beyond the site's grants and limits, or for the robot without them, are rejected."""
+    home = propose(commander, contract_text(("home", {"speed": 0.1}), registry=registry)).rejected
+    fast = propose(commander, contract_text(("grasp", {**GRASP, "speed": 0.35}), registry=registry)).rejected
+    wider = propose(commander, contract_text(*PICK)).rejected
     assert (home.stage, fast.stage, wider.stage) == ("authorization", "envelope", "authorization")
 
 
-def _stop_and_reset(folder, operator):
-    stranger = GatekeeperClient(folder / "s")
-    stranger.operate("estop")
-    until("the arm is switched off", lambda: at(operator) >= SafetyAction.ESTOP)
-    stranger.operate("release_estop")
+def stop_and_reset(folder, operator):
+    """Any client may stop the arm; only the operator may release, reset and resume."""
+    observer = GatekeeperClient(folder / "s")
+    observer.operate("estop")
+    wait_until("the arm is switched off", lambda: reported_action(operator) >= SafetyAction.ESTOP)
+    observer.operate("release_estop")
     with pytest.raises(ConnectionLostError, match="operator's key"):
-        stranger.wait_for_outcome(PATIENCE)
-    stranger.close()
-    assert at(operator) >= SafetyAction.ESTOP
+        observer.wait_for_outcome(TIMEOUT)
+    observer.close()
+    assert reported_action(operator) >= SafetyAction.ESTOP
     operator.operate("release_estop")
 
-    def led_out():
+    def is_released():
         for act in ("reset", "resume"):
             operator.operate(act)
         time.sleep(0.2)
-        return at(operator) < SafetyAction.HOLD
+        return reported_action(operator) < SafetyAction.HOLD
 
-    until("release, reset and resume lead out", led_out)
+    wait_until("release, reset and resume end the emergency stop", is_released)

@@ -48,7 +48,7 @@ WALL_TIME_PARTS = ("physics", "monitor", "filter", PLANNER_TIME, "rest")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EpisodeRun:
-    """The record of an episode, its trace, the verdicts of the gate, the wall time by part, and the plant at the end."""
+    """The record of an episode, its trace, the verdicts of the gate, the wall time by part, and the final plant."""
 
     episode: Episode
     trace: Trace
@@ -61,7 +61,10 @@ class EpisodeRun:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EpisodeResources:
-    """The parts of an episode that a worker provides. Memory stores it under `now` [s, 1970 UTC]; `clock` only measures."""
+    """The parts of an episode that a worker provides.
+
+    Memory stores the episode under `now` [s, 1970 UTC]; `clock` is only used for measurements.
+    """
 
     id: str
     planner: Planner
@@ -145,7 +148,7 @@ def run_case(case: Case, method: Method, resources: EpisodeResources) -> Episode
         max_shots=resources.max_shots,
         max_exemplars=MAX_RECALLED if method.uses_memory else 0,
     )
-    memory = NoMemory() if resources.memory is None else resources.memory  # an empty memory is false, and one
+    memory = NoMemory() if resources.memory is None else resources.memory  # an empty memory is falsy
     agent = Agent(_TimedPlanner(resources.planner, stopwatch, before_propose), memory)
     clock = PlanningClock(resources.clock, planning_time=resources.planning_time)
     truth = GroundTruth(start_contract, cell.judgement, {}, lambda: resources.image_features(cell.plant))
@@ -190,7 +193,7 @@ def _make_cell(case: Case, method: Method, resources: EpisodeResources, stopwatc
 
 
 def make_perception(case: Case, method: Method, plant: Plant) -> NoisyPerception | DepthPerception:
-    """The perception model of `method` for `case`; raises `ConfigurationError` if depth images cannot show the scene."""
+    """The perception model of `method`; raises `ConfigurationError` if depth images cannot show the scene."""
     rng = np.random.default_rng([case.seed, case.repetition, 1])
     if method.perception == "depth":
         from dualbrain.simulation.perception.depth_camera import DepthCamera  # noqa: PLC0415  (0.4 s of SciPy that one method needs)

@@ -33,9 +33,9 @@ def seconds_lost(case: Case, run: EpisodeRun, clock: Clock) -> float | None:
         return None
     contract = contract_of(episode)
     named = {str(value) for action in contract.action_sequence for value in action.params.values()}
-    alone = replace(case, spec=bare_scene(case.spec, named))
+    bare_case = replace(case, spec=bare_scene(case.spec, named))
     planner = FixedContractPlanner("bare", msgspec.json.encode(contract))
-    again = run_case(
-        alone, BARE_METHOD, EpisodeResources(id="bare", planner=planner, clock=clock, planning_time=0.2)
+    bare_outcome = run_case(
+        bare_case, BARE_METHOD, EpisodeResources(id="bare", planner=planner, clock=clock, planning_time=0.2)
     ).episode.outcome
-    return episode.outcome.duration - again.duration if again.kind == "succeeded" else None
+    return episode.outcome.duration - bare_outcome.duration if bare_outcome.kind == "succeeded" else None

@@ -20,7 +20,7 @@ from dualbrain.simulation.plant.plant import Plant
 class RecordedAnswers:
     """A planner that repeats recorded answers, shot by shot."""
 
-    name = "as answered before"
+    name = "recorded answers"
 
     def __init__(self, answers: list[list[str]]) -> None:
         """`answers` are pairs (text, finish reason)."""

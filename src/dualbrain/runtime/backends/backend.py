@@ -23,7 +23,7 @@ from dualbrain.simulation.world import SimulatedWorld
 class RunContext:
     """The parts of a session that a backend needs.
 
-    `world` is the simulated world of this process; a backend that moves another robot uses it for pictures only.
+    `world` is the simulated world of this process; a backend that moves another robot uses it for camera images only.
     `versions` are recorded with the run, `image_features` are those of the camera, `interrupted`: a person wants the
     robot to stop.
     """

@@ -35,10 +35,10 @@ ADDRESS_FILE = "gatekeeper.address"
 
 
 class GatekeeperBackend:
-    """Starts a gatekeeper for a run. The filter cannot be switched off here; the plant of this process does not move."""
+    """Starts a gatekeeper for a run. The filter cannot be switched off, and the plant of this process does not move."""
 
     def __init__(self, speed_stage: float = 1.0, on_tick_report: Callable[[TickReport], None] | None = None) -> None:
-        """Begin at the speed scale `speed_stage`, (0, 1]; `on_tick_report` gets the gatekeeper's reports on its ticks."""
+        """Begin at the speed scale `speed_stage`, (0, 1]; `on_tick_report` gets the gatekeeper's tick reports."""
         self.speed_stage, self.on_tick_report = speed_stage, on_tick_report
         self._operator: GatekeeperClient | None = None
 
@@ -105,7 +105,7 @@ def _gatekeeper_config(context: RunContext, folder: Path, speed_stage: float) ->
     return GatekeeperConfig(
         robot=config.robot,
         scene=context.spec,
-        socket=str(folder / "door"),
+        socket=str(folder / "socket"),
         keys=str(folder / "keys"),
         seed=config.seed,
         goal=config.goal,

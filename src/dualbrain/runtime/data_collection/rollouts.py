@@ -1,7 +1,7 @@
-"""Contracts that somebody proposed, each carried out in its scene with the filter on: a ledger of what became of them.
+"""Rollouts: proposed contracts are executed in their scenes with the filter on, and stored in a ledger.
 
-`proposals` are drawn by seed, with random valid parameters: nobody plans, and nothing is chosen by what comes of it.
-Any other proposal is a lesson with another contract and another author in it.
+`draw_proposals` draws contracts by seed, with random valid parameters: there is no planner, and nothing is selected by
+its outcome. Any other proposal is a synthetic example with another contract and another source.
 """
 
 from __future__ import annotations
@@ -24,28 +24,29 @@ from dualbrain.runtime.session import Clocks, RunConfig, RunObserver, Session
 ROBOT = "panda"
 LEDGER_FILE, PROPOSALS_FILE = "ledger.sqlite", "proposals.jsonl"
 EPISODES_PER_STEP = 10
-"""Flights in one step."""
+"""Episodes of one resumable step."""
 FIRST_SEED = 1000
-"""Draws of the lessons that base-135m was taught are below."""
+"""First seed of the draws; the seeds of the training set of base-135m are smaller."""
 EPSILON = 0.0021
-"""ε of what a Panda may learn from: that of its memory in suite `paper`, from its pilot."""
+"""Intervention threshold ε of training episodes of a Panda: that of its memory in suite `paper`, from its pilot."""
 START_DATE, START_TIME_S, EPISODE_INTERVAL_S = "2026-11-21T00:00:00+00:00", 1_795_000_000.0, 240.0
-"""Made-up date of the start, also in seconds [s, 1970 UTC], and time between two flights [s]."""
+"""Fixed date of the start, also in [s, 1970 UTC], and time between two episodes [s]."""
 
 
 def draw_proposals(seed: int, number: int, *, include_declines: bool = False) -> tuple[Sample, ...]:
-    """What is proposed, without exemplars: instructions that ask for a deed; with `declines`, also what cannot be done.
+    """`number` proposals without exemplars, for feasible instructions.
 
-    The latter come as often as lessons have them.
+    With `include_declines`, the proposals also decline infeasible instructions, in the proportion of synthetic
+    examples.
     """
-    found = generate_examples(
+    examples = generate_examples(
         number if include_declines else 2 * number, "teach", FIRST_SEED + seed, {ROBOT: 1.0}, exemplar_share=0.0
     )
-    return tuple(one for one in found if include_declines or not is_declined(one))[:number]
+    return tuple(one for one in examples if include_declines or not is_declined(one))[:number]
 
 
 def is_declined(one: Sample) -> bool:
-    """Whether its contract is to decline."""
+    """Whether the contract of a sample declines the instruction."""
     return '"skill":"decline"' in one.contract
 
 
@@ -59,33 +60,34 @@ def run_proposals(
     initial_folder: Path | None = None,
     on_episode: Callable[[int, Episode], None] = lambda done, episode: None,
 ) -> Path:
-    """The folder with the ledger of `number` proposals that were carried out, and with the proposals themselves.
+    """The folder with the ledger of `number` executed proposals, and with the proposals themselves.
 
-    `propose(turn)` is asked from turn `first` on. `start` is such a folder to begin with. Stopped in any way, the same
-    call goes on where it was, and ends with the same ledger. `tell` hears how many are done after each flight.
+    `propose(turn)` is called from turn `first_turn` on. The work begins with the content of `initial_folder`, another
+    such folder. After any interruption, the same call continues and ends with the same ledger. `on_episode` gets the
+    number of finished episodes and the last one.
     """
 
-    def fly_some(step: int, here: Path) -> None:
+    def run_step(step: int, step_folder: Path) -> None:
         for done in range(step * EPISODES_PER_STEP, min(number, (step + 1) * EPISODES_PER_STEP)):
             one = propose(first_turn + done)
-            episode = run_proposal(one, here / LEDGER_FILE, first_turn + done, cache=cache)
-            with (here / PROPOSALS_FILE).open("ab") as lines:
+            episode = run_proposal(one, step_folder / LEDGER_FILE, first_turn + done, cache=cache)
+            with (step_folder / PROPOSALS_FILE).open("ab") as lines:
                 lines.write(encode_samples((one,)))
             on_episode(done + 1, episode)
 
-    return run_steps(folder, -(-number // EPISODES_PER_STEP), fly_some, initial_folder=initial_folder)
+    return run_steps(folder, -(-number // EPISODES_PER_STEP), run_step, initial_folder=initial_folder)
 
 
 def load_proposals(folder: Path) -> tuple[Sample, ...]:
-    """The proposals of a folder that `flown` left, by turn."""
+    """The proposals in a folder of `run_proposals`, by turn."""
     return decode_samples((folder / PROPOSALS_FILE).read_bytes())
 
 
 def run_proposal(one: Sample, ledger: Path, turn: int, *, cache: Path) -> Episode:
-    """Carry out the contract of `one` in its scene, whatever it is, and remember it in `ledger`.
+    """Execute the contract of `one` in its scene and store the episode in `ledger`.
 
-    Its author is the sample's source. Dates are made up, all clocks stand still, and nothing is learnt meanwhile:
-    promise: the ledger depends on the proposals and their order alone.
+    The planner's name is the sample's source. Dates are fixed, all clocks are stopped, and no weight is updated.
+    Promise: the ledger depends only on the proposals and their order.
     """
     robot, _, scene = one.scene.partition(" ")
     with tempfile.TemporaryDirectory(prefix="dualbrain-proposal-") as folder:
@@ -102,29 +104,29 @@ def run_proposal(one: Sample, ledger: Path, turn: int, *, cache: Path) -> Episod
             static=True,
         )
         dates = count(START_TIME_S + turn * EPISODE_INTERVAL_S, 1.0)
-        times = Clocks(lambda: 0.0, START_DATE, lambda: next(dates))
-        given = FixedContractPlanner(one.source, one.contract.encode("utf-8", "surrogatepass"))
-        with Session(config, times, {}, given) as session:
+        clocks = Clocks(lambda: 0.0, START_DATE, lambda: next(dates))
+        planner = FixedContractPlanner(one.source, one.contract.encode("utf-8", "surrogatepass"))
+        with Session(config, clocks, {}, planner) as session:
             return session.run(RunObserver()).episode
 
 
 def memory_id_of_turn(turn: int) -> str:
-    """The name of the memory of a turn."""
+    """The id of the memory of a turn."""
     return f"p-{turn}"
 
 
 def turn_of_memory_id(memory: str) -> int:
-    """The turn that a memory of such a ledger is of."""
+    """The turn of a memory id."""
     return int(memory.removeprefix("p-"))
 
 
 def build_request(one: Sample, recall: RetrievedContext | None = None) -> PlanRequest:
-    """The question of a lesson as the loop asks it, with what was recalled."""
-    setting = scene_context_by_name(one.scene)
-    registry, names = setting.registry, setting.names
+    """The request of a sample as the episode loop makes it, with retrieved context."""
+    context = scene_context_by_name(one.scene)
+    registry, names = context.registry, context.names
     return PlanRequest(
         instruction=instruction_of(one),
-        scene=setting.summary,
+        scene=context.summary,
         recall=recall or RetrievedContext(),
         robot=registry.robot,
         registry_hash=registry.hash,
@@ -135,7 +137,7 @@ def build_request(one: Sample, recall: RetrievedContext | None = None) -> PlanRe
 
 
 def instruction_of(one: Sample) -> str:
-    """The words of a lesson."""
+    """The instruction of a sample."""
     found = re.search("<instruction>\n(.*)\n</instruction>", one.prompt[-1]["content"])
     assert found is not None
     return found[1]

@@ -1,12 +1,12 @@
-"""starter-135m: what a robot teaches its planner on the first night, after a day of contracts that chance proposed.
+"""The starter data set of starter-135m: training data from rollouts of randomly drawn contracts.
 
-Lessons are drawn by seed and carried out in their scenes with the filter on. A deed is taught if the robot's own
-verdict was success and Δ small, and for no other reason. That nothing moved proves nothing, so declines are let in by
-another word: the lesson was drawn as one that cannot or must not be done. They are carried out, too, and stand in the
-ledger.
+Synthetic examples are drawn by seed and executed in their scenes with the filter on. An executed action is training
+data if the robot's own verdict is success and Δ is small, and for no other reason. A decline has no such evidence,
+because nothing moves: it is training data if its example was drawn as infeasible or forbidden. Declines are executed
+and stored in the ledger, too.
 
-It sits on base-135m: a night teaches a body, not a language. Fitted on the bare model by the same samples it was right
-in 16 of 60 held-out questions instead of 36 (docs/results/LOG.md).
+The adapter starts from base-135m. With the same samples and the bare model, 16 instead of 36 of 60 held-out
+instructions were answered correctly (docs/results/LOG.md).
 """
 
 from __future__ import annotations
@@ -44,42 +44,41 @@ from dualbrain.runtime.data_collection.rollouts import (
 
 BASE_MODEL = "base-135m"
 SEED, N_PROPOSALS = 900, 1400
-"""Of the proposals about one in eight is to be declined; the others are flights, and about half of them teach."""
+"""Seed and number of the proposals: about one in eight is a decline, and about half of the others are training data."""
 SUCCESSES_PER_DECLINE = 5
-"""At most one decline for so many deeds is taught."""
+"""The training data has at most one decline for this number of successes."""
 ADAPT_CONFIG = AdaptConfig(
     curation=CurationConfig(rules=CleanRules(epsilon=EPSILON)),
     fit=FitConfig(steps=150, batch=8, at_once=4, save_every=10, ask_at_most=0, patience=15, threads=1),
 )
-"""The whole objective. Checked by the loss alone, for free answers take as long as twenty steps."""
+"""Settings of the adaptation. Checks use the loss only, because free answers take as long as twenty steps."""
 
 
 def collect_rollouts(folder: Path, number: int, *, cache: Path, on_episode: Callable[[int, Episode], None]) -> Path:
-    """`number` proposals carried out, see `flown`; the same ones whenever they are drawn again."""
-    wanted = draw_proposals(SEED, number, include_declines=True)
-    return run_proposals(folder, number, wanted.__getitem__, cache=cache, on_episode=on_episode)
+    """Execute `number` proposals (see `run_proposals`); the same ones are drawn in every call."""
+    proposals = draw_proposals(SEED, number, include_declines=True)
+    return run_proposals(folder, number, proposals.__getitem__, cache=cache, on_episode=on_episode)
 
 
 def build_dataset(rollouts: Path) -> Dataset:
-    """What the day in the folder `day` teaches; raises `InvalidSetup` if no deed in it went well."""
-    registry, dials = load_skill_registry(ROBOT), ADAPT_CONFIG.curation
+    """The training data in the folder `rollouts`; raises `ConfigurationError` if no rollout succeeded."""
+    registry, settings = load_skill_registry(ROBOT), ADAPT_CONFIG.curation
     with LedgerReader(rollouts / LEDGER_FILE) as ledger:
-        deeds = curate(ledger, registry, dials)
-        most = (len(deeds.train) + len(deeds.held_out)) // SUCCESSES_PER_DECLINE
-        declines = [memory_id_of_turn(turn) for turn, one in enumerate(load_proposals(rollouts)) if is_declined(one)][
-            :most
-        ]
-        return assemble_dataset(curate(ledger, registry, dials, declines=declines), registry, dials)
+        successes = curate(ledger, registry, settings)
+        max_declines = (len(successes.train) + len(successes.held_out)) // SUCCESSES_PER_DECLINE
+        declined = (turn for turn, one in enumerate(load_proposals(rollouts)) if is_declined(one))
+        declines = [memory_id_of_turn(turn) for turn in declined][:max_declines]
+        return assemble_dataset(curate(ledger, registry, settings, declines=declines), registry, settings)
 
 
 def dataset_difference(card: DatasetCard, folder: Path, number: int) -> str:
-    """In what the data set of `card` is another than that of a day of `number` proposals in `folder`; "" if in none.
+    """How the data set of `card` differs from that of `number` rollouts in `folder`; "" if it does not.
 
-    The vocabulary, the prompt and the dials are those of today, the ledger is the day's, and what teaches there and on
-    which side of the split is chosen as it would be today.
+    The comparison uses the current skill registry, prompt and settings, the ledger of the rollouts, and the current
+    selection and split of the training data.
     """
     registry = load_skill_registry(ROBOT)
-    made: dict[str, object] = {
+    current: dict[str, object] = {
         "form": SAMPLE_FORMAT,
         "robot": ROBOT,
         "registry": registry.hash,
@@ -87,16 +86,16 @@ def dataset_difference(card: DatasetCard, folder: Path, number: int) -> str:
         "site": "",
         "memories": number,
     }
-    others = [card_differences(card, made), curation_differences(card, ADAPT_CONFIG.curation)]
-    lived = last_step_folder(folder)
-    if lived is None or not _is_from_ledger(card, lived):
-        others.append(f"ledger {card.ledger[:16] or 'none'}, now that of {folder}")
-    elif not any(others) and (now := build_dataset(lived).card.hash) != card.hash:
-        others.append(f"samples {card.hash[:16]} of the same ledger, now {now[:16]}")
-    return "; ".join(filter(None, others))
+    differences = [card_differences(card, current), curation_differences(card, ADAPT_CONFIG.curation)]
+    rollouts = last_step_folder(folder)
+    if rollouts is None or not _is_from_ledger(card, rollouts):
+        differences.append(f"ledger {card.ledger[:16] or 'none'}, now that of {folder}")
+    elif not any(differences) and (now := build_dataset(rollouts).card.hash) != card.hash:
+        differences.append(f"samples {card.hash[:16]} of the same ledger, now {now[:16]}")
+    return "; ".join(filter(None, differences))
 
 
-def _is_from_ledger(card: DatasetCard, day: Path) -> bool:
-    """Whether the data set of `card` was read from the ledger of `day`."""
-    with LedgerReader(day / LEDGER_FILE) as ledger:
+def _is_from_ledger(card: DatasetCard, rollouts: Path) -> bool:
+    """Whether the data set of `card` was made from the ledger in the folder `rollouts`."""
+    with LedgerReader(rollouts / LEDGER_FILE) as ledger:
         return descends_from(ledger, Head(card.event, card.ledger))

@@ -1,6 +1,6 @@
-"""Where lessons are given: scenes from the catalogue's generators, seen as the robot would see them at the start.
+"""Scenes of synthetic examples: generated scenes, as the robot perceives them at the start of an episode.
 
-Nothing moves here: a contract is shown if the gate accepts it in that scene, whatever would become of it.
+Nothing is executed: a contract becomes an example if the gate accepts it in its scene.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ from dualbrain.simulation.tasks.instructions import (
 )
 
 ROBOT_SHARES = {"panda": 0.6, "ur5e": 0.2, "base": 0.2}
-"""Whose language is taught, and how often."""
+"""Robots of the training examples, and their shares."""
 MAX_TRAINING_CHARACTERS = 2200
-"""Characters of question and answer that are taught: less would leave out most lessons with two goals."""
+"""Longest prompt and contract of a training example [characters]; a lower limit excludes most with two goals."""
 
 
 def generate_examples(
@@ -58,14 +58,14 @@ def generate_examples(
     *,
     exemplar_share: float = EXEMPLAR_SHARE,
 ) -> tuple[Sample, ...]:
-    """`count` lessons of `part`, no question twice; the same arguments give the same lessons.
+    """`count` examples of `part`, without duplicate prompts; the same arguments give the same examples.
 
-    `robots` says how often which robot is spoken to, `exemplars` how often some are shown.
+    `robot_shares` are the shares of the robots, `exemplar_share` is the share of examples with exemplars in the prompt.
     """
     rng = np.random.default_rng([seed, *part.encode()])
-    found: dict[str, Sample] = {}
+    examples: dict[str, Sample] = {}
     names, shares = list(robot_shares), np.array(list(robot_shares.values()))
-    while len(found) < count:
+    while len(examples) < count:
         robot = str(rng.choice(names, p=shares / shares.sum()))
         spec = draw_scene(robot, part, rng)
         one = generate_example(
@@ -76,12 +76,12 @@ def generate_examples(
             exemplar_share=exemplar_share,
         )
         if one is not None and (part == "test" or n_characters(one) <= MAX_TRAINING_CHARACTERS):
-            found.setdefault(str(one.prompt[-1]), one)
-    return tuple(found.values())
+            examples.setdefault(str(one.prompt[-1]), one)
+    return tuple(examples.values())
 
 
 def n_characters(sample: Sample) -> int:
-    """Characters of question and answer."""
+    """Number of characters of prompt and contract."""
     return len(sample.prompt[-1]["content"]) + len(sample.contract)
 
 
@@ -96,7 +96,7 @@ def draw_scene(robot: str, part: Split, rng: np.random.Generator) -> SceneSpec:
 
 
 def make_scene_context(spec: SceneSpec) -> SceneContext:
-    """The scene as it would be perceived at the start, with the gate that stands before the robot there."""
+    """The scene as the robot perceives it at the start, with the gate in front of the robot."""
     robot_model, registry = load_robot(spec.robot), load_skill_registry(spec.robot)
     scene = NoisyPerception(spec, PerceptionNoise(), np.random.default_rng(spec.seed)).perceive(
         make_plant(spec, robot_model, visuals=False)
@@ -120,25 +120,25 @@ def make_scene_context(spec: SceneSpec) -> SceneContext:
 
 @cache
 def load_phrasings(mobile: bool, part: Split) -> Phrasings:
-    """How people talk to a robot that drives, or to an arm; raises `WrongHash` if the wordings are not as fixed.
+    """Phrasings of instructions for a mobile robot or an arm; raises `ChecksumError` if the templates changed.
 
-    A held-out wording that a lesson happens to use as well tests nothing and is not asked.
+    A held-out phrasing that also occurs in the training examples is excluded.
     """
     if (got := templates_hash()) != TEMPLATES_HASH:
         raise ChecksumError("wordings", got=got, expected=TEMPLATES_HASH, path="instructions.toml")
     names = [name for name in task_kinds(mobile=mobile) if name in load_templates().kinds]
-    found = {name: instruction_templates(name, "held_out" if part == "test" else "train") for name in names}
-    sort = "base" if mobile else "arm"
-    sentences, taught = template_sentences(sort, part, names), template_sentences(sort, "teach", names)
-    for name, some in found.items():
-        asked = (one.text for one in some if part != "test" or one.text not in taught[name])
-        sentences[name] = (*asked, *sentences[name])
+    templates = {name: instruction_templates(name, "held_out" if part == "test" else "train") for name in names}
+    robot_kind = "base" if mobile else "arm"
+    sentences, trained = template_sentences(robot_kind, part, names), template_sentences(robot_kind, "teach", names)
+    for name, phrasings in templates.items():
+        texts = (one.text for one in phrasings if part != "test" or one.text not in trained[name])
+        sentences[name] = (*texts, *sentences[name])
     return Phrasings(sentences, {name: find_task_kind(name).label for name in names}, natural_name)
 
 
 @cache
 def scene_context_by_name(scene: str) -> SceneContext:
-    """The setting by its name, such as "panda tall:20007"."""
+    """The scene context with the name `scene`, such as "panda tall:20007"."""
     robot, _, choice = scene.partition(" ")
     family, _, seed = choice.partition(":")
     return make_scene_context((make_room if is_mobile(robot) else make_scene)(family, int(seed), robot))

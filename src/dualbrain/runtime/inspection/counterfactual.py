@@ -1,4 +1,4 @@
-"""What the planner would have proposed without one memory: the question asked again, its answer kept in a cache."""
+"""Counterfactual proposals: what the planner proposes for the same request without one memory, with a cache."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ from dualbrain.runtime.planner_request import in_prompt_order
 
 
 class CounterfactualQueries:
-    """Asks `planner` counterfactual questions; the same question to the same planner is asked once and for all.
+    """Sends counterfactual requests to a planner; the answer to each request is cached permanently.
 
-    Assumption: the planner is deterministic (greedy decoding), as ours are; else a difference may be chance.
+    Assumption: the planner is deterministic (greedy decoding); otherwise a difference may be chance.
     """
 
     def __init__(self, planner: Planner, registry: SkillRegistry, cache: Path) -> None:
-        """Ask for contracts of `registry`; keep answers in the folder `cache`."""
+        """Request contracts with skills of `registry` from `planner`; store answers in the folder `cache`."""
         self._planner, self._registry, self._cache = planner, registry, cache
 
     def memory_uses(
         self, episode: Episode, *, should_stop: Callable[[], bool] = lambda: False
     ) -> tuple[MemoryUse, ...]:
-        """What became of each exemplar that stood in the prompt of `episode`, until somebody has `enough`.
+        """The use of each exemplar in the prompt of `episode`, until `should_stop` returns True.
 
-        Where the planner gives no answer (a crash, a timeout, an error of its server), nothing is claimed of the use.
+        If the planner gives no answer (a crash, a timeout, an error of its server), the remaining uses are left out.
         """
         first = _parse_contract(episode.attempts[0].proposal.text) if episode.attempts else None
         found: list[MemoryUse] = []
@@ -60,7 +60,7 @@ class CounterfactualQueries:
         return tuple(found)
 
     def build_request(self, episode: Episode, excluded: Exemplar) -> PlanRequest:
-        """The first question of `episode`, with one exemplar left out of its recall."""
+        """The first request of `episode`, without the exemplar `excluded`."""
         kept = tuple(one for one in episode.recall.exemplars if one.episode_id != excluded.episode_id)
         recall = in_prompt_order(msgspec.structs.replace(episode.recall, exemplars=kept), self._registry)
         names = scene_names(episode.scene)
@@ -77,11 +77,11 @@ class CounterfactualQueries:
         )
 
     def _propose_cached(self, request: PlanRequest) -> str | None:
-        """The answer, "" if it was cut at its limit; None if there is none, which is not kept."""
-        asked = json.dumps([self._planner.name, render(request), request.schema], sort_keys=True)
-        path = self._cache / f"{hashlib.sha256(asked.encode()).hexdigest()}.json"
-        if (kept := _read_cached(path)) is not None:
-            return kept
+        """The answer, "" if it was cut at its limit; None if there is none, which is not cached."""
+        key = json.dumps([self._planner.name, render(request), request.schema], sort_keys=True)
+        path = self._cache / f"{hashlib.sha256(key.encode()).hexdigest()}.json"
+        if (cached := _read_cached(path)) is not None:
+            return cached
         proposal = self._planner.propose(request)
         if proposal.finish_reason not in (STOP, LENGTH):
             return None
@@ -92,7 +92,7 @@ class CounterfactualQueries:
 
 
 def _read_cached(path: Path) -> str | None:
-    """The answer that is kept at `path`; None if there is none, or none that can be read: it is asked for again."""
+    """The cached answer in the file `path`; None if there is none, or if it cannot be read."""
     try:
         return msgspec.json.decode(path.read_bytes(), type=dict[str, str])["text"]
     except (FileNotFoundError, KeyError, *DECODE_ERRORS):

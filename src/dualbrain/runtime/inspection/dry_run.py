@@ -1,7 +1,7 @@
-"""Planning without a robot: the question, the answer and the gate's word, and nothing moves.
+"""Dry run: request, proposal and verdict of the gate, without motion.
 
-The same question and the same gate as in a run, from the scene as it is specified (a run sees it with perception's
-errors), with the body at home. Memory and documents are only read.
+Request and gate are those of a run. The scene is the specified one, without the errors of perception, and the robot is
+at its home position. Memory and documents are only read.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """One question and its answer: what the planner read, what it wrote, what the gate said."""
+    """One request: the prompt of the planner, its proposal and the gate's verdict."""
 
     prompt: tuple[ChatMessage, ...]
     attempt: Attempt
@@ -43,9 +43,9 @@ class Shot:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DryRunResult:
-    """What became of an instruction: the scene in symbols, what was retrieved, every shot, the time of the decision.
+    """Result of a dry run: scene summary, retrieved context, every shot, and the times of the decision [s].
 
-    `template` is the hash of the fixed text of the prompt that the planner read.
+    `template_hash` is the hash of the fixed text of the planner's prompt.
     """
 
     summary: str
@@ -56,28 +56,31 @@ class DryRunResult:
 
     @property
     def verdict(self) -> Verdict:
-        """The gate's last word."""
+        """The gate's last verdict."""
         return self.shots[-1].attempt.verdict
 
     @property
     def unsupported_fields(self) -> tuple[str, ...]:
-        """What was retrieved and has no place in the prompt of this planner: fields of `recall`."""
+        """Fields of `recall` that are not empty and that the prompt of this planner does not show."""
         return unsupported_fields(self.template_hash, self.recall)
 
     @property
     def has_answer(self) -> bool:
-        """Whether the planner said anything at all."""
+        """Whether the planner gave an answer."""
         return has_answer(self.shots[-1].attempt.proposal)
 
     @property
     def is_declined(self) -> bool:
-        """Whether the planner refused the instruction."""
+        """Whether the planner declined the instruction."""
         verdict = self.verdict
         return isinstance(verdict, Accepted) and verdict.contract.action_sequence[0].skill == "decline"
 
 
 def context_at_home(robot: str, scene: Scene) -> PlanningContext:
-    """`robot` at rest at home with an empty hand before `scene`."""
+    """The context of `robot` at rest at its home position, with an empty gripper, in `scene`.
+
+    Raises `UnknownNameError` if there is no such robot.
+    """
     robot_model = load_robot(robot)
     state = home_state(robot_model)
     return PlanningContext(
@@ -95,28 +98,27 @@ def plan(
     shots: int,
     clock: Clock,
 ) -> DryRunResult:
-    """Ask `planner` for a contract, at most `shots` times, each time with the gate's last refusal in the prompt."""
+    """Request a contract from `planner` at most `shots` times, with the gate's last rejection in the prompt."""
     recall, retrieval = _timed(clock, lambda: _retrieve(instruction, context, memory, retrieve_passages))
     request = build_request(instruction, context, recall)
-    limb = controller_at_home(context.robot_model.name, context.scene)
-    gate = Gate(context.registry, planner_grants(context.registry), scene_rules(context.scene, limb))
-    done: list[Shot] = []
-    while len(done) < shots:
+    controller = controller_at_home(context.robot_model.name, context.scene)
+    gate = Gate(context.registry, planner_grants(context.registry), scene_rules(context.scene, controller))
+    taken: list[Shot] = []
+    while len(taken) < shots:
         prompt, proposal = tuple(planner_messages(planner, request)), planner.propose(request)
-        verdict, spent = _timed(
+        verdict, gate_s = _timed(
             clock, lambda answer=proposal: reject_incomplete(answer) or _check(gate, answer, context.scene)
         )
-        kept = msgspec.structs.replace(proposal, text=storable_text(proposal.text))
-        done.append(Shot(prompt, Attempt(kept, verdict, spent)))
+        stored = msgspec.structs.replace(proposal, text=storable_text(proposal.text))
+        taken.append(Shot(prompt, Attempt(stored, verdict, gate_s)))
         if not isinstance(verdict, Rejected) or not has_answer(proposal):
             break
-        request = msgspec.structs.replace(request, refusal=verdict, contract_id=f"c-{len(done) + 1:04d}")
-    spent = decision_timings([one.attempt for one in done], retrieval)
+        request = msgspec.structs.replace(request, refusal=verdict, contract_id=f"c-{len(taken) + 1:04d}")
     return DryRunResult(
         summary=context.summary,
         recall=recall,
-        shots=tuple(done),
-        timings=spent,
+        shots=tuple(taken),
+        timings=decision_timings([one.attempt for one in taken], retrieval),
         template_hash=planner_template(planner),
     )
 
@@ -127,11 +129,11 @@ def _check(gate: Gate, answer: Proposal, scene: Scene) -> Verdict:
 
 
 def _retrieve(
-    instruction: str, here: PlanningContext, memory: Retriever | None, look_up: PassageRetriever
+    instruction: str, context: PlanningContext, memory: Retriever | None, retrieve_passages: PassageRetriever
 ) -> RetrievedContext:
     if memory is None:
-        return RetrievedContext(passages=look_up(instruction, here.summary))
-    return retrieve(instruction, here, memory, MAX_RECALLED, look_up)
+        return RetrievedContext(passages=retrieve_passages(instruction, context.summary))
+    return retrieve(instruction, context, memory, MAX_RECALLED, retrieve_passages)
 
 
 def _timed(clock: Clock, do: Callable[[], T]) -> tuple[T, float]:

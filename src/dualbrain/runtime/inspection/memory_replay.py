@@ -1,8 +1,7 @@
-"""Anomalous replay (paper section 8): a remembered contract run again in simulation, through gate and filter.
+"""Anomalous replay (paper section 8): a remembered contract is executed again in simulation, through gate and filter.
 
-Playing the past would prove nothing; the contract is carried out anew, several times, in worlds rebuilt from what was
-perceived then. What counts is the robot's own verdict with its second opinion, as it did then: simulator truth takes no
-part in what memory believes.
+The contract is executed several times, in worlds that are rebuilt from the remembered perceived scene. The result is
+the robot's own verdict with the outcome check, as in the remembered episode; ground truth does not affect memory.
 """
 
 from __future__ import annotations
@@ -33,9 +32,9 @@ from dualbrain.simulation.perception.noisy_perception import NoisyPerception, Pe
 from dualbrain.simulation.scenes.from_memory import scene_from_memory
 
 POSITION_SPREAD = 0.003
-"""Standard deviation of the shifts of things between tries [m]: that of perception."""
+"""Standard deviation of the shifts of objects between tries [m]: that of perception."""
 MAX_DELTA_RATIO, MIN_DELTA = 3.0, 1e-3
-"""Δ contradicts if it differs more than threefold, both counted as at least the floor."""
+"""Ratio of replayed and remembered Δ beyond which the memory is contradicted; both count as at least `MIN_DELTA`."""
 
 
 class _EpisodePayload(msgspec.Struct):
@@ -50,7 +49,7 @@ class _StoredPayload(msgspec.Struct):
 
 @dataclass(frozen=True, slots=True)
 class ReplayTry:
-    """One run: how it ended by the robot's own verdict (or "refused" by the gate), and Δ."""
+    """One execution: the robot's own verdict (or "refused" by the gate) as `kind`, Δ and the reason."""
 
     kind: str
     Delta: float | None
@@ -58,24 +57,25 @@ class ReplayTry:
 
     @property
     def succeeded(self) -> bool:
-        """Whether the robot's own senses call it a success."""
+        """Whether the execution succeeded by the robot's own verdict."""
         return self.kind == "succeeded"
 
 
 def replay_memory(ledger: LedgerReader, memory: MemoryState, *, tries: int, seed: int, actor: str) -> ReplayFinding:
-    """Run the contract of `memo` `tries` times and compare outcome and Δ with what is remembered.
+    """Execute the contract of `memory` `tries` times and compare outcome and Δ with the remembered ones.
 
-    Raises `InvalidSetup` for a memory without a contract, or whose scene cannot be simulated.
+    Raises `ConfigurationError` if the memory has no executed contract, or if its scene cannot be simulated.
     """
     stored = msgspec.json.decode(ledger.event(memory.seq).payload, type=_StoredPayload)
     if not stored.episode.contract or memory.Delta is None:
-        raise ConfigurationError(
-            "memory to replay", got=memory.kind, allowed="one whose contract was carried out", fix=memory.id
+        raise ConfigurationError.stating(
+            f"The memory {memory.id} ({memory.kind}) cannot be replayed.",
+            fix="Name a memory whose contract was executed.",
         )
     contract = stored.episode.contract
-    done = [_run_once(stored, contract, memory.robot, np.random.default_rng([seed, number])) for number in range(tries)]
-    reason, agrees = compare_with_memory(memory.r, memory.Delta, done)
-    kinds, Deltas = tuple(one.kind for one in done), tuple(one.Delta for one in done)
+    runs = [_run_once(stored, contract, memory.robot, np.random.default_rng([seed, number])) for number in range(tries)]
+    reason, agrees = compare_with_memory(memory.r, memory.Delta, runs)
+    kinds, Deltas = tuple(one.kind for one in runs), tuple(one.Delta for one in runs)
     return ReplayFinding(
         memory=memory.id,
         agrees=agrees,
@@ -87,26 +87,30 @@ def replay_memory(ledger: LedgerReader, memory: MemoryState, *, tries: int, seed
     )
 
 
-def compare_with_memory(r: int, Delta: float, done: list[ReplayTry]) -> tuple[str, bool]:
-    """What the tries say of a memory with label `r` and `Delta`, in words, and whether they leave it standing.
+def compare_with_memory(r: int, Delta: float, runs: list[ReplayTry]) -> tuple[str, bool]:
+    """A reason in words, and whether the `runs` agree with a memory with label `r` and `Delta`.
 
-    Contradicted if too few agree (see `doubt`), or if Δ of those that do is more than three times larger or smaller.
+    The memory is contradicted if too few runs agree with it (`memory.maintenance.contradiction`), or if the median Δ of
+    those that agree is more than `MAX_DELTA_RATIO` times larger or smaller.
     """
-    agreeing = [one for one in done if one.succeeded == bool(r)]
-    told = f"{len(agreeing)} of {len(done)} tries ended as remembered"
-    if is_contradicted(len(agreeing), len(done)):
-        would = agreement_p_value(len(agreeing), len(done))
-        return f"{told}: too few (a true memory would show that with chance {would:.3f})", False
-    found = [one.Delta for one in agreeing if one.Delta is not None]
-    if r and found:
-        middle, remembered = max(median(found), MIN_DELTA), max(Delta, MIN_DELTA)
+    agreeing = [one for one in runs if one.succeeded == bool(r)]
+    summary = f"{len(agreeing)} of {len(runs)} tries ended as remembered"
+    if is_contradicted(len(agreeing), len(runs)):
+        p_value = agreement_p_value(len(agreeing), len(runs))
+        return f"{summary}: too few (the probability for a true memory is {p_value:.3f})", False
+    Deltas = [one.Delta for one in agreeing if one.Delta is not None]
+    if r and Deltas:
+        middle, remembered = max(median(Deltas), MIN_DELTA), max(Delta, MIN_DELTA)
         if not 1.0 / MAX_DELTA_RATIO <= middle / remembered <= MAX_DELTA_RATIO:
-            return f"{told}, but with Δ {middle:.4f} where {Delta:.4f} is remembered", False
-    return told, True
+            return f"{summary}, but with Δ {middle:.4f} instead of the remembered {Delta:.4f}", False
+    return summary, True
 
 
 def run_alternative(ledger: LedgerReader, memory: MemoryState, contract: dict[str, Any], *, seed: int) -> ReplayTry:
-    """What becomes of another `contract` in the world of `memo`, once; raises `InvalidSetup` if that cannot be."""
+    """Execute another `contract` once in the world of `memory`.
+
+    Raises `ConfigurationError` if its scene cannot be simulated.
+    """
     stored = msgspec.json.decode(ledger.event(memory.seq).payload, type=_StoredPayload)
     return _run_once(stored, contract, memory.robot, np.random.default_rng([seed, memory.seq]))
 
@@ -138,18 +142,20 @@ def _outcome_kind(scene: Scene, contract: Contract, outcome: Outcome) -> str:
 def make_replay_evaluator(
     ledger: LedgerReader, samples: Sequence[Sample], *, seed: int
 ) -> Callable[[Sample, str], tuple[bool, float | None]]:
-    """Success by the robot's own senses, and Δ, of a contract in the scene that one of `asked` was made of.
+    """A function (sample, contract) → (success by the robot's own verdict, Δ) of a run in the scene of the sample.
 
-    The world is rebuilt from what was perceived (see `world.remembered`); the same seed gives every planner the same
-    world. Raises `InvalidSetup`, before anything is flown, if one of `asked` is of another ledger.
+    The world is rebuilt from the perceived scene (`simulation.scenes.from_memory`); the same seed gives every planner
+    the same world. Raises `ConfigurationError`, before any run, if one of `samples` is of another ledger.
     """
     state = derive_state(ledger)
-    if strange := [sample.memory for sample in samples if sample.memory not in state]:
-        fix = "Name the ledger that the data set was made of with --ledger; what no ledger made is asked with --no-fly."
-        raise ConfigurationError("memory of a question", got=strange[0], allowed="one of this ledger", fix=fix)
+    if unknown := [sample.memory for sample in samples if sample.memory not in state]:
+        raise ConfigurationError.stating(
+            f"The memory {unknown[0]} of a sample is not in this ledger.",
+            fix="Name the ledger of the data set with --ledger, or do not execute the contracts (--no-fly).",
+        )
 
-    def fly(sample: Sample, text: str) -> tuple[bool, float | None]:
-        done = run_alternative(ledger, state[sample.memory], msgspec.json.decode(text), seed=seed)
-        return done.succeeded, done.Delta
+    def evaluate(sample: Sample, text: str) -> tuple[bool, float | None]:
+        result = run_alternative(ledger, state[sample.memory], msgspec.json.decode(text), seed=seed)
+        return result.succeeded, result.Delta
 
-    return fly
+    return evaluate
