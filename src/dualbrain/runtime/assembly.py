@@ -59,29 +59,36 @@ class SimulatedCell:
         *,
         safety: SafetyFilter | None = None,
         log: FlightLog | None = None,
-        config: ControlLoopConfig = ControlLoopConfig(),
-        observer: LoopObserver = LoopObserver(),
-        inputs: LoopInputs = LoopInputs(),
+        config: ControlLoopConfig | None = None,
+        observer: LoopObserver | None = None,
+        inputs: LoopInputs | None = None,
         time_limit: float = float("inf"),
         robot: RobotInterface | None = None,
         environment: WorldInterface | None = None,
     ) -> None:
-        """Connect the parts; `robot` and `environment` replace the plant and the world as the control loop sees them.
+        """Connect the parts; `robot` and `environment` replace the plant and the world for the control loop.
 
         The world follows the phases of the control loop in any case, before the callback of `observer`.
         """
+        outer = observer or LoopObserver()
         self.robot_model, self.world, self.plant = robot_model, world, world.plant
         self.safety = safety or SafetyFilter(robot_model)
         self.log = log or FlightLog(Trace(robot_model.n, robot_model.nq))
 
         def on_phase(phase: str, roles: dict[str, str | None]) -> None:
             world.set_phase(phase, roles)
-            if observer.on_phase:
-                observer.on_phase(phase, roles)
+            if outer.on_phase:
+                outer.on_phase(phase, roles)
 
-        watched = LoopObserver(on_tick=observer.on_tick, on_phase=on_phase, mark_part=observer.mark_part)
         self.loop = ControlLoop(
-            robot_model, robot or self.plant, environment or world, self.safety, self.log, config, watched, inputs
+            robot_model,
+            robot or self.plant,
+            environment or world,
+            self.safety,
+            self.log,
+            config or ControlLoopConfig(),
+            LoopObserver(on_tick=outer.on_tick, on_phase=on_phase, mark_part=outer.mark_part),
+            inputs or LoopInputs(),
         )
         self.executor = ContractExecutor(self.loop, time_limit=time_limit)
 

@@ -59,7 +59,7 @@ from dualbrain.skills.registry import skill_registry
 TryResult = tuple[Episode, StoreReport]
 RUN_FILES = ("config.json", "scene.json", "episode.mcap", "episode.json", "report.html")
 """Files of a run folder."""
-__all__ = ["RUN_FILES", "RunResult", "RunObserver", "RunConfig", "Session", "Clocks"]
+__all__ = ["RUN_FILES", "Clocks", "RunConfig", "RunObserver", "RunResult", "Session"]
 
 
 class Session:
