@@ -1,4 +1,4 @@
-"""A sample of injected faults: the declared order comes, and the independent monitor sees nothing unsafe."""
+"""A sample of injected faults: the declared action follows, and the independent monitor finds nothing unsafe."""
 
 from itertools import product
 
@@ -26,7 +26,7 @@ SAMPLE = [
 ]
 
 
-def test_every_fault_has_an_order_that_was_declared():
+def test_every_fault_has_a_declared_action():
     assert set(EXPECTED_ACTIONS) == set(product(SOURCES, KINDS))
     with pytest.raises(UnknownNameError, match="kind of fault"):
         Fault("state", "of", "closing")
@@ -35,14 +35,14 @@ def test_every_fault_has_an_order_that_was_declared():
     assert len(MOMENTS) == 6
 
 
-def test_a_moment_can_be_drawn_and_is_the_same_again():
+def test_moments_are_drawn_reproducibly():
     drawn = [draw_moment(seed) for seed in range(100)]
     assert set(drawn) == set(MOMENTS)
     assert drawn == [draw_moment(seed) for seed in range(100)]
 
 
 @pytest.mark.parametrize(("source", "kind", "moment"), SAMPLE)
-def test_a_fault_leads_to_its_order_and_to_nothing_unsafe(source, kind, moment):
+def test_a_fault_leads_to_its_declared_action_and_to_no_unsafe_violation(source, kind, moment):
     report = run_fault_trial(Fault(source, kind, moment), scene="bare:0")
     assert report.struck is not None
     assert report.as_declared, report
@@ -53,7 +53,7 @@ def test_a_fault_leads_to_its_order_and_to_nothing_unsafe(source, kind, moment):
     assert report.outcome in ("stopped", "emergency")
 
 
-def test_a_planner_that_talks_rubbish_is_refused_and_its_contract_goes_on():
+def test_malformed_proposals_are_refused_and_the_running_contract_continues():
     report = run_fault_trial(Fault("planner", "garbage", "closing"), scene="bare:0")
     assert report.struck is not None
     assert report.safe, report
@@ -72,7 +72,7 @@ def test_a_planner_that_talks_rubbish_is_refused_and_its_contract_goes_on():
         ("socket", "off", "crossing:1"),
     ],
 )
-def test_a_base_at_full_speed_is_stopped_as_declared_too(source, kind, scene):
+def test_a_base_at_full_speed_is_stopped_as_declared(source, kind, scene):
     report = run_fault_trial(Fault(source, kind, "closing"), robot="base", scene=scene)
     assert report.struck is not None
     assert report.as_declared, report
@@ -90,7 +90,7 @@ def test_a_base_at_full_speed_is_stopped_as_declared_too(source, kind, scene):
         ("ur5e", "scene", "stuck", "between write and acknowledgement", "forearm:0", "scene_frozen"),
     ],
 )
-def test_what_was_unsafe_once_is_found_out_in_time(robot, source, kind, moment, scene, check):
+def test_faults_that_were_once_unsafe_are_detected_in_time(robot, source, kind, moment, scene, check):
     report = run_fault_trial(Fault(source, kind, moment), robot=robot, scene=scene)
     assert report.safe, report
     assert report.as_declared, report

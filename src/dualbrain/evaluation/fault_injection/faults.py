@@ -1,8 +1,8 @@
-"""Fault injection: what breaks, how, and at which moment; with the order that is expected, declared beforehand.
+"""Faults: source, kind and moment, with the action of the supervisor that is expected, declared beforehand.
 
-The vocabulary of kinds is PX4's (`failure` command). A fault strikes once its moment has come and stays until the end.
-It is put between the local layer and the world, or (planner, socket) between a commander and the gatekeeper's door,
-so that everything else is the code that runs without faults.
+The kinds of faults are those of PX4's `failure` command. A fault begins at its moment and persists until the end of the
+episode. It is injected between the control loop and the world or, for a planner or socket, between a commander and the
+gatekeeper's server, so that all other code is that of a run without faults.
 """
 
 from __future__ import annotations
@@ -37,18 +37,18 @@ MOMENT_PHASES: dict[str, tuple[str, ...]] = {
     "lowering": ("lower",),
     "between write and acknowledgement": ("approach", "carry", "drive"),
 }
-"""The phases in which a moment can come."""
+"""Phases in which each moment can occur."""
 MOBILE_BASE_MOMENTS = ("closing", "between write and acknowledgement")
-"""The moments that a base has, too: at full speed toward a crate or a person."""
+"""Moments that also occur for a mobile base: at full speed toward a crate or a person."""
 MIN_PEAK_SPEED = 0.3
-"""Closing, and a lost acknowledgement, strike when a joint or base faster than this (SI) has passed its peak."""
+"""Speed of a joint [rad/s] or base [m/s] whose peak triggers "closing" and "between write and acknowledgement"."""
 
 DELAY_TIME = 0.08
-"""How late what is delayed comes [s]."""
+"""Delay of a delayed source [s]."""
 SLOW_UPDATE_TICKS = 10
-"""A slow source gives something new once in so many ticks."""
+"""Ticks between two updates of a slow source."""
 STATE_BIAS = 0.05
-"""How wrong a wrong joint state is [rad]; a wrong scene is off by twice that [m]."""
+"""Error of a wrong joint state [rad]; the position error of a wrong scene is twice that [m]."""
 DRIVE_TIME_CONSTANT = 0.4
 """Time constant of a slow drive [s]."""
 
@@ -111,17 +111,20 @@ EXPECTED_ACTIONS: dict[tuple[str, str], SafetyAction] = {
     ("socket", "delayed"): NONE,
     ("socket", "intermittent"): HOLD,
 }
-"""The least order that must come, by source and kind. A planner that breaks while its contract runs is refused with a
-warning, and the contract goes on; a socket that breaks takes the commander away, and the arm holds.
-NONE: the fault may pass unnoticed, and must be harmless. Of a
-scene in which nothing moves, old pictures are as good as new; in one with a person they must lead to HOLD."""
+"""The least action of the supervisor that must follow, by source and kind.
+
+The proposals of a planner that fails while its contract runs are refused with a warning, and the contract continues. A
+socket that fails disconnects the commander, and the arm holds position. NONE: the fault need not be detected, and must
+be harmless. In a scene in which nothing moves, an old scene is as good as a new one; in a scene with a person, it must
+lead to HOLD.
+"""
 EXPECTED_WITH_PERSON: dict[tuple[str, str], SafetyAction] = {("scene", "off"): HOLD, ("scene", "slow"): SLOW}
-"""What is expected where something moves."""
+"""The expected actions that differ in a scene with a moving person."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """`source` fails in the way of `kind`, once the `moment` has come; `seed` for what is random about it."""
+    """A failure of `source` of the given `kind`, from the `moment` on; `seed` determines its randomness."""
 
     source: str
     kind: str
@@ -129,17 +132,17 @@ class Fault:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        """Raise `UnknownName` for words that are not in the vocabulary."""
-        for what, word, known in (
+        """Raise `UnknownNameError` for an unknown source, kind or moment."""
+        for what, name, known in (
             ("source of faults", self.source, SOURCES),
             ("kind of fault", self.kind, KINDS),
             ("moment", self.moment, MOMENTS),
         ):
-            if word not in known:
-                raise UnknownNameError(what, word, known)
+            if name not in known:
+                raise UnknownNameError(what, name, known)
 
     def expected_action(self, *, scene_moves: bool) -> SafetyAction:
-        """The least order that must come."""
+        """The least action of the supervisor that must follow; `scene_moves`: a person moves in the scene."""
         key = (self.source, self.kind)
         return EXPECTED_WITH_PERSON.get(key, EXPECTED_ACTIONS[key]) if scene_moves else EXPECTED_ACTIONS[key]
 
@@ -150,10 +153,10 @@ def draw_moment(seed: int) -> str:
 
 
 class FaultInjector:
-    """Knows whether the moment has come. `struck` [s] is when it did."""
+    """Triggers a fault at its moment; `triggered_at` is the time of the trigger [s], None before it."""
 
     def __init__(self, fault: Fault, now: Callable[[], float]) -> None:
-        """Nothing is broken yet; `now` [s] is true time."""
+        """Start without a fault; `now` returns the true time [s]."""
         self.fault, self.now = fault, now
         self.rng = np.random.default_rng([fault.seed, 7])
         self.triggered_at: float | None = None
@@ -162,12 +165,12 @@ class FaultInjector:
         self._trigger_delay = float(self.rng.uniform(0.0, 0.1))
 
     def set_phase(self, name: str) -> None:
-        """A phase begins."""
+        """Follow the phase of the skill."""
         self._phase = name
         self._condition_since, self._peak_speed = None, 0.0
 
     def update_speed(self, speed: float) -> None:
-        """The arm moves at `speed` [rad/s], its fastest joint; a base drives [m/s]."""
+        """Follow the speed of the arm's fastest joint [rad/s], or of the base [m/s]; may trigger the fault."""
         if self.triggered_at is not None or self._phase not in MOMENT_PHASES[self.fault.moment]:
             return
         self._peak_speed = max(self._peak_speed, speed)
@@ -179,17 +182,17 @@ class FaultInjector:
             self.triggered_at = self.now()
 
     def is_active(self, source: str) -> bool:
-        """Whether `source` is broken in this tick; an intermittent one is so half of the time."""
+        """Whether `source` fails in this tick; an intermittent fault is active in half of the ticks."""
         if self.triggered_at is None or source != self.fault.source:
             return False
         return self.fault.kind != "intermittent" or bool(self.rng.random() < 0.5)
 
 
 class FaultyRobot:
-    """A robot whose joint states or drive break."""
+    """A robot whose joint states or drive fail."""
 
     def __init__(self, robot: RobotInterface, injector: FaultInjector, robot_model: RobotModel) -> None:
-        """Stand before `robot`, which has this `body`."""
+        """Wrap `robot`, whose model is `robot_model`."""
         self._robot, self._injector = robot, injector
         self._period, self._mobile = robot_model.period, robot_model.is_mobile
         self._last = robot.read()
@@ -200,7 +203,7 @@ class FaultyRobot:
         self._count = 0
 
     def read(self) -> RobotState:
-        """The newest state, if the source lets it through."""
+        """The newest joint state, corrupted if the source fails."""
         injector, state = self._injector, self._robot.read()
         if injector.fault.moment != "between write and acknowledgement":
             injector.update_speed(self._speed(state))
@@ -232,9 +235,10 @@ class FaultyRobot:
                 return self._state_history[0]
 
     def write(self, command: Command) -> None:
-        """Pass a command on, if the drive does what it is told.
+        """Write a command, corrupted if the drive fails.
 
-        Between this and the next state lies the acknowledgement: that moment's faults strike here.
+        Faults of the moment "between write and acknowledgement" are triggered here, because the acknowledgement is
+        between this write and the next state.
         """
         if self._injector.fault.moment == "between write and acknowledgement":
             self._injector.update_speed(self._speed(self._last))
@@ -244,10 +248,10 @@ class FaultyRobot:
         if not self._injector.is_active("drive"):
             self._last_command, self._u = command, command.u
             self._robot.write(command)
-        elif (other := self._corrupt_command(command)) is not None:
-            self._robot.write(other)
+        elif (corrupted := self._corrupt_command(command)) is not None:
+            self._robot.write(corrupted)
 
-    def _corrupt_command(self, command: Command) -> Command | None:  # noqa: PLR0911  (one way of failing each)
+    def _corrupt_command(self, command: Command) -> Command | None:  # noqa: PLR0911  (one return per kind of fault)
         rng = self._injector.rng
         match self._injector.fault.kind:
             case "off":
@@ -268,31 +272,31 @@ class FaultyRobot:
                 return None
 
     def stop(self) -> None:
-        """Switching off is wired apart from the commands: it always works."""
+        """Switch the drive off; this does not depend on the commands and always works."""
         self._robot.stop()
 
     def enable(self) -> None:
-        """Drive on."""
+        """Switch the drive on."""
         self._robot.enable()
 
 
 class FaultyWorld:
-    """Surroundings whose camera breaks; time goes on as it does, longer where the filter is slow."""
+    """An environment whose perception fails; if the filter is slow, several periods pass per tick."""
 
     def __init__(self, world: WorldInterface, injector: FaultInjector) -> None:
-        """Stand before `world`."""
+        """Wrap `world`."""
         self._world, self._injector = world, injector
         self._last: Scene | None = None
         self._scene_history: deque[Scene] = deque(maxlen=16)
         self._count = 0
 
     def perceive(self) -> Scene:
-        """The scene, if the source lets it through."""
+        """The perceived scene, corrupted if the source fails."""
         scene = self._world.perceive()
         self._count += 1
         self._scene_history.append(scene)
-        broken = self._injector.is_active("scene") and self._last is not None
-        self._last = self._corrupt_scene(scene, self._last or scene) if broken else scene
+        fails = self._injector.is_active("scene") and self._last is not None
+        self._last = self._corrupt_scene(scene, self._last or scene) if fails else scene
         return self._last
 
     def _corrupt_scene(self, scene: Scene, last: Scene) -> Scene:
@@ -301,65 +305,66 @@ class FaultyWorld:
             case "off" | "intermittent":
                 return last
             case "stuck":
-                things = tuple(msgspec.structs.replace(thing, stamp=scene.stamp) for thing in last.objects)
-                return msgspec.structs.replace(last, stamp=scene.stamp, objects=things)
+                objects = tuple(msgspec.structs.replace(obj, stamp=scene.stamp) for obj in last.objects)
+                return msgspec.structs.replace(last, stamp=scene.stamp, objects=objects)
             case "garbage":
                 bad = [float(value) for value in rng.choice([np.nan, np.inf, -1e9, 1e30], 3)]
-                return _shift_objects(scene, lambda at: (bad[0], bad[1], at[2] + bad[2]))
+                return _shift_objects(scene, lambda position: (bad[0], bad[1], position[2] + bad[2]))
             case "wrong":
-                return _shift_objects(scene, lambda at: (at[0] + 2.0 * STATE_BIAS, at[1], at[2]))
+                bias = 2.0 * STATE_BIAS
+                return _shift_objects(scene, lambda position: (position[0] + bias, position[1], position[2]))
             case "slow":
                 return scene if self._count % SLOW_UPDATE_TICKS == 0 else last
             case _:
                 return self._scene_history[max(0, len(self._scene_history) - 4)]
 
     def advance(self) -> None:
-        """One period; a slow filter keeps the robot waiting with its last command for several."""
+        """Let one period pass; with a slow filter, the robot repeats its last command for several periods."""
         slow = self._injector.fault.kind == "slow" and self._injector.is_active("qp")
         for _ in range(SLOW_UPDATE_TICKS if slow else 1):
             self._world.advance()
 
 
 def faulty_clock(clock: Callable[[], float], injector: FaultInjector) -> Callable[[], float]:
-    """A clock that breaks."""
+    """A clock [s] that fails, around the true `clock`."""
     rng = injector.rng
 
-    def broken() -> float:
-        true = clock()
+    def read_clock() -> float:
+        true_time = clock()
         if not injector.is_active("clock"):
-            return true
-        struck = injector.triggered_at or true
+            return true_time
+        triggered_at = injector.triggered_at or true_time
         readings: dict[str, float] = {
             "off": float("nan"),
-            "stuck": struck,
+            "stuck": triggered_at,
             "garbage": float(rng.normal() * 1e6),
-            "wrong": true + 10.0,
-            "slow": struck + 0.5 * (true - struck),
-            "delayed": true - 0.5,
+            "wrong": true_time + 10.0,
+            "slow": triggered_at + 0.5 * (true_time - triggered_at),
+            "delayed": true_time - 0.5,
             "intermittent": float("nan"),
         }
         return readings[injector.fault.kind]
 
-    return broken
+    return read_clock
 
 
 class BrokenFilterError(RuntimeError):
-    """What a filter raises that is gone."""
+    """Exception of a filter with the fault "off"."""
 
 
 def inject_filter_fault(safety: SafetyFilter, injector: FaultInjector) -> None:
-    """Make the filter's answers break, behind the checks that are inside the kernel itself."""
-    usual = safety.filter
-    kept: deque[FilterResult] = deque(maxlen=round(DELAY_TIME / safety.robot_model.period))
+    """Make the results of `safety` fail, after the checks inside the kernel."""
+    filter_control = safety.filter
+    history: deque[FilterResult] = deque(maxlen=round(DELAY_TIME / safety.robot_model.period))
 
-    def broken(state: RobotState, u_nom: Any, now: float) -> FilterResult:
-        result = usual(state, u_nom, now)
-        kept.append(result)
+    def faulty_filter(state: RobotState, u_nom: Any, now: float) -> FilterResult:
+        result = filter_control(state, u_nom, now)
+        history.append(result)
         if not injector.is_active("qp"):
             return result
-        replaced: dict[str, Any] = {
-            "stuck": kept[0].u,
-            "delayed": kept[0].u,
+        controls: dict[str, Any] = {
+            "stuck": history[0].u,
+            "delayed": history[0].u,
             "garbage": np.full_like(result.u, np.nan),
             "intermittent": np.full_like(result.u, np.nan),
             "wrong": result.u * 0.0 + 30.0,
@@ -368,15 +373,15 @@ def inject_filter_fault(safety: SafetyFilter, injector: FaultInjector) -> None:
         if injector.fault.kind == "off":
             raise BrokenFilterError("the filter does not answer")
         if injector.fault.kind == "stuck":
-            kept.pop()
-            kept.appendleft(kept[0])
-        return msgspec.structs.replace(result, u=np.array(replaced[injector.fault.kind]))
+            history.pop()
+            history.appendleft(history[0])
+        return msgspec.structs.replace(result, u=np.array(controls[injector.fault.kind]))
 
-    safety.filter = broken
+    safety.filter = faulty_filter
 
 
-def _shift_objects(scene: Scene, move: Callable[[tuple[float, float, float]], tuple[float, float, float]]) -> Scene:
-    def moved(thing: SceneObject) -> SceneObject:
-        return msgspec.structs.replace(thing, pose=Pose(move(thing.pose.position), thing.pose.quaternion))
+def _shift_objects(scene: Scene, shift: Callable[[tuple[float, float, float]], tuple[float, float, float]]) -> Scene:
+    def moved(obj: SceneObject) -> SceneObject:
+        return msgspec.structs.replace(obj, pose=Pose(shift(obj.pose.position), obj.pose.quaternion))
 
-    return msgspec.structs.replace(scene, objects=tuple(moved(thing) for thing in scene.objects))
+    return msgspec.structs.replace(scene, objects=tuple(moved(obj) for obj in scene.objects))

@@ -1,7 +1,8 @@
-"""A commander in lockstep with its gatekeeper, whose planner or whose socket breaks; everything else is the real thing.
+"""A commander in lockstep with its gatekeeper, whose planner or socket fails; all other code is that of a run.
 
-It speaks the gatekeeper's own frames over a real socket: it proves who it is, looks, proposes one errand under seal,
-and beats its heart. A broken *planner* says wrong things under good seals; a broken *socket* spoils the bytes.
+The commander uses the gatekeeper's protocol over a real socket: it authenticates itself, requests the scene, proposes
+one contract and sends heartbeats. A faulty *planner* proposes wrong contracts with valid authentication codes; a faulty
+*socket* corrupts the bytes.
 """
 
 from __future__ import annotations
@@ -30,12 +31,13 @@ from dualbrain.control.gatekeeper.protocol.messages import (
 from dualbrain.evaluation.fault_injection.faults import DELAY_TIME, SLOW_UPDATE_TICKS, FaultInjector
 
 FAULTY_PROPOSAL_PERIOD = 0.2
-"""How often a planner that is broken talks [s]."""
+"""Time between two proposals of a faulty planner [s]."""
 MAX_GARBAGE_BYTES = 400
+"""Longest proposal of random bytes."""
 
 
 class FaultyCommander:
-    """`step(now)` once a tick; `errand` is proposed once, `folly` is what a planner that is wrong asks for."""
+    """A commander that proposes `contract` once; a planner with the fault "wrong" proposes `forbidden_contract`."""
 
     def __init__(
         self,
@@ -46,7 +48,7 @@ class FaultyCommander:
         contract: bytes,
         forbidden_contract: bytes,
     ) -> None:
-        """Connect; nothing is said yet."""
+        """Connect to the server at `path`; the messages follow in `step`, once per tick."""
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._socket.connect(str(path))
         self._socket.setblocking(False)
@@ -60,7 +62,7 @@ class FaultyCommander:
         self._proposing_stopped = False
 
     def step(self, now: float) -> None:
-        """Hear what came, say what is due at `now` [s]."""
+        """Process received messages, and send the messages that are due at `now` [s]."""
         for message in self._receive():
             self._respond(message, now)
         if self._scene_version and now - self._heartbeat_at >= HEARTBEAT_PERIOD:
@@ -76,22 +78,22 @@ class FaultyCommander:
         self._flush(now)
 
     def stop_proposing(self) -> None:
-        """From now on nothing more is proposed: the episode is over, and its heart beats on."""
+        """Propose nothing more, because the episode has ended; heartbeats continue."""
         self._proposing_stopped = True
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection."""
         self._socket.close()
 
     def _receive(self) -> list[Message]:
         with suppress(OSError):
             self._decoder.feed(self._socket.recv(1 << 16))
-        found: list[Message] = []
+        messages: list[Message] = []
         while (frame := self._decoder.next_frame()) is not None and not isinstance(frame, BrokenStream):
             message = decode_message(frame, from_client=False)
             if not isinstance(message, str):
-                found.append(message)
-        return found
+                messages.append(message)
+        return messages
 
     def _respond(self, message: Message, now: float) -> None:
         match message:
@@ -108,7 +110,7 @@ class FaultyCommander:
                 pass
 
     def _send_faulty_proposal(self, now: float) -> None:
-        """What a broken planner says while its last contract runs: too much, rubbish, folly, or what is long over."""
+        """Propose as a faulty planner does while a contract runs: again, garbage, forbidden, or expired contracts."""
         rng = self._injector.rng
         match self._injector.fault.kind:
             case "stuck":
@@ -119,25 +121,25 @@ class FaultyCommander:
                 self._propose(self._forbidden_contract, now)
             case "delayed":
                 self._propose(self._contract, now - 2.0 * CONTRACT_LIFETIME)
-            case _:  # off, slow: it says nothing, and its heart beats on
+            case _:  # off, slow: no proposal, only heartbeats
                 pass
 
     def _propose(self, contract: bytes, issued: float) -> None:
-        """Sealed as it should be, whatever is in it."""
-        number, expires = self._sent + 1, issued + CONTRACT_LIFETIME
-        tag = contract_mac(
+        """Propose `contract` with a valid authentication code; `issued` is in [s]."""
+        sequence, expires = self._sent + 1, issued + CONTRACT_LIFETIME
+        mac = contract_mac(
             self._secret,
             self._nonce,
-            number,
+            sequence,
             contract,
             issued=issued,
             expires=expires,
             scene_version=self._scene_version,
         )
-        message = Propose(contract=contract, issued=issued, expires=expires, scene_version=self._scene_version, mac=tag)
+        message = Propose(contract=contract, issued=issued, expires=expires, scene_version=self._scene_version, mac=mac)
         self._send(message, self._injector.now())
 
-    # --- the wire -----------------------------------------------------------------------------------------------
+    # --- socket -------------------------------------------------------------------------------------------------
 
     def _send(self, message: Message, now: float) -> None:
         self._sent += 1
@@ -154,14 +156,14 @@ class FaultyCommander:
                 self._socket.close()
             case "garbage":
                 self._queue.append((now, self._injector.rng.bytes(len(data))))
-            case "wrong":  # what was said before, again
+            case "wrong":  # the previous frame again
                 self._queue.append((now, before))
-            case "slow":  # everything comes, in one go, once in a while
+            case "slow":  # all frames of a period at once
                 period = SLOW_UPDATE_TICKS * HEARTBEAT_PERIOD
                 self._queue.append(((now // period + 1.0) * period, data))
             case "delayed":
                 self._queue.append((now + DELAY_TIME, data))
-            case _:  # stuck, intermittent: it never leaves
+            case _:  # stuck, intermittent: the frame is lost
                 pass
 
     def _flush(self, now: float) -> None:

@@ -1,4 +1,4 @@
-"""A fault of planner or socket, injected in lockstep: the whole gatekeeper, its door and its gate around a plant."""
+"""Trial of a planner or socket fault in lockstep, with the whole gatekeeper, its server and its gate around a plant."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from dualbrain.simulation.world import SimulatedWorld, make_world
 from dualbrain.skills.registry import skill_registry
 
 MAX_EPISODE_TIME = 60.0
-"""[s] after which an episode is given up."""
+"""Simulated time [s] after which an episode is ended."""
 FORBIDDEN_SPEED = 3.0
-"""A speed [m/s] that no gate lets through."""
+"""A speed [m/s] that every gate rejects."""
 
 
 @dataclass(kw_only=True)
 class LockstepRobot:
-    """A plant at the gatekeeper's wire: `each(now)` is called after every period."""
+    """A plant behind the gatekeeper's robot link, in lockstep; `on_period(now)` is called after every period."""
 
     robot: FaultyRobot
     world: SimulatedWorld
@@ -45,19 +45,19 @@ class LockstepRobot:
     on_period: Callable[[float], None] = lambda now: None
 
     def read(self) -> RobotState:
-        """The newest state."""
+        """The newest joint state."""
         return self.robot.read()
 
     def write(self, command: Command) -> None:
-        """Hold `command`."""
+        """Apply `command` until the next one."""
         self.robot.write(command)
 
     def stop(self) -> None:
-        """Brakes on."""
+        """Switch the drive off."""
         self.robot.stop()
 
     def enable(self) -> None:
-        """Brakes off."""
+        """Switch the drive on."""
         self.robot.enable()
 
     def perceive(self) -> Scene:
@@ -65,7 +65,7 @@ class LockstepRobot:
         return self.world.perceive()
 
     def advance(self) -> None:
-        """One control period."""
+        """Simulate one control period."""
         self.world.advance()
         self.on_period(self.plant.now)
 
@@ -74,28 +74,28 @@ class LockstepRobot:
         return self.plant.now
 
     def conditions(self) -> int:
-        """In lockstep nothing is late."""
+        """No timing conditions, because nothing is late in lockstep."""
         return 0
 
     def set_phase(self, phase: str, roles: dict[str, str | None]) -> None:
-        """Tell monitor and injector."""
+        """Report the phase to the monitor and the injector."""
         self.world.set_phase(phase, roles)
         self.injector.set_phase(phase)
 
     def start_contract(self, contract: Contract) -> None:
-        """Tell the referee."""
+        """Report the contract to the judge."""
         self.world.start_contract(contract)
 
 
 @dataclass(kw_only=True)
 class GatekeeperTrialResult:
-    """What one episode at the door led to."""
+    """Result of one episode through a gatekeeper."""
 
     plant: Plant
     world: SimulatedWorld
     injector: FaultInjector
     trace: Trace
-    outcome: Outcome = field(default_factory=lambda: Outcome(kind="stopped", reason="it never began"))
+    outcome: Outcome = field(default_factory=lambda: Outcome(kind="stopped", reason="it never started"))
     final_action: str = ""
 
 
@@ -108,30 +108,29 @@ def run_gatekeeper_trial(
     aftermath: float,
     on_world_created: Callable[[Plant, SimulatedWorld], None],
 ) -> GatekeeperTrialResult:
-    """Propose `errand` at the door of a gatekeeper, break by `fault`, go on for `aftermath` [s] after the contract.
+    """Propose a contract to a gatekeeper, inject `fault`, and continue for `aftermath` [s] after the contract.
 
-    `seen` may put an observer of truth into the world before it begins.
+    `on_world_created` may observe the ground truth of the world from the start.
     """
     world = make_world(spec, robot_model, seed=seed)
     plant = world.plant
     on_world_created(plant, world)
     injector = FaultInjector(fault, lambda: plant.now)
     robot = LockstepRobot(robot=FaultyRobot(plant, injector, robot_model), world=world, plant=plant, injector=injector)
-    found, outcomes = (
-        GatekeeperTrialResult(plant=plant, world=world, injector=injector, trace=Trace(robot_model.n, robot_model.nq)),
-        list[Outcome](),
-    )
+    trace = Trace(robot_model.n, robot_model.nq)
+    result = GatekeeperTrialResult(plant=plant, world=world, injector=injector, trace=trace)
+    outcomes: list[Outcome] = []
     registry = skill_registry(robot_model)
     with tempfile.TemporaryDirectory(prefix="dualbrain-") as name:
-        keys, door = load_or_create_keys(Path(name) / "k"), SocketServer(Path(name) / "s")
-        keeper = Gatekeeper(
+        keys, server = load_or_create_keys(Path(name) / "k"), SocketServer(Path(name) / "s")
+        gatekeeper = Gatekeeper(
             robot_model,
             robot,
-            door,
+            server,
             keys,
             {PLANNER: full_capability(registry)},
             settings=GatekeeperSettings(timing=SIMULATED),
-            trace=found.trace,
+            trace=trace,
             monotonic=lambda: plant.now,
             on_outcome=outcomes.append,
         )
@@ -144,24 +143,24 @@ def run_gatekeeper_trial(
                 [{**contract_actions[0], "params": {**contract_actions[0]["params"], speed: FORBIDDEN_SPEED}}],
             )
         ]
-        commander = FaultyCommander(door.path, keys, PLANNER, injector, *texts)
-        over: list[float] = []
+        commander = FaultyCommander(server.path, keys, PLANNER, injector, *texts)
+        ended_at: list[float] = []
 
-        def each(now: float) -> None:
-            keeper.wait_for_gate_worker()
+        def on_period(now: float) -> None:
+            gatekeeper.wait_for_gate_worker()
             commander.step(now)
-            if outcomes and not over:
-                over.append(now)
+            if outcomes and not ended_at:
+                ended_at.append(now)
                 commander.stop_proposing()
-            if now > MAX_EPISODE_TIME or (over and now > over[0] + aftermath and not keeper.busy):
-                keeper.shut_down()
+            if now > MAX_EPISODE_TIME or (ended_at and now > ended_at[0] + aftermath and not gatekeeper.busy):
+                gatekeeper.shut_down()
 
-        robot.on_period = each
+        robot.on_period = on_period
         try:
-            keeper.run()
+            gatekeeper.run()
         finally:
             commander.close()
-            door.close()
-        found.outcome = outcomes[0] if outcomes else found.outcome
-        found.final_action = keeper.loop.safety_controller.decision.action.name
-    return found
+            server.close()
+        result.outcome = outcomes[0] if outcomes else result.outcome
+        result.final_action = gatekeeper.loop.safety_controller.decision.action.name
+    return result

@@ -1,4 +1,4 @@
-"""One injected episode in lockstep: an errand that breaks at its moment, judged by the independent monitor."""
+"""Fault trial: one episode in lockstep with an injected fault, judged by the independent safety monitor."""
 
 from __future__ import annotations
 
@@ -53,19 +53,22 @@ UNSAFE_VIOLATIONS = (
     "joint_limit",
     "joint_velocity",
 )
-"""Kinds of violation that a fault must not lead to; others (a load that was let go) are listed."""
+"""Kinds of violation that a fault must not lead to; others (such as a dropped object) are only listed."""
 REST_SPEED = 0.02
-"""An arm whose joints are slower than this [rad/s] is touched; it does not touch."""
+"""Joint speed [rad/s] below which the arm is at rest; a contact at rest is not caused by the arm."""
 COMMANDER_SOURCES = ("planner", "socket")
-"""Sources beyond the gatekeeper's door."""
+"""Sources on the commander's side of the gatekeeper's server."""
 SETTLE_TIME, AFTERMATH_TIME = 1.0, 0.5
-"""How long the local layer goes on after the contract, and the world after that [s]."""
+"""Time that the control loop continues after the contract, and the simulation after that [s]."""
 
 
 class FaultReport(msgspec.Struct, frozen=True, kw_only=True):
-    """What a fault led to. Times in s; `reaction` from the strike to the first order that was expected or stronger.
+    """Result of a fault trial; all times in [s].
 
-    `rest` from the strike until the arm was at rest. `unsafe` are the violations that count, each with the arm moving.
+    `struck`: time of the fault, None if its moment did not occur. `expected`, `reached`: the declared action of the
+    supervisor, and the strongest one that followed. `reaction`: time from the fault to the first action that is at
+    least the expected one. `rest`: time from the fault until the arm was at rest. `unsafe`: the violations of
+    `UNSAFE_VIOLATIONS` while the arm moved; `other`: all others.
     """
 
     fault: str
@@ -83,19 +86,19 @@ class FaultReport(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def safe(self) -> bool:
-        """Nothing unsafe happened."""
+        """Whether there was no unsafe violation."""
         return not self.unsafe
 
     @property
     def as_declared(self) -> bool:
-        """The order that was expected came, or a stronger one; a fault whose moment never came proves nothing."""
+        """Whether at least the expected action followed; True for a fault whose moment did not occur."""
         return self.struck is None or SafetyAction[self.reached] >= SafetyAction[self.expected]
 
 
 def run_fault_trial(fault: Fault, *, robot: str = "panda", scene: str = "tabletop:1", seed: int = 0) -> FaultReport:
-    """Carry out a pick and place of the red cube (or a drive to the shelf) that breaks by `fault`.
+    """Execute a pick and place of the red cube (or a drive to the shelf) with an injected fault.
 
-    Nothing of it reaches a memory.
+    Nothing is stored in a memory. Raises `UnknownNameError` and `ConfigurationError` for an unknown robot or scene.
     """
     robot_model, spec = load_robot(robot), open_scene(scene, robot)
     if fault.source in COMMANDER_SOURCES:
@@ -128,10 +131,10 @@ def run_fault_trial(fault: Fault, *, robot: str = "panda", scene: str = "tableto
     violations = world.judgement().violations
     unsafe = tuple(one for one in violations if one.kind in UNSAFE_VIOLATIONS and motion.was_moving_at(one.start))
     expected = fault.expected_action(scene_moves=spec.mover is not None)
-    orders = [(t, SafetyAction[e.data["action"]]) for t, e in events if "action" in e.data and e.kind == "order"]
-    since = [(t, action) for t, action in orders if struck is not None and t >= struck - robot_model.period]
+    decisions = [(t, SafetyAction[e.data["action"]]) for t, e in events if "action" in e.data and e.kind == "order"]
+    since = [(t, action) for t, action in decisions if struck is not None and t >= struck - robot_model.period]
     reached = max([cell.loop.safety_controller.decision.action, *(action for _, action in since)])
-    came = next((t for t, action in since if action >= expected), None) if expected else None
+    reacted_at = next((t for t, action in since if action >= expected), None) if expected else None
     return FaultReport(
         fault=f"{fault.source} {fault.kind} {fault.moment}",
         scene=scene,
@@ -139,7 +142,7 @@ def run_fault_trial(fault: Fault, *, robot: str = "panda", scene: str = "tableto
         expected=expected.name,
         reached=reached.name,
         checks=tuple(dict.fromkeys(str(e.data["check"]) for e in log.trace.events if e.data.get("check"))),
-        reaction=max(0.0, came - struck) if came is not None and struck is not None else None,
+        reaction=max(0.0, reacted_at - struck) if reacted_at is not None and struck is not None else None,
         rest=motion.time_to_rest(struck),
         outcome=outcome.kind,
         reason=outcome.reason,
@@ -149,7 +152,7 @@ def run_fault_trial(fault: Fault, *, robot: str = "panda", scene: str = "tableto
 
 
 def trial_actions(robot_model: RobotModel) -> tuple[tuple[str, dict[str, Any]], ...]:
-    """Skills and parameters of what is broken: a pick and place, or a drive at full speed."""
+    """Skills and parameters of a trial: a pick and place, or a drive at full speed."""
     return (
         (("drive_to", DRIVE_PARAMS),) if robot_model.is_mobile else (("grasp", GRASP_PARAMS), ("place", PLACE_PARAMS))
     )
@@ -158,41 +161,42 @@ def trial_actions(robot_model: RobotModel) -> tuple[tuple[str, dict[str, Any]], 
 def _trial_through_gatekeeper(
     fault: Fault, robot_model: RobotModel, spec: SceneSpec, scene: str, seed: int
 ) -> FaultReport:
-    """The same errand, proposed to a gatekeeper; its stamps are true, for the robot is whole."""
-    asked = [{"skill": skill, "params": params} for skill, params in trial_actions(robot_model)]
-    watched: list[_MotionRecorder] = []
+    """The same trial through a gatekeeper; the stamps are true, because the robot has no fault."""
+    actions = [{"skill": skill, "params": params} for skill, params in trial_actions(robot_model)]
+    recorders: list[_MotionRecorder] = []
 
-    def seen(plant: Plant, world: SimulatedWorld) -> None:
-        watched.append(_MotionRecorder(plant))
-        setattr(world, "advance", watched[0].wrap(world.advance))  # noqa: B010  (as above)
+    def on_world_created(plant: Plant, world: SimulatedWorld) -> None:
+        recorders.append(_MotionRecorder(plant))
+        setattr(world, "advance", recorders[0].wrap(world.advance))  # noqa: B010  (as above)
 
-    found = run_gatekeeper_trial(fault, robot_model, spec, asked, seed, AFTERMATH_TIME, seen)
-    struck, expected = found.injector.triggered_at, fault.expected_action(scene_moves=spec.mover is not None)
-    orders = [
-        (e.t, SafetyAction[e.data["action"]]) for e in found.trace.events if e.kind == "order" and "action" in e.data
+    result = run_gatekeeper_trial(fault, robot_model, spec, actions, seed, AFTERMATH_TIME, on_world_created)
+    motion = recorders[0]
+    struck, expected = result.injector.triggered_at, fault.expected_action(scene_moves=spec.mover is not None)
+    decisions = [
+        (e.t, SafetyAction[e.data["action"]]) for e in result.trace.events if e.kind == "order" and "action" in e.data
     ]
-    since = [(t, rung) for t, rung in orders if struck is not None and t >= struck - robot_model.period]
-    came = next((t for t, rung in since if rung >= expected), None) if expected else None
-    violations = found.world.judgement().violations
-    unsafe = tuple(one for one in violations if one.kind in UNSAFE_VIOLATIONS and watched[0].was_moving_at(one.start))
+    since = [(t, action) for t, action in decisions if struck is not None and t >= struck - robot_model.period]
+    reacted_at = next((t for t, action in since if action >= expected), None) if expected else None
+    violations = result.world.judgement().violations
+    unsafe = tuple(one for one in violations if one.kind in UNSAFE_VIOLATIONS and motion.was_moving_at(one.start))
     return FaultReport(
         fault=f"{fault.source} {fault.kind} {fault.moment}",
         scene=scene,
         struck=struck,
         expected=expected.name,
-        reached=max([SafetyAction[found.final_action], *(rung for _, rung in since)]).name,
-        checks=tuple(dict.fromkeys(str(e.data["check"]) for e in found.trace.events if e.data.get("check"))),
-        reaction=max(0.0, came - struck) if came is not None and struck is not None else None,
-        rest=watched[0].time_to_rest(struck),
-        outcome=found.outcome.kind,
-        reason=found.outcome.reason,
+        reached=max([SafetyAction[result.final_action], *(action for _, action in since)]).name,
+        checks=tuple(dict.fromkeys(str(e.data["check"]) for e in result.trace.events if e.data.get("check"))),
+        reaction=max(0.0, reacted_at - struck) if reacted_at is not None and struck is not None else None,
+        rest=motion.time_to_rest(struck),
+        outcome=result.outcome.kind,
+        reason=result.outcome.reason,
         unsafe=unsafe,
         other=tuple(one for one in violations if one not in unsafe),
     )
 
 
 class _MotionRecorder:
-    """True times and joint speeds of every period."""
+    """Records the true time [s] and the largest joint speed [rad/s] of every period."""
 
     def __init__(self, plant: Plant) -> None:
         self._plant = plant
@@ -201,14 +205,14 @@ class _MotionRecorder:
         self._speeds: list[float] = []
 
     def wrap(self, advance: Callable[[], None]) -> Callable[[], None]:
-        """`advance`, followed by a look at the true state."""
+        """`advance`, followed by a measurement of the true state."""
 
-        def watched() -> None:
+        def advance_and_record() -> None:
             advance()
             self.times.append(self._plant.now)
             self._speeds.append(float(np.abs(self._v).max()))
 
-        return watched
+        return advance_and_record
 
     def was_moving_at(self, when: float) -> bool:
         """Whether the arm moved within the tenth of a second before `when`."""
@@ -217,7 +221,7 @@ class _MotionRecorder:
         return bool(near.any() and speed[near].max() > REST_SPEED)
 
     def time_to_rest(self, struck: float | None) -> float | None:
-        """Time [s] from `struck` until the arm was at rest for good; None if it never was."""
+        """Time [s] from `struck` until the arm was finally at rest; None if it was not."""
         if struck is None or not self.times or self._speeds[-1] > REST_SPEED:
             return None
         t, speed = np.array(self.times), np.array(self._speeds)
