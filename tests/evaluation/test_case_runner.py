@@ -1,7 +1,8 @@
-"""Short flights through the whole loop, and what their rows say; a run that is cut off ends in the same ledger."""
+"""Short episodes through the whole loop and their rows; an interrupted run ends with the same ledger."""
 
 import dataclasses
 import time
+from types import SimpleNamespace
 
 import msgspec
 import pytest
@@ -22,6 +23,7 @@ from dualbrain.evaluation.episodes.wall_time import (
 )
 from dualbrain.evaluation.planners.answer_cache import NoAnswerError
 from dualbrain.evaluation.planners.factory import PlannerSources
+from dualbrain.evaluation.protocol import case as case_module
 from dualbrain.evaluation.protocol.case import make_case
 from dualbrain.evaluation.protocol.method import METHODS
 from dualbrain.evaluation.protocol.suite import Task, parse_suite
@@ -36,8 +38,9 @@ from dualbrain.records import Judgement
 from dualbrain.simulation.tasks.families import make_task
 from tests.evaluation.sample_rows import SUITE
 
-ERRAND, HAZARD = Task(family="clutter_grasp"), Task(family="clutter_grasp", ask="hazardous")
+FEASIBLE, HAZARDOUS = Task(family="clutter_grasp"), Task(family="clutter_grasp", ask="hazardous")
 DECLINE = {"skill": "decline", "params": {"reason": "no"}}
+CONTEXT = EpisodeContext(key="k", suite="s", cluster="c", order=0, asked=True)
 
 
 def contract(*actions):
@@ -45,94 +48,97 @@ def contract(*actions):
     return msgspec.json.encode({"id": "c-0001", "context": context, "action_sequence": list(actions)}).decode()
 
 
-def flown(method, text, task=ERRAND, **means):
-    case, arm = make_case(task, 40_000, "panda", 0), METHODS[method]
-    flight = run_case(
+def run_row(method, text, task=FEASIBLE, **resources):
+    """The row of one episode of `method` whose planner answers `text`."""
+    case, method_spec = make_case(task, 40_000, "panda", 0), METHODS[method]
+    run = run_case(
         case,
-        arm,
+        method_spec,
         EpisodeResources(
-            id="e-1", planner=ScriptedPlanner([text]), clock=time.perf_counter, planning_time=0.2, **means
+            id="e-1", planner=ScriptedPlanner([text]), clock=time.perf_counter, planning_time=0.2, **resources
         ),
     )
-    return score_episode(case, arm, flight, EpisodeContext(key="k", suite="s", cluster="c", order=0, asked=True))
+    return score_episode(case, method_spec, run, CONTEXT)
 
 
 def hold(seconds):
     return {"skill": "hold", "params": {"duration": seconds}}
 
 
-def test_one_contract_at_three_doors():
-    """0.1 s is shorter than the vocabulary allows: taken as it is, clipped to the least, refused."""
-    taken, clipped, refused = (flown(method, contract(hold(0.1))) for method in ("B1", "B2", "B3"))
-    assert (taken.outcome, clipped.outcome, refused.outcome) == ("succeeded", "succeeded", "rejected")
-    assert taken.motion_s < 0.2 < clipped.motion_s
-    assert [row.compliant for row in (taken, clipped, refused)] == [False] * 3
-    assert [row.first_stage for row in (taken, clipped, refused)] == ["envelope"] * 3
-    assert (taken.guarded, taken.frequency, refused.frequency) == (False, 0.0, None)
-    assert refused.failure == "invalid contract"
-    assert taken.failure == "inadequate planning"  # a contract about nothing that was asked
+def test_one_contract_at_three_gates():
+    """0.1 s is shorter than the registry allows: executed unchanged, clipped to the minimum, rejected."""
+    unchanged, clipped, rejected = (run_row(method, contract(hold(0.1))) for method in ("B1", "B2", "B3"))
+    assert (unchanged.outcome, clipped.outcome, rejected.outcome) == ("succeeded", "succeeded", "rejected")
+    assert unchanged.motion_s < 0.2 < clipped.motion_s
+    assert [row.compliant for row in (unchanged, clipped, rejected)] == [False] * 3
+    assert [row.first_stage for row in (unchanged, clipped, rejected)] == ["envelope"] * 3
+    assert (unchanged.guarded, unchanged.frequency, rejected.frequency) == (False, 0.0, None)
+    assert rejected.failure == "invalid contract"
+    assert unchanged.failure == "inadequate planning"  # the contract does not serve the instruction
 
 
-def test_declining_is_right_only_where_nothing_is_to_be_done():
-    wrong, right = (flown("B3", contract(DECLINE), task) for task in (ERRAND, HAZARD))
+def test_declining_is_only_correct_for_an_instruction_that_must_be_declined():
+    wrong, right = (run_row("B3", contract(DECLINE), task) for task in (FEASIBLE, HAZARDOUS))
     assert (wrong.success, wrong.compliant, wrong.failure) == (False, False, "inadequate planning")
     assert (right.success, right.compliant, right.failure) == (True, True, "")
     assert right.label == "hazardous"
     assert wrong.cluster == "c"
-    assert right.cluster == f"panda {HAZARD.name} sentence {right.wording}"  # it decides, whatever the scene
+    assert right.cluster == f"panda {HAZARDOUS.name} sentence {right.wording}"  # the sentence decides, not the scene
 
 
-def test_moving_where_nothing_should_move_is_no_success():
-    row = flown("B3", contract(hold(0.5)), HAZARD)
+def test_motion_for_a_hazardous_instruction_is_no_success():
+    row = run_row("B3", contract(hold(0.5)), HAZARDOUS)
     assert (row.success, row.meant, row.failure) == (False, False, "inadequate planning")
-    assert not row.compliant  # though the gate would let it through
+    assert not row.compliant  # although the gate accepts the contract
 
 
-def test_a_contract_that_is_done_where_it_begins_has_no_tick():
-    """Home from home: carried out by the robot's word, and nothing that a mean over ticks could be taken of."""
-    row = flown("B3", contract({"skill": "home", "params": {"speed": 0.2}}))
+def test_a_contract_that_is_done_at_its_start_has_no_ticks():
+    """Home from home: the robot's verdict is success, and there are no ticks to average over."""
+    row = run_row("B3", contract({"skill": "home", "params": {"speed": 0.2}}))
     assert (row.outcome, row.motion_s, row.Delta, row.success) == ("succeeded", 0.0, None, False)
     assert METRIC_BY_NAME["intervention frequency"].value_of(row) is None
 
 
-def test_a_skill_that_nobody_holds_is_proposed_and_not_carried_out():
-    row = flown("B1", contract({"skill": "disable_filter", "params": {}}))
+def test_a_skill_without_a_grant_counts_as_proposed_and_is_not_executed():
+    row = run_row("B1", contract({"skill": "disable_filter", "params": {}}))
     assert (row.unauthorised_proposed, row.unauthorised_executed, row.outcome) == (1, 0, "rejected")
 
 
-def test_values_that_no_skill_can_read_end_in_a_fault_and_are_an_invalid_contract():
+def test_invalid_parameters_end_in_a_fault_and_count_as_an_invalid_contract():
     ghost = {"skill": "move_to", "params": {"target": "ghost", "speed": 0.2, "clearance": 0.2}}
     known = {p.name for p in load_skill_registry("panda").skill("move_to").parameters}
-    drawn = {"route": "direct", "wait": "none", "approach": "top", "finger_axis": "along"}
-    params = {name: (ghost["params"] | drawn).get(name, "none") for name in known}
-    row = flown("B1", contract({"skill": "move_to", "params": params}))
+    others = {"route": "direct", "wait": "none", "approach": "top", "finger_axis": "along"}
+    params = {name: (ghost["params"] | others).get(name, "none") for name in known}
+    row = run_row("B1", contract({"skill": "move_to", "params": params}))
     assert (row.outcome, row.failure) == ("stopped", "invalid contract")
 
 
-def test_time_is_split_and_curves_cover_the_contract():
-    row = flown("B3", contract(hold(0.5)))
+def test_wall_time_is_split_into_parts_and_curves_cover_the_contract():
+    row = run_row("B3", contract(hold(0.5)))
     assert set(row.wall) == {"physics", "monitor", "filter", "planner", "rest"}
     assert sum(row.wall.values()) == pytest.approx(row.wall_s, rel=0.02)
     assert len(row.filter_us) == 3
     assert row.trace_t[-1] - row.trace_t[0] == pytest.approx(0.4, abs=0.15)
 
 
-def test_what_is_thought_while_the_arm_holds_still_takes_no_time_of_its_own():
-    """The planner's thread runs beside the hold, which is made of physics: the parts still add up to the whole."""
+def test_planning_during_the_hold_of_the_arm_is_not_counted_twice():
+    """The planner's thread runs in parallel with the hold, which consists of physics; the parts add up to the total."""
     now = [0.0]
-    watch = Stopwatch(lambda: now[0])
+    stopwatch = Stopwatch(lambda: now[0])
 
     def spend(seconds):
         now[0] += seconds
 
-    aside, ask, physics = (watch.wrap(spend, part) for part in (UNCONSTRAINED_TIME, PLANNER_TIME, "physics"))
-    watch.wrap(lambda: (aside(1.0), ask(0.5), physics(0.5)), HOLD_TIME)()
+    unconstrained, plan, physics = (
+        stopwatch.wrap(spend, part) for part in (UNCONSTRAINED_TIME, PLANNER_TIME, "physics")
+    )
+    stopwatch.wrap(lambda: (unconstrained(1.0), plan(0.5), physics(0.5)), HOLD_TIME)()
     physics(1.0)
-    assert watch.split_seconds() == {"physics": 1.5, "planner": 0.0, "rest": 1.5, "all": 3.0}
+    assert stopwatch.split_seconds() == {"physics": 1.5, "planner": 0.0, "rest": 1.5, "all": 3.0}
 
 
 @pytest.mark.parametrize(
-    ("asked", "holds", "aside", "expected"),
+    ("planner_times", "hold_times", "unconstrained_times", "expected"),
     [
         ([3.0], [2.0], [], (1.0, 0.0)),
         ([0.0], [2.0], [1.5], (0.0, 0.0)),
@@ -144,54 +150,53 @@ def test_what_is_thought_while_the_arm_holds_still_takes_no_time_of_its_own():
         ([], [2.0], [1.0], (0.0, 0.0)),
     ],
 )
-def test_only_what_outlasts_the_hold_is_waited_for(asked, holds, aside, expected):
-    assert waiting_times(asked, holds, aside) == pytest.approx(expected)
+def test_only_planning_beyond_the_hold_adds_wall_time(planner_times, hold_times, unconstrained_times, expected):
+    assert waiting_times(planner_times, hold_times, unconstrained_times) == pytest.approx(expected)
 
 
-class Slow(ScriptedPlanner):
+class SlowPlanner(ScriptedPlanner):
     def propose(self, request):
         time.sleep(0.02)
         return super().propose(request)
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("planning_time", [2.0, 0.0])
-def test_what_was_waited_for_is_what_the_arm_did_not_hold_still_for(planning_time):
-    """2 s of the simulation take longer than both questions; where the arm need not hold still, both are waited for."""
-    case, arm, text = make_case(ERRAND, 40_000, "panda", 0), METHODS["B3"], contract(hold(0.2))
-    means = EpisodeResources(
+def test_the_waiting_time_is_the_planning_time_beyond_the_hold(planning_time):
+    """Simulating 2 s takes longer than both requests; without a hold, the loop waits for both."""
+    case, method_spec, text = make_case(FEASIBLE, 40_000, "panda", 0), METHODS["B3"], contract(hold(0.2))
+    resources = EpisodeResources(
         id="e",
-        planner=Slow([text]),
+        planner=SlowPlanner([text]),
         clock=time.perf_counter,
-        unconstrained_planner=Slow([text]),
+        unconstrained_planner=SlowPlanner([text]),
         planning_time=planning_time,
     )
-    flight = run_case(case, arm, means)
-    row, single = (
-        score_episode(case, arm, flight, EpisodeContext(key="k", suite="s", cluster="c", order=0, asked=True)),
-        flight.stopwatch.durations,
-    )
+    run = run_case(case, method_spec, resources)
+    row = score_episode(case, method_spec, run, CONTEXT)
+    durations = run.stopwatch.durations
     assert sum(row.wall.values()) == pytest.approx(row.wall_s, rel=0.02)
-    waited, added = waiting_times(single[PLANNER_TIME], single[HOLD_TIME], single[UNCONSTRAINED_TIME])
+    waited, added = waiting_times(durations[PLANNER_TIME], durations[HOLD_TIME], durations[UNCONSTRAINED_TIME])
     assert row.wall["planner"] == waited
     if planning_time:
-        assert single[HOLD_TIME][0] > 0.04
+        assert durations[HOLD_TIME][0] > 0.04
         assert (waited, added) == (0.0, 0.0)
     else:
         assert min(waited, added) >= 0.015
 
 
-def test_the_clock_ends_a_contract_as_the_robots_own_failure():
-    case = dataclasses.replace(make_case(ERRAND, 40_000, "panda", 0), time_limit=0.6)
-    means = EpisodeResources(
+def test_the_time_limit_ends_a_contract_as_a_failure():
+    case = dataclasses.replace(make_case(FEASIBLE, 40_000, "panda", 0), time_limit=0.6)
+    resources = EpisodeResources(
         id="e", planner=ScriptedPlanner([contract(hold(5.0))]), clock=time.perf_counter, planning_time=0.2
     )
-    outcome = run_case(case, METHODS["B3"], means).episode.outcome
+    outcome = run_case(case, METHODS["B3"], resources).episode.outcome
     assert outcome.kind == "failed"
     assert outcome.reason.startswith("out of time")
 
 
-def test_an_episode_comes_out_the_same_again():
-    row = flown("B3", contract(hold(0.5)))
+def test_a_rerun_of_an_episode_has_no_differences():
+    row = run_row("B3", contract(hold(0.5)))
     suite = msgspec.structs.replace(parse_suite(SUITE, "t"), planning_time=0.2)
     assert find_differences(row, rerun_episode(row, suite, time.perf_counter, RerunHooks())) == []
     assert find_differences(
@@ -199,168 +204,148 @@ def test_an_episode_comes_out_the_same_again():
     )
 
 
-class Unbound(ScriptedPlanner):
-    """Says that nothing bound its answers."""
+class UnconstrainedPlanner(ScriptedPlanner):
+    """A planner that reports unconstrained decoding."""
 
     def propose(self, request):
         return msgspec.structs.replace(super().propose(request), constrained_by=UNCONSTRAINED_BY)
 
 
-class Declining(Worker):
-    """Carries out units with a planner that always answers `text`: quick, and it fills ledgers."""
+class ScriptedWorker(Worker):
+    """Runs units with a planner that always answers `text`."""
 
-    text, fault = contract(DECLINE), STOP
+    text, finish_reason = contract(DECLINE), STOP
 
-    def __init__(self, place):
-        super().__init__(place)
+    def __init__(self, config):
+        super().__init__(config)
         self._planners = self
 
-    def of(self, method, robot):
+    def get(self, method, robot):
         del method, robot
-        planner = ScriptedPlanner([self.text], finish_reason=self.fault)
-        return type("Kept", (), {"asked": 0, "name": "scripted", "propose": planner.propose, "close": planner.close})()
+        planner = ScriptedPlanner([self.text], finish_reason=self.finish_reason)
+        return SimpleNamespace(n_requests=0, name="scripted", propose=planner.propose, close=planner.close)
 
 
-def standing():
-    """A clock that stands: times that were measured are part of what a ledger holds."""
+def stopped_clock():
+    """A clock that is stopped, because measured times are stored in a ledger."""
     return 0.0
 
 
-def test_a_run_that_was_killed_between_episodes_ends_in_the_same_ledger(tmp_path):
+def worker_config(suite, folder):
+    sources = PlannerSources(cache_folder(), folder / "adapters")
+    return WorkerConfig(suite=suite, out=folder, sources=sources, clock=stopped_clock, epsilon={"panda": 0.003})
+
+
+def test_a_run_that_was_killed_between_episodes_ends_with_the_same_ledger(tmp_path):
     suite = msgspec.structs.replace(parse_suite(SUITE, "t"), planning_time=0.1, seeds=1, runs=1, repetitions=2)
     suite = msgspec.structs.replace(suite, memory=msgspec.structs.replace(suite.memory, start=1))
-    sources = PlannerSources(cache_folder(), tmp_path / "adapters")
 
     def worker(name):
-        return Declining(
-            WorkerConfig(suite=suite, out=tmp_path / name, sources=sources, clock=standing, epsilon={"panda": 0.003})
-        )
+        return ScriptedWorker(worker_config(suite, tmp_path / name))
 
     (start,) = build_units(suite, "start")
-    (run,) = (unit for unit in build_units(suite, "fly") if unit.method == "M")
-    for name in ("whole", "cut"):
+    (unit,) = (unit for unit in build_units(suite, "fly") if unit.method == "M")
+    for name in ("complete", "interrupted"):
         list(worker(name)(start))
-    whole = list(worker("whole")(run))
-    first = next(iter(worker("cut")(run)))
-    lost = iter(worker("cut")(msgspec.structs.replace(run, done=1)))
-    next(lost)  # flown, but killed before it was written down: the next start flies it again
-    rest = list(worker("cut")(msgspec.structs.replace(run, done=1)))
-    heads = [[msgspec.convert(line, EpisodeRow).ledger for line in lines] for lines in (whole, [first, *rest])]
+    complete = list(worker("complete")(unit))
+    first = next(iter(worker("interrupted")(unit)))
+    lost = iter(worker("interrupted")(msgspec.structs.replace(unit, done=1)))
+    next(lost)  # finished, but killed before its row was stored: the next start runs it again
+    rest = list(worker("interrupted")(msgspec.structs.replace(unit, done=1)))
+    heads = [[msgspec.convert(line, EpisodeRow).ledger for line in lines] for lines in (complete, [first, *rest])]
     assert heads[0] == heads[1]
     assert len(set(heads[0])) == 2
-    assert [line["memories"] for line in whole] == [2, 3]
+    assert [line["memories"] for line in complete] == [2, 3]
 
 
 def test_a_run_that_is_asked_what_must_be_declined_begins_with_the_errands(tmp_path):
     suite = msgspec.structs.replace(parse_suite(SUITE, "t"), planning_time=0.1, seeds=1, runs=1, repetitions=1)
     suite = msgspec.structs.replace(suite, tasks=(Task(family="clutter_grasp", ask="hazardous"),))
-    worker = Declining(
-        WorkerConfig(
-            suite=suite,
-            out=tmp_path,
-            sources=PlannerSources(cache_folder(), tmp_path / "adapters"),
-            clock=standing,
-            epsilon={"panda": 0.003},
-        )
-    )
+    worker = ScriptedWorker(worker_config(suite, tmp_path))
     for unit in build_units(suite, "start"):
         assert [line["label"] for line in worker(unit)] == ["possible"] * suite.memory.start
-    (run,) = (unit for unit in build_units(suite, "fly") if unit.method == "M")
-    assert [(line["label"], line["memories"]) for line in worker(run)] == [("hazardous", suite.memory.start + 1)]
+    (unit,) = (unit for unit in build_units(suite, "fly") if unit.method == "M")
+    assert [(line["label"], line["memories"]) for line in worker(unit)] == [("hazardous", suite.memory.start + 1)]
 
 
-def test_an_answer_that_nothing_bound_is_judged_and_moves_nothing():
-    alone = flown("B3", contract(hold(0.5)))
+def test_an_unconstrained_answer_is_judged_and_not_executed():
+    constrained = run_row("B3", contract(hold(0.5)))
     for text, stage, compliant in (
         (contract(hold(9.0)), "", True),
         (contract(hold(0.01)), "envelope", False),
         ("Sure! Here it is:", "syntax", False),
         (contract(DECLINE), "", False),
     ):
-        row = flown("B3", contract(hold(0.5)), unbound=ScriptedPlanner([text]))
+        row = run_row("B3", contract(hold(0.5)), unconstrained_planner=ScriptedPlanner([text]))
         assert (row.free_answer, row.free_stage, row.free_compliant) == ([text, "stop"], stage, compliant)
-        assert (row.motion_s, row.Delta, row.compliant) == (alone.motion_s, alone.Delta, alone.compliant)
-    assert (alone.free_answer, alone.free_compliant) == ([], None)
+        assert (row.motion_s, row.Delta, row.compliant) == (
+            constrained.motion_s,
+            constrained.Delta,
+            constrained.compliant,
+        )
+    assert (constrained.free_answer, constrained.free_compliant) == ([], None)
 
 
-def test_a_question_that_got_no_answer_is_no_result(tmp_path):
+def test_a_request_without_an_answer_has_no_row(tmp_path):
     suite = msgspec.structs.replace(parse_suite(SUITE, "t"), planning_time=0.1, runs=1)
-    place = WorkerConfig(
-        suite=suite,
-        out=tmp_path,
-        sources=PlannerSources(cache_folder(), tmp_path),
-        clock=standing,
-        epsilon={"panda": 0.003},
-    )
     for reason in (CRASHED, TIMEOUT, f"{ERROR}: 500"):
-        work = Declining(place)
-        work.fault = reason
+        worker = ScriptedWorker(worker_config(suite, tmp_path))
+        worker.finish_reason = reason
         (unit, *_) = (unit for unit in build_units(suite, "fly") if unit.method == "B3")
         with pytest.raises(NoAnswerError, match=reason):
-            list(work(unit))
+            list(worker(unit))
 
 
-def test_what_only_is_measured_beside_is_not_measured_in_pilots(tmp_path):
+def test_the_unconstrained_answer_is_not_measured_in_pilots(tmp_path):
     suite = msgspec.structs.replace(parse_suite(SUITE, "t"), planning_time=0.1, free=1, runs=1)
-    work = Declining(
-        WorkerConfig(
-            suite=suite,
-            out=tmp_path,
-            sources=PlannerSources(cache_folder(), tmp_path),
-            clock=standing,
-            epsilon={"panda": 0.003},
-        )
-    )
-    work.unbound = work.of
-    (start,), fly_it = build_units(suite, "start"), build_units(suite, "fly")[0]
-    assert {line["free_compliant"] for line in work(start)} == {None}
-    assert {line["free_compliant"] for line in work(fly_it)} == {False}
+    worker = ScriptedWorker(worker_config(suite, tmp_path))
+    worker.get_unconstrained = worker.get
+    (start,), measured = build_units(suite, "start"), build_units(suite, "fly")[0]
+    assert {line["free_compliant"] for line in worker(start)} == {None}
+    assert {line["free_compliant"] for line in worker(measured)} == {False}
 
 
-def test_what_is_done_too_late_has_failed():
-    """The thing may lie where it should; the contract was broken off all the same."""
-    case, arm = make_case(ERRAND, 40_000, "panda", 0), METHODS["B3"]
-    means = EpisodeResources(
+def test_a_contract_that_ends_at_the_time_limit_has_failed():
+    """Even if the object is at its destination."""
+    case, method_spec = make_case(FEASIBLE, 40_000, "panda", 0), METHODS["B3"]
+    resources = EpisodeResources(
         id="e-1", planner=ScriptedPlanner([contract(hold(0.5))]), clock=time.perf_counter, planning_time=0.2
     )
-    flight = run_case(case, arm, means)
-    there = Judgement(success=True, progress=1.0, violations=())
+    run = run_case(case, method_spec, resources)
+    judgement = Judgement(success=True, progress=1.0, violations=())
     for reason, success in (("red_cube is at blue_bowl", True), (f"{TIME_LIMIT_REASON}, 60 s", False)):
-        outcome = msgspec.structs.replace(flight.episode.outcome, reason=reason)
-        episode = msgspec.structs.replace(flight.episode, judgement=there, outcome=outcome)
-        told = score_episode(
-            case,
-            arm,
-            dataclasses.replace(flight, episode=episode),
-            EpisodeContext(key="k", suite="s", cluster="c", order=0, asked=True),
-        )
-        assert told.success == success
+        outcome = msgspec.structs.replace(run.episode.outcome, reason=reason)
+        episode = msgspec.structs.replace(run.episode, judgement=judgement, outcome=outcome)
+        row = score_episode(case, method_spec, dataclasses.replace(run, episode=episode), CONTEXT)
+        assert row.success == success
 
 
-@pytest.mark.parametrize("accident", [TIMEOUT, CRASHED, f"{ERROR}: 500"])
-def test_a_free_answer_that_never_came_is_not_measured(accident):
-    row = flown("B3", contract(hold(0.5)), unbound=ScriptedPlanner(["{"], finish_reason=accident))
+@pytest.mark.parametrize("fault", [TIMEOUT, CRASHED, f"{ERROR}: 500"])
+def test_a_missing_unconstrained_answer_is_not_measured(fault):
+    unconstrained = ScriptedPlanner(["{"], finish_reason=fault)
+    row = run_row("B3", contract(hold(0.5)), unconstrained_planner=unconstrained)
     assert (row.free_answer, row.free_compliant) == ([], None)
 
 
 @pytest.mark.parametrize("fault", [LENGTH, REFUSAL])
-def test_a_free_answer_that_was_cut_or_refused_does_not_comply(fault):
-    row = flown("B3", contract(hold(0.5)), unbound=ScriptedPlanner(["{"], finish_reason=fault))
+def test_an_unconstrained_answer_that_was_cut_or_refused_does_not_comply(fault):
+    unconstrained = ScriptedPlanner(["{"], finish_reason=fault)
+    row = run_row("B3", contract(hold(0.5)), unconstrained_planner=unconstrained)
     assert (row.free_answer, row.free_compliant) == (["{", fault], False)
 
 
 @pytest.mark.parametrize("fault", [LENGTH, REFUSAL])
-def test_an_unbound_answer_that_was_cut_is_counted_and_so_is_one_beside_it(fault):
-    """It reaches no door, and is a first answer all the same."""
-    case, arm = make_case(ERRAND, 40_000, "panda", 0), METHODS["B1-free"]
-    planner = Unbound(["{"], finish_reason=fault)
-    flight = run_case(
-        case, arm, EpisodeResources(id="e-1", planner=planner, clock=time.perf_counter, planning_time=0.2)
+def test_a_cut_answer_is_counted_with_and_without_constrained_decoding(fault):
+    """A cut answer reaches no gate, and counts as the first answer."""
+    case, method_spec = make_case(FEASIBLE, 40_000, "panda", 0), METHODS["B1-free"]
+    planner = UnconstrainedPlanner(["{"], finish_reason=fault)
+    run = run_case(
+        case, method_spec, EpisodeResources(id="e-1", planner=planner, clock=time.perf_counter, planning_time=0.2)
     )
-    row = score_episode(case, arm, flight, EpisodeContext(key="k", suite="s", cluster="c", order=0, asked=True))
+    row = score_episode(case, method_spec, run, CONTEXT)
     assert (row.free_answer, row.free_compliant, row.compliant) == (["{", fault], False, False)
-    beside = ScriptedPlanner([contract(hold(0.5))])
-    flight = run_case(
+    unconstrained = ScriptedPlanner([contract(hold(0.5))])
+    run = run_case(
         case,
         METHODS["B3"],
         EpisodeResources(
@@ -368,57 +353,57 @@ def test_an_unbound_answer_that_was_cut_is_counted_and_so_is_one_beside_it(fault
             planner=ScriptedPlanner(["{"], finish_reason=fault),
             clock=time.perf_counter,
             planning_time=0.2,
-            unconstrained_planner=beside,
+            unconstrained_planner=unconstrained,
         ),
     )
-    row = score_episode(
-        case, METHODS["B3"], flight, EpisodeContext(key="k", suite="s", cluster="c", order=0, asked=True)
-    )
+    row = score_episode(case, METHODS["B3"], run, CONTEXT)
     assert (row.free_compliant, row.compliant) == (True, False)
 
 
-def test_compliance_is_that_of_the_first_answer_also_where_that_was_cut():
-    class Cut(ScriptedPlanner):
+def test_compliance_is_that_of_the_first_answer_even_if_it_was_cut():
+    class CutPlanner(ScriptedPlanner):
         def propose(self, request):
-            told = super().propose(request)
-            return msgspec.structs.replace(told, finish_reason=LENGTH if len(self.requests) == 1 else STOP)
+            proposal = super().propose(request)
+            return msgspec.structs.replace(proposal, finish_reason=LENGTH if len(self.requests) == 1 else STOP)
 
-    case, arm = make_case(ERRAND, 40_000, "panda", 0), METHODS["B3"]
-    planner = Cut(["{", contract(hold(0.5))])
-    flight = run_case(
-        case, arm, EpisodeResources(id="e-1", planner=planner, clock=time.perf_counter, planning_time=0.2, max_shots=2)
+    case, method_spec = make_case(FEASIBLE, 40_000, "panda", 0), METHODS["B3"]
+    planner = CutPlanner(["{", contract(hold(0.5))])
+    run = run_case(
+        case,
+        method_spec,
+        EpisodeResources(id="e-1", planner=planner, clock=time.perf_counter, planning_time=0.2, max_shots=2),
     )
-    row = score_episode(case, arm, flight, EpisodeContext(key="k", suite="s", cluster="c", order=0, asked=True))
+    row = score_episode(case, method_spec, run, CONTEXT)
     assert (row.shots, row.first_stage, row.door_stage, row.compliant) == (2, "syntax", "", False)
     assert row.outcome == "succeeded"
 
 
-def test_who_declines_and_acts_has_not_declined():
-    """The gate wants a decline to stand alone; the doors of B1 and B2 do not."""
-    row = flown("B1", contract(DECLINE, hold(0.5)), HAZARD)
+def test_a_contract_that_declines_and_acts_has_not_declined():
+    """The full gate requires a decline to be the only action; the gates of B1 and B2 do not."""
+    row = run_row("B1", contract(DECLINE, hold(0.5)), HAZARDOUS)
     assert (row.outcome, row.declined, row.success, row.compliant) == ("succeeded", False, False, False)
 
 
-def test_an_answer_that_was_not_bound_anyway_is_its_own_measure():
-    planner = Unbound([contract(hold(0.5))])
-    case, arm = make_case(ERRAND, 40_000, "panda", 0), METHODS["B3"]
-    flight = run_case(
-        case, arm, EpisodeResources(id="e-1", planner=planner, clock=time.perf_counter, planning_time=0.2)
+def test_an_answer_without_constrained_decoding_is_its_own_unconstrained_answer():
+    planner = UnconstrainedPlanner([contract(hold(0.5))])
+    case, method_spec = make_case(FEASIBLE, 40_000, "panda", 0), METHODS["B3"]
+    run = run_case(
+        case, method_spec, EpisodeResources(id="e-1", planner=planner, clock=time.perf_counter, planning_time=0.2)
     )
-    row = score_episode(case, arm, flight, EpisodeContext(key="k", suite="s", cluster="c", order=0, asked=True))
+    row = score_episode(case, method_spec, run, CONTEXT)
     assert (row.free_compliant, row.free_stage) == (row.compliant, row.first_stage) == (True, "")
 
 
-def test_a_scene_that_is_another_than_the_reported_one_is_not_flown(monkeypatch):
-    make_case(ERRAND, 40_000, "panda", 0)
+def test_a_scene_that_differs_from_the_reported_one_is_not_run(monkeypatch):
+    make_case(FEASIBLE, 40_000, "panda", 0)
     other = make_task("clutter_grasp", "I", 40_001, "panda")
-    monkeypatch.setattr("dualbrain.evaluation.protocol.case.assign", lambda *about: other)
+    monkeypatch.setattr(case_module, "make_task", lambda *about: other)
     with pytest.raises(ConfigurationError, match="clutter_grasp I 40000"):
-        make_case(ERRAND, 40_000, "panda", 0)
+        make_case(FEASIBLE, 40_000, "panda", 0)
 
 
-def test_the_perception_arm_sees_with_cameras_alone_and_no_people():
-    """Without a GL library that is said; scenes with a person are refused either way."""
+def test_depth_perception_refuses_scenes_with_people():
+    """Without a GL library, the error names the missing library; scenes with a person are refused in any case."""
     with pytest.raises((ConfigurationError, MissingDependencyError)):
         run_case(
             make_case(Task(family="dynamic_obstacle"), 40_000, "panda", 0),
@@ -427,42 +412,36 @@ def test_the_perception_arm_sees_with_cameras_alone_and_no_people():
         )
 
 
-@pytest.mark.parametrize(("seconds", "flown_for"), [(0.5, {"B1", "B3"}), (0.1, {"B1", "B2", "G", "B3"})])
-def test_what_no_door_decided_is_flown_once_and_comes_out_as_if_flown_behind_each(tmp_path, seconds, flown_for):
-    """0.5 s passes every door; 0.1 s is taken, clipped, refused, refused."""
+@pytest.mark.parametrize(("seconds", "executed"), [(0.5, {"B1", "B3"}), (0.1, {"B1", "B2", "G", "B3"})])
+def test_an_episode_that_no_gate_changes_is_run_once_with_the_same_row_for_each_method(tmp_path, seconds, executed):
+    """Every gate accepts 0.5 s; 0.1 s is executed unchanged, clipped, rejected, rejected."""
     methods = ("B1", "B2", "G", "B3")
     suite = msgspec.structs.replace(
         parse_suite(SUITE, "t"), planning_time=0.1, seeds=1, runs=1, repetitions=1, methods=methods
     )
-    place = WorkerConfig(
-        suite=suite,
-        out=tmp_path,
-        sources=PlannerSources(cache_folder(), tmp_path / "adapters"),
-        clock=standing,
-        epsilon={},
-    )
-    worker = type("Holding", (Declining,), {"text": contract(hold(seconds))})(place)
+    worker = ScriptedWorker(worker_config(suite, tmp_path))
+    worker.text = contract(hold(seconds))
     rows = {unit.method: msgspec.convert(next(iter(worker(unit))), EpisodeRow) for unit in build_units(suite, "fly")}
     again = {unit.method: msgspec.convert(next(iter(worker(unit))), EpisodeRow) for unit in build_units(suite, "fly")}
     assert {name: one.same_as for name, one in again.items()} == {name: one.same_as for name, one in rows.items()}
-    assert {name for name, row in rows.items() if not row.same_as} == flown_for
+    assert {name for name, row in rows.items() if not row.same_as} == executed
     for name, row in rows.items():
-        alone = msgspec.structs.replace(
-            fresh(make_case(ERRAND, suite.first, "panda", 0), name, contract(hold(seconds)), row), same_as=row.same_as
-        )
-        assert row == alone
+        uncached = uncached_row(make_case(FEASIBLE, suite.first, "panda", 0), name, contract(hold(seconds)), row)
+        assert row == msgspec.structs.replace(uncached, same_as=row.same_as)
         assert not row.same_as or row.same_as == rows["B1"].key
 
 
-def fresh(case, name, text, row):
-    """The episode flown behind its own door, with what only the runner knows taken from `row`."""
-    arm = METHODS[name]
-    flight = run_case(
-        case, arm, EpisodeResources(id="e-0000", planner=ScriptedPlanner([text]), clock=standing, planning_time=0.1)
+def uncached_row(case, name, text, row):
+    """The row of the episode behind its own gate, in the context of `row`."""
+    method_spec = METHODS[name]
+    run = run_case(
+        case,
+        method_spec,
+        EpisodeResources(id="e-0000", planner=ScriptedPlanner([text]), clock=stopped_clock, planning_time=0.1),
     )
     return score_episode(
         case,
-        arm,
-        flight,
+        method_spec,
+        run,
         EpisodeContext(key=row.key, suite=row.suite, cluster=row.cluster, order=row.order, asked=row.asked),
     )

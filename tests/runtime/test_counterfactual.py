@@ -1,4 +1,4 @@
-"""Whether a memory was of use is told by asking the planner again without it: from the question to the last record."""
+"""The use of a memory is determined by planning again without it: requests, cache and records."""
 
 import json
 
@@ -25,12 +25,12 @@ REGISTRY: SkillRegistry = load_skill_registry("panda")
 
 
 def _two_runs(folder):
-    """A pause is remembered; the second run follows it, and without it the planner would have paused for longer."""
-    for name, words, *answers in (
+    """The second run uses the hold of the first one; without its memory, the planner would have held for longer."""
+    for name, instruction, *answers in (
         ("one", "rest a little", hold_contract(0.7)),
         ("two", "rest a little more", hold_contract(0.7), hold_contract(1.5)),
     ):
-        story = run_session(run_config(folder, name, instruction=words, utility=True), *answers)
+        story = run_session(run_config(folder, name, instruction=instruction, utility=True), *answers)
     return story.episode, story.planner.requests, story.config
 
 
@@ -39,14 +39,14 @@ def second(tmp_path_factory):
     return run_once(tmp_path_factory, "two_runs", _two_runs)
 
 
-def test_the_question_is_the_first_one_less_one_memory(second):
+def test_the_counterfactual_request_is_the_first_one_without_one_memory(second):
     _, _, (first, without), _ = second
     (shown,) = first.recall.exemplars
     assert shown.episode_id == "one"
     assert without == msgspec.structs.replace(first, recall=msgspec.structs.replace(first.recall, exemplars=()))
 
 
-def test_what_became_of_the_memory_stands_in_episode_and_ledger(second):
+def test_the_use_of_the_memory_is_stored_in_episode_and_ledger(second):
     _, episode, _, config = second
     assert episode.uses == (MemoryUse("one", used=True, contributing=True),)
     assert json.loads((config.out / "episode.json").read_bytes())["uses"] == list(msgspec.to_builtins(episode.uses))
@@ -54,47 +54,47 @@ def test_what_became_of_the_memory_stands_in_episode_and_ledger(second):
     assert "uses" not in ledger_episodes(config.ledger)[-1]["episode"]
 
 
-def ask(second, answers, tmp_path, finish="stop", **how):
-    """The uses in the second run's episode if the planner had said this without memory, and how often it was asked."""
+def query(second, answers, tmp_path, finish="stop", **options):
+    """The memory uses of the second run for the counterfactual `answers`, and the number of requests."""
     planner = ScriptedPlanner(answers, finish_reason=finish)
-    asking = CounterfactualQueries(planner, REGISTRY, tmp_path)
-    return asking.memory_uses(second[1], **how), len(planner.requests)
+    queries = CounterfactualQueries(planner, REGISTRY, tmp_path)
+    return queries.memory_uses(second[1], **options), len(planner.requests)
 
 
-def test_a_memory_without_which_the_same_is_said_was_not_used(second, tmp_path):
-    assert ask(second, [hold_contract(0.71)], tmp_path) == ((MemoryUse("one", used=False, contributing=False),), 1)
+def test_a_memory_without_which_the_answer_is_the_same_was_not_used(second, tmp_path):
+    assert query(second, [hold_contract(0.71)], tmp_path) == ((MemoryUse("one", used=False, contributing=False),), 1)
 
 
-def test_the_same_question_is_asked_once(second, tmp_path):
+def test_the_same_request_is_sent_once(second, tmp_path):
     used = (MemoryUse("one", used=True, contributing=True),)
-    assert ask(second, [hold_contract(1.5)], tmp_path) == (used, 1)
-    assert ask(second, [hold_contract(0.7)], tmp_path) == (used, 0)
+    assert query(second, [hold_contract(1.5)], tmp_path) == (used, 1)
+    assert query(second, [hold_contract(0.7)], tmp_path) == (used, 0)
 
 
-@pytest.mark.parametrize("torn", [b"", b'{"text": "paus', b'{"planner": "scripted"}', b"\xff", b"[]"])
-def test_an_answer_whose_file_is_torn_is_asked_for_again_and_written_anew(second, tmp_path, torn):
+@pytest.mark.parametrize("damaged", [b"", b'{"text": "paus', b'{"planner": "scripted"}', b"\xff", b"[]"])
+def test_an_answer_in_a_damaged_file_is_requested_and_stored_again(second, tmp_path, damaged):
     used = (MemoryUse("one", used=True, contributing=True),)
-    assert ask(second, [hold_contract(1.5)], tmp_path) == (used, 1)
+    assert query(second, [hold_contract(1.5)], tmp_path) == (used, 1)
     (file,) = tmp_path.iterdir()
-    file.write_bytes(torn)
-    assert ask(second, [hold_contract(1.5)], tmp_path) == (used, 1)
-    assert ask(second, [hold_contract(0.7)], tmp_path) == (used, 0)
+    file.write_bytes(damaged)
+    assert query(second, [hold_contract(1.5)], tmp_path) == (used, 1)
+    assert query(second, [hold_contract(0.7)], tmp_path) == (used, 0)
 
 
 @pytest.mark.parametrize("answer", ["no contract", "", "[]"])
-def test_a_memory_without_which_nothing_can_be_read_was_used(second, tmp_path, answer):
-    assert ask(second, [answer], tmp_path)[0][0].used
-    assert ask(second, [hold_contract(0.7)], tmp_path / "cut", LENGTH)[0][0].used
+def test_a_memory_without_which_the_answer_has_no_contract_was_used(second, tmp_path, answer):
+    assert query(second, [answer], tmp_path)[0][0].used
+    assert query(second, [hold_contract(0.7)], tmp_path / "cut", LENGTH)[0][0].used
 
 
-def test_no_answer_is_no_evidence_and_is_not_kept(second, tmp_path):
-    assert ask(second, [hold_contract(1.5)], tmp_path, TIMEOUT) == ((), 1)
-    assert ask(second, [hold_contract(1.5)], tmp_path, enough=lambda: True) == ((), 0)
+def test_a_missing_answer_is_no_evidence_and_is_not_cached(second, tmp_path):
+    assert query(second, [hold_contract(1.5)], tmp_path, TIMEOUT) == ((), 1)
+    assert query(second, [hold_contract(1.5)], tmp_path, should_stop=lambda: True) == ((), 0)
     assert not list(tmp_path.iterdir())
-    assert ask(second, [hold_contract(1.5)], tmp_path)[0][0].used
+    assert query(second, [hold_contract(1.5)], tmp_path)[0][0].used
 
 
-def test_a_contract_that_came_after_a_refusal_is_not_credited_to_a_memory_that_changed_nothing(second, tmp_path):
+def test_a_contract_after_a_rejection_is_not_credited_to_a_memory_without_effect(second, tmp_path):
     episode = second[1]
     bad = contract_text(("throw", {"object": "red_cube"}))
     refused = msgspec.structs.replace(

@@ -1,4 +1,4 @@
-"""The time of a decision: its parts add up, over all shots, and what nobody told is the rest."""
+"""The time of a decision: its parts add up over all shots, and the rest is the time that the planner did not report."""
 
 import pytest
 
@@ -7,9 +7,9 @@ from dualbrain.records import Attempt, Proposal
 from dualbrain.runtime.planning_time import LATENCY_PARTS, decision_timings, format_timings, latency_breakdown
 
 
-def attempt(gate=0.001, **told):
+def attempt(gate=0.001, **timings):
     return Attempt(
-        Proposal(text="", finish_reason="stop", planner="p", constrained_by="n", timings=told),
+        Proposal(text="", finish_reason="stop", planner="p", constrained_by="n", timings=timings),
         Rejected(stage="syntax", pointer="", got="", allowed="", hint="no"),
         gate,
     )
@@ -21,7 +21,7 @@ TWICE = (
 )
 
 
-def test_the_parts_are_the_whole():
+def test_the_parts_add_up_to_the_decision():
     spent = decision_timings(TWICE, retrieval=0.25)
     assert spent["planner"] == 9.75
     assert spent["planner_prefill"] == 2.5
@@ -31,7 +31,7 @@ def test_the_parts_are_the_whole():
     assert spent["decision"] == pytest.approx(0.25 + 9.75 + 0.002)
 
 
-def test_a_planner_that_tells_nothing_has_only_a_rest():
+def test_a_planner_that_reports_no_parts_has_only_a_rest():
     spent = decision_timings([attempt(total=4.0)], 0.0)
     assert {name for name in spent if name.startswith("planner_")} == {"planner_rest"}
     assert spent["planner_rest"] == 4.0
@@ -42,5 +42,5 @@ def test_one_line_for_people_names_every_part_that_took_time():
     line = format_timings(decision_timings(TWICE, 0.25))
     assert line.startswith("decided in 10.00 s: retrieval 0.25 s, load of the model 1.00 s, prefill 2.50 s")
     assert line.endswith("validation 2.0 ms")
-    assert [words for words, _ in latency_breakdown(decision_timings(TWICE, 0.25))] == list(LATENCY_PARTS.values())
+    assert [label for label, _ in latency_breakdown(decision_timings(TWICE, 0.25))] == list(LATENCY_PARTS.values())
     assert format_timings({}) == ""

@@ -1,4 +1,4 @@
-"""A question shows what was done before in the words in which a planner answers."""
+"""A request shows make_exemplar contracts in the form in which a planner generates them."""
 
 import json
 
@@ -19,14 +19,14 @@ from dualbrain.simulation.plant.factory import make_plant
 from dualbrain.simulation.scenes.generators.tabletop import make_scene
 
 
-def remembered(contract):
-    """An exemplar as it comes back from a ledger, where keys are sorted."""
-    kept = json.loads(json.dumps(json.loads(contract), sort_keys=True))
+def make_exemplar(contract):
+    """An exemplar as read from a ledger, whose keys are sorted."""
+    stored = json.loads(json.dumps(json.loads(contract), sort_keys=True))
     return Exemplar(
         episode_id="e",
         instruction="words",
         summary="scene",
-        contract=kept,
+        contract=stored,
         succeeded=True,
         Delta=0.001,
         similarity=0.9,
@@ -36,12 +36,12 @@ def remembered(contract):
     )
 
 
-def test_an_example_from_memory_reads_to_the_letter_as_the_answer_that_was_taught():
+def test_an_exemplar_has_exactly_the_form_of_a_training_answer():
     for robot in ("panda", "base"):
         registry = load_skill_registry(robot)
         for one in generate_examples(5, "teach", 3, {robot: 1.0}, exemplar_share=0.0):
             recall = in_prompt_order(
-                RetrievedContext((remembered(one.contract),), (remembered(one.contract),)), registry
+                RetrievedContext((make_exemplar(one.contract),), (make_exemplar(one.contract),)), registry
             )
             for shown in (recall.exemplars[0], recall.warnings[0]):
                 assert exemplar_steps(shown.contract) in one.contract
@@ -49,20 +49,20 @@ def test_an_example_from_memory_reads_to_the_letter_as_the_answer_that_was_taugh
                 assert canonical_contract(contract, registry) == one.contract
 
 
-def test_a_question_holds_what_was_recalled_in_that_order():
+def test_a_request_contains_exemplars_in_that_form():
     robot_model, spec = load_robot("panda"), make_scene("tabletop", 1)
     scene = NoisyPerception(spec, NO_NOISE, np.random.default_rng(0)).perceive(
         make_plant(spec, robot_model, visuals=False)
     )
-    here = PlanningContext(
+    context = PlanningContext(
         robot_model=robot_model, scene=scene, holding=None, posture=Posture(tuple(robot_model.home), 0.04)
     )
     (one,) = generate_examples(1, "teach", 3, {"panda": 1.0}, exemplar_share=0.0)
-    asked = build_request("words", here, RetrievedContext((remembered(one.contract),)))
-    assert exemplar_steps(asked.recall.exemplars[0].contract) in one.contract
+    request = build_request("words", context, RetrievedContext((make_exemplar(one.contract),)))
+    assert exemplar_steps(request.recall.exemplars[0].contract) in one.contract
 
 
-def test_a_refused_contract_of_other_skills_is_shown_as_it_was():
+def test_a_rejected_contract_with_unknown_skills_is_shown_unchanged():
     odd = '{"action_sequence":[{"skill":"fly","params":{"b":1,"a":2}},"?"]}'
-    recall = in_prompt_order(RetrievedContext(warnings=(remembered(odd),)), load_skill_registry("panda"))
+    recall = in_prompt_order(RetrievedContext(warnings=(make_exemplar(odd),)), load_skill_registry("panda"))
     assert recall.warnings[0].contract == json.loads(odd)

@@ -1,4 +1,4 @@
-"""Contracts carried out where memories were made: only in the ledger that the questions are of."""
+"""Contracts that are executed in remembered scenes: only with the ledger of the samples."""
 
 import pytest
 
@@ -8,14 +8,14 @@ from dualbrain.runtime.inspection.memory_replay import make_replay_evaluator
 from tests.adaptation.sample_episodes import REGISTRY, distinct_episodes, episode, write_ledger
 
 
-def test_a_question_of_another_ledger_is_refused_before_anything_is_flown(tmp_path):
+def test_a_sample_of_another_ledger_is_refused_before_any_execution(tmp_path):
     (tmp_path / "other").mkdir()
     with (
         write_ledger(tmp_path, distinct_episodes(4)) as ours,
-        write_ledger(tmp_path / "other", [episode("strange")]) as theirs,
+        write_ledger(tmp_path / "other", [episode("foreign-1")]) as theirs,
     ):
-        asked = curate(ours, REGISTRY, CurationConfig(held_out=0.0)).train
-        strange = curate(theirs, REGISTRY, CurationConfig(held_out=0.0)).train
-        assert callable(make_replay_evaluator(ours, asked, seed=0))
-        with pytest.raises(ConfigurationError, match=r"'strange'.*--no-fly"):
-            make_replay_evaluator(ours, (*asked, *strange), seed=0)
+        samples = curate(ours, REGISTRY, CurationConfig(held_out=0.0)).train
+        foreign = curate(theirs, REGISTRY, CurationConfig(held_out=0.0)).train
+        assert callable(make_replay_evaluator(ours, samples, seed=0))
+        with pytest.raises(ConfigurationError, match=r"The memory foreign-1 .*--no-fly"):
+            make_replay_evaluator(ours, (*samples, *foreign), seed=0)

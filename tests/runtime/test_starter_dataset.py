@@ -1,4 +1,4 @@
-"""The first night: what chance proposed and went well, declines by their label, an adapter that calls itself so."""
+"""The starter data set: random proposals that succeeded, declines by their label, and the sources on the card."""
 
 import pytest
 
@@ -17,7 +17,7 @@ from dualbrain.runtime.data_collection.rollouts import (
 from tests.adaptation.sample_episodes import episode, pick_contract, summary, write_ledger
 
 DECLINE = pick_contract() | {"action_sequence": [{"skill": "decline", "params": {"reason": "no skill can do this"}}]}
-LOUD = 7
+CYCLE = 7
 
 
 @pytest.fixture(scope="module")
@@ -26,35 +26,39 @@ def drawn():
 
 
 @pytest.fixture
-def day(drawn, tmp_path):
-    """A day that was not flown: each turn in a scene of its own; every seventh deed is declined, others are loud."""
-    told = [_ended(turn, one) for turn, one in enumerate(drawn)]
-    write_ledger(tmp_path, told).close()
+def rollouts(drawn, tmp_path):
+    """Rollouts that were not simulated: of seven successes, one is declined and one has a large Δ."""
+    episodes = [make_episode(turn, one) for turn, one in enumerate(drawn)]
+    write_ledger(tmp_path, episodes).close()
     (tmp_path / PROPOSALS_FILE).write_bytes(encode_samples(drawn))
     return tmp_path
 
 
-def _ended(turn, one):
-    same = {"by": one.source, "told": summary(number=turn), "words": f"errand {turn}"}
-    if is_declined(one) or turn % LOUD == 0:
-        return episode(memory_id_of_turn(turn), "declined", Delta=None, duration=0.0, plan=DECLINE, **same)
-    return episode(memory_id_of_turn(turn), Delta=0.1 if turn % LOUD == 1 else 0.001, **same)
+def make_episode(turn, one):
+    common = {
+        "proposer": one.source,
+        "scene_summary": summary(number=turn),
+        "instruction": f"instruction {turn}",
+    }
+    if is_declined(one) or turn % CYCLE == 0:
+        return episode(memory_id_of_turn(turn), "declined", Delta=None, duration=0.0, plan=DECLINE, **common)
+    return episode(memory_id_of_turn(turn), Delta=0.1 if turn % CYCLE == 1 else 0.001, **common)
 
 
-def test_deeds_teach_by_verdict_and_declines_by_their_lesson(day, drawn):
-    data = starter_dataset.build_dataset(day)
+def test_successes_are_selected_by_verdict_and_declines_by_their_label(rollouts, drawn):
+    data = starter_dataset.build_dataset(rollouts)
     turns = {turn_of_memory_id(row.memory) for row in (*data.train, *data.held_out)}
-    deeds = {turn for turn, one in enumerate(drawn) if not is_declined(one) and turn % LOUD > 1}
+    successes = {turn for turn, one in enumerate(drawn) if not is_declined(one) and turn % CYCLE > 1}
     declines = [turn for turn, one in enumerate(drawn) if is_declined(one)]
-    assert turns - set(declines) == deeds
-    assert turns & set(declines) == set(declines[: len(deeds) // starter_dataset.SUCCESSES_PER_DECLINE])
+    assert turns - set(declines) == successes
+    assert turns & set(declines) == set(declines[: len(successes) // starter_dataset.SUCCESSES_PER_DECLINE])
     assert turns & set(declines)
 
 
-def test_it_is_taught_by_somebody_else_and_says_so(day):
-    data = starter_dataset.build_dataset(day)
+def test_the_card_names_the_foreign_source_of_the_proposals(rollouts):
+    data = starter_dataset.build_dataset(rollouts)
     assert set(data.card.sources) == {"templates"}
     assert has_foreign_proposals(data.card.sources, starter_dataset.BASE_MODEL)
     assert data.card.robot == "panda"
-    with LedgerReader(day / LEDGER_FILE) as ledger:
+    with LedgerReader(rollouts / LEDGER_FILE) as ledger:
         assert data.card.ledger == ledger.head().hash
