@@ -16,9 +16,9 @@ from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.verdict import Accepted, Verdict
 from tests.contracts.contract_strategies import NAMES, PRINCIPAL, REGISTRY
 
-HERE = Path(__file__).parent
-PAGE_FILE = HERE.parents[1] / "docs" / "reference" / "verification" / "attacks.md"
-ATTACKS: list[dict[str, Any]] = json.loads((HERE / "contract_attacks.json").read_text())
+FOLDER = Path(__file__).parent
+PAGE_FILE = FOLDER.parents[1] / "docs" / "reference" / "verification" / "attacks.md"
+ATTACKS: list[dict[str, Any]] = json.loads((FOLDER / "contract_attacks.json").read_text())
 CONTRACT_TEMPLATE = '{"id":"c-0001","context":{"robot":"panda","registry":"%s"},"action_sequence":%s}'
 HOME_ACTION = '{"skill":"home","params":{"speed":0.1}}'
 VALID_CONTRACT = CONTRACT_TEMPLATE % (REGISTRY.hash, f"[{HOME_ACTION}]")
@@ -92,21 +92,21 @@ def rejecting_stage(verdict: Verdict) -> str:
 def render_page(outcomes: list[str]) -> str:
     """docs/reference/verification/attacks.md, from the result of each attack."""
     pairs = list(zip(ATTACKS, outcomes, strict=True))
-    met = Counter(attack["class"] for attack, outcome in pairs if outcome == attack["expected"])
+    as_predicted = Counter(attack["class"] for attack, outcome in pairs if outcome == attack["expected"])
     rows = [
         "| {} | {} | {} | {} |".format(
             name,
             sum(counts.values()),
             " | ".join(str(counts[s] or "") for s in STAGES),
-            f"{met[name]}/{counts.total()}",
+            f"{as_predicted[name]}/{counts.total()}",
         )
         for name, counts in count_by_class().items()
     ]
-    whole = Counter(attack["expected"] for attack in ATTACKS)
-    total = " | ".join(f"**{whole[stage]}**" for stage in STAGES)
-    rows.append(f"| **all** | **{len(ATTACKS)}** | {total} | **{met.total()}/{len(ATTACKS)}** |")
-    let_in = [f"| {a['class']} | {a['name']} | {a['then']} |" for a in ATTACKS if a["expected"] == "accepted"]
-    return PREFACE + "\n".join(rows) + MIDDLE + "\n".join(let_in) + "\n"
+    by_stage = Counter(attack["expected"] for attack in ATTACKS)
+    total = " | ".join(f"**{by_stage[stage]}**" for stage in STAGES)
+    rows.append(f"| **all** | **{len(ATTACKS)}** | {total} | **{as_predicted.total()}/{len(ATTACKS)}** |")
+    accepted = [f"| {a['class']} | {a['name']} | {a['then']} |" for a in ATTACKS if a["expected"] == "accepted"]
+    return PREFACE + "\n".join(rows) + MIDDLE + "\n".join(accepted) + "\n"
 
 
 def count_by_class() -> dict[str, Counter[str]]:

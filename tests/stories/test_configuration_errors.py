@@ -1,4 +1,4 @@
-"""A broken set-up ends before anything moves: exit code 5 and a message that says what, where, and how to mend it."""
+"""A configuration error ends a run before any motion: exit code 5, and a message with the problem and its remedy."""
 
 import json
 import os
@@ -24,8 +24,8 @@ from tests.stories.story_session import contract_text, hold_contract, run_config
 
 
 @pytest.fixture
-def said(tmp_path, monkeypatch, capsys):
-    """Run a command in an empty folder with its own home; returns (exit code, stderr); stdout must stay empty."""
+def run_command(tmp_path, monkeypatch, capsys):
+    """Run a command in an empty folder with its own home; returns (exit code, stderr); stdout must be empty."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("DUALBRAIN_HOME", str(tmp_path / "home"))
     (tmp_path / "pause.json").write_text(hold_contract())
@@ -39,20 +39,20 @@ def said(tmp_path, monkeypatch, capsys):
     return run
 
 
-def start(*changes):
+def run_arguments(*changes):
     return ("run", "put the red cube in the bowl", "--contract", "pause.json", "--headless", *changes)
 
 
-def no_run_began(folder):
+def has_no_run(folder):
     return not list(folder.rglob("episode.mcap")) and not list(folder.rglob("*.sqlite"))
 
 
 @pytest.mark.parametrize(
-    ("wrong", "words"),
+    ("arguments", "text"),
     [
         (("--scene", "forarm:3"), "'forearm'"),
         (("--scene", "tabeltop"), "'tabletop'"),
-        (("--scene", "here be dragons"), "FAMILY:SEED"),
+        (("--scene", "not a scene"), "FAMILY:SEED"),
         (("--scene", "missing.json"), "missing.json"),
         (("--robot", "pandaa"), "'panda'"),
         (("--goal", "put the red cub in the blue bowl", "--scene", "bare:0"), "'red_cube'"),
@@ -62,39 +62,39 @@ def no_run_began(folder):
     ],
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
 )
-def test_a_wrong_name_or_file_is_told(said, tmp_path, wrong, words):
-    code, err = said(*start(*wrong))
+def test_a_wrong_name_or_file_is_reported(run_command, tmp_path, arguments, text):
+    code, err = run_command(*run_arguments(*arguments))
     assert code == 5
-    assert words in err
-    assert no_run_began(tmp_path)
+    assert text in err
+    assert has_no_run(tmp_path)
 
 
-def test_a_contract_file_that_is_not_there(said, tmp_path):
-    code, err = said("run", "--contract", "nope.json", "--headless")
+def test_a_missing_contract_file_is_reported(run_command, tmp_path):
+    code, err = run_command("run", "--contract", "nope.json", "--headless")
     assert code == 5
     assert "nope.json" in err
-    assert no_run_began(tmp_path)
+    assert has_no_run(tmp_path)
 
 
-def test_an_unknown_planner_is_answered_with_the_closest(said, tmp_path):
-    code, err = said("run", "do it", "--planner", "qwen2.5-coder-1.5b-instrukt", "--headless")
+def test_an_unknown_planner_is_reported_with_the_closest_name(run_command, tmp_path):
+    code, err = run_command("run", "do it", "--planner", "qwen2.5-coder-1.5b-instrukt", "--headless")
     assert code == 5
     assert "Closest: 'qwen2.5-coder-1.5b-instruct'" in err
-    assert no_run_began(tmp_path)
+    assert has_no_run(tmp_path)
 
 
-def test_no_words_and_no_contract(said, tmp_path):
-    code, err = said("run", "  ", "--headless")
-    assert code == 2  # usage: nothing here is broken
-    assert "dualbrain run" in err  # an example of how to say it
-    assert no_run_began(tmp_path)
+def test_a_run_without_instruction_and_contract_is_a_usage_error(run_command, tmp_path):
+    code, err = run_command("run", "  ", "--headless")
+    assert code == 2
+    assert "dualbrain run" in err  # an example
+    assert has_no_run(tmp_path)
 
 
 # --- scene files --------------------------------------------------------------------------------------------------
 
 
-def damaged(change):
-    """The bare scene as JSON objects with `change` applied."""
+def modified_scene(change):
+    """The bare scene as JSON with `change` applied."""
     scene = json.loads(msgspec.json.encode(open_scene("bare:0")))
     change(scene)
     return msgspec.json.encode(scene)
@@ -103,30 +103,30 @@ def damaged(change):
 SCENES = {
     "broken JSON": (b'{"robot": "panda", "things": [', "scene file"),
     "not text": (b"\xff\xfe\x00", "scene file"),
-    "an unknown field": (damaged(lambda s: s.update(gravity=1.0)), "gravity"),
-    "an unknown field inside": (damaged(lambda s: s["things"][0].update(sticky=True)), "sticky"),
-    "a missing field": (damaged(lambda s: s["things"][0].pop("mass")), "mass"),
-    "another schema version": (damaged(lambda s: s.update(schema_version=99)), "schema_version"),
-    "a name twice": (damaged(lambda s: s["things"].append(s["things"][0])), "red_cube"),
-    "no weight": (damaged(lambda s: s["things"][0].update(mass=0.0)), "mass"),
-    "a wrong type": (damaged(lambda s: s["things"][0].update(position="there")), "position"),
-    "an unknown shape": (damaged(lambda s: s["things"][0]["shape"].update(shape="torus")), "shape"),
-    "a number beyond floats": (damaged(lambda s: None).replace(b'"seed":0', b'"seed":1e999'), "seed"),
+    "an unknown field": (modified_scene(lambda s: s.update(gravity=1.0)), "gravity"),
+    "an unknown field inside": (modified_scene(lambda s: s["things"][0].update(sticky=True)), "sticky"),
+    "a missing field": (modified_scene(lambda s: s["things"][0].pop("mass")), "mass"),
+    "another schema version": (modified_scene(lambda s: s.update(schema_version=99)), "schema_version"),
+    "a name twice": (modified_scene(lambda s: s["things"].append(s["things"][0])), "red_cube"),
+    "no weight": (modified_scene(lambda s: s["things"][0].update(mass=0.0)), "mass"),
+    "a wrong type": (modified_scene(lambda s: s["things"][0].update(position="there")), "position"),
+    "an unknown shape": (modified_scene(lambda s: s["things"][0]["shape"].update(shape="torus")), "shape"),
+    "a number beyond floats": (modified_scene(lambda s: None).replace(b'"seed":0', b'"seed":1e999'), "seed"),
 }
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_a_bad_scene_file_is_told_with_field_and_path(said, tmp_path, name):
+def test_an_invalid_scene_file_is_reported_with_field_and_path(run_command, tmp_path, name):
     data, field = SCENES[name]
     (tmp_path / "scene.json").write_bytes(data)
-    code, err = said(*start("--scene", "scene.json"))
+    code, err = run_command(*run_arguments("--scene", "scene.json"))
     assert code == 5
     assert field in err
     assert "scene.json" in err
-    assert no_run_began(tmp_path)
+    assert has_no_run(tmp_path)
 
 
-def test_a_saved_scene_is_the_same_scene(tmp_path):
+def test_a_saved_scene_round_trips(tmp_path):
     save_scene(open_scene("tabletop:5"), tmp_path / "scene.json")
     assert open_scene(str(tmp_path / "scene.json")) == open_scene("tabletop:5")
 
@@ -134,65 +134,65 @@ def test_a_saved_scene_is_the_same_scene(tmp_path):
 # --- weights ------------------------------------------------------------------------------------------------------
 
 
-def test_missing_weights_name_the_command_that_fetches_them(said, tmp_path, monkeypatch):
+def test_missing_weights_name_the_command_that_fetches_them(run_command, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    code, err = said(*start())
+    code, err = run_command(*run_arguments())
     assert code == 5
     assert f"dualbrain models fetch {ENCODER_WEIGHTS}" in err
-    assert no_run_began(tmp_path)
+    assert has_no_run(tmp_path)
 
 
-def test_a_weight_file_with_one_wrong_bit_is_refused(said, tmp_path, monkeypatch):
-    here = tmp_path / "cache" / "dualbrain"
-    here.mkdir(parents=True)
+def test_a_weight_file_with_one_wrong_bit_is_refused(run_command, tmp_path, monkeypatch):
+    folder = tmp_path / "cache" / "dualbrain"
+    folder.mkdir(parents=True)
     for name in (ENCODER_WEIGHTS, TOKENIZER_WEIGHTS):
-        shutil.copy(weights.locate_weights(name, cache_folder()), here)
-    victim = here / weights.find_weight_file(TOKENIZER_WEIGHTS).filename
-    data = bytearray(victim.read_bytes())
+        shutil.copy(weights.locate_weights(name, cache_folder()), folder)
+    damaged = folder / weights.find_weight_file(TOKENIZER_WEIGHTS).filename
+    data = bytearray(damaged.read_bytes())
     data[len(data) // 2] ^= 1
-    victim.write_bytes(data)
+    damaged.write_bytes(data)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    code, err = said(*start())
+    code, err = run_command(*run_arguments())
     assert code == 5
     assert "SHA-256" in err
     assert f"dualbrain models fetch {TOKENIZER_WEIGHTS}" in err
-    assert no_run_began(tmp_path)
+    assert has_no_run(tmp_path)
 
 
 # --- folders and the ledger ---------------------------------------------------------------------------------------
 
 
-def test_a_folder_that_holds_a_run_is_not_written_over(tmp_path):
+def test_a_folder_with_a_run_is_not_overwritten(tmp_path):
     story = run_session(run_config(tmp_path), hold_contract())
     before = {path.name: path.read_bytes() for path in story.config.out.iterdir()}
-    moved = []
+    sessions = []
     with pytest.raises(ConfigurationError, match="--out"):
-        run_session(run_config(tmp_path), hold_contract(), before=moved.append)
-    assert moved == []
+        run_session(run_config(tmp_path), hold_contract(), before=sessions.append)
+    assert sessions == []
     assert {path.name: path.read_bytes() for path in story.config.out.iterdir()} == before
     assert set(before) <= set(RUN_FILES)
 
 
-def test_a_run_in_the_folder_at_hand_has_that_folders_name(tmp_path, monkeypatch):
+def test_a_run_in_the_working_folder_has_the_name_of_that_folder(tmp_path, monkeypatch):
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
     assert run_session(run_config(tmp_path, out=Path()), hold_contract()).episode.id == "here"
 
 
-def test_a_ledger_that_another_process_writes_is_told(said, tmp_path):
+def test_a_ledger_that_another_process_writes_is_reported(run_command, tmp_path):
     ledger = Ledger(tmp_path / "taken.sqlite", holder="a long run", now=0.0)
-    code, err = said(*start("--ledger", "taken.sqlite"))
+    code, err = run_command(*run_arguments("--ledger", "taken.sqlite"))
     ledger.close()
     assert code == 5
     assert f"process {os.getpid()} (a long run)" in err
     assert "--ledger" in err
 
 
-def test_a_damaged_ledger_is_told_and_left_alone(said, tmp_path):
+def test_a_damaged_ledger_is_reported_and_not_changed(run_command, tmp_path):
     path = tmp_path / "ledger.sqlite"
     path.write_bytes(b"SQLite format 3\x00" + b"\x07" * 5000)
     before = path.read_bytes()
-    code, err = said(*start("--ledger", "ledger.sqlite"))
+    code, err = run_command(*run_arguments("--ledger", "ledger.sqlite"))
     assert code == 5
     assert "ledger" in err
     assert path.read_bytes() == before
@@ -200,40 +200,39 @@ def test_a_damaged_ledger_is_told_and_left_alone(said, tmp_path):
 
 # --- graphics and ports -------------------------------------------------------------------------------------------
 
-RUN = "import sys; from dualbrain.cli.main import run_command_line; sys.exit(run_command_line(sys.argv[1:]))"
+CLI_PROGRAM = "import sys; from dualbrain.cli.main import run_command_line; sys.exit(run_command_line(sys.argv[1:]))"
 
 
-def outside(folder, *arguments, **environment):
-    """A command in a process of its own."""
+def run_in_process(folder, *arguments, **environment):
+    """Run a command in a separate process."""
     (folder / "pause.json").write_text(contract_text(("hold", {"duration": 0.5})))
-    command = [sys.executable, "-c", RUN, *arguments, "--ledger", "ledger.sqlite"]
+    command = [sys.executable, "-c", CLI_PROGRAM, *arguments, "--ledger", "ledger.sqlite"]
     home = {"DUALBRAIN_HOME": str(folder), "COLUMNS": "500"}
     return subprocess.run(
         command, cwd=folder, env={**os.environ, **home, **environment}, capture_output=True, text=True, check=False
     )
 
 
-def test_without_gl_the_run_works_and_says_that_pictures_are_missing(tmp_path):
+def test_without_gl_the_run_works_and_reports_that_images_are_missing(tmp_path):
     gl = "bogus"
-    done = outside(tmp_path, *start("--scene", "bare:0", "--out", "run"), MUJOCO_GL=gl)
-    assert "no pictures" in done.stderr
+    done = run_in_process(tmp_path, *run_arguments("--scene", "bare:0", "--out", "run"), MUJOCO_GL=gl)
+    assert "no images" in done.stderr
     assert gl in done.stderr
     assert "succeeded" in done.stderr
-    assert done.returncode == 1  # a pause is no success on truth, and no violation
+    assert done.returncode == 1  # a hold is no success on ground truth, and no violation
     report = (tmp_path / "run" / "report.html").read_text()
     assert "data:image/jpeg" not in report
     assert {path.name for path in (tmp_path / "run").iterdir()} == set(RUN_FILES)
 
 
-def test_a_port_in_use_is_told_and_another_one_serves(tmp_path):
+def test_a_port_in_use_is_reported_and_another_one_is_used(tmp_path):
     with socket.socket() as busy:
         busy.bind(("127.0.0.1", 0))
         busy.listen()
         port = busy.getsockname()[1]
-        shown = [
-            word for word in start("--scene", "bare:0", "--out", "run", "--port", str(port)) if word != "--headless"
-        ]
-        done = outside(tmp_path, *shown, MUJOCO_GL="disable")
+        arguments = run_arguments("--scene", "bare:0", "--out", "run", "--port", str(port))
+        with_view = [one for one in arguments if one != "--headless"]
+        done = run_in_process(tmp_path, *with_view, MUJOCO_GL="disable")
     assert f"Port {port} is in use" in done.stderr
     assert "live view: http://127.0.0.1:" in done.stderr
     assert done.returncode == 1

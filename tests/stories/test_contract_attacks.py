@@ -1,4 +1,4 @@
-"""Every attack ends at the stage that was predicted for it, and what is said about it is safe to show."""
+"""Every attack is rejected at the predicted stage, and its rejection is safe to display."""
 
 import json
 from typing import Any
@@ -18,29 +18,29 @@ from tests.stories.contract_attacks import (
     run_attack,
 )
 
-LONGEST_REFUSAL = 1200
+MAX_REJECTION_BYTES = 1200
 
 
 @pytest.mark.parametrize("attack", ATTACKS, ids=lambda attack: f"{attack['class']}: {attack['name']}")
-def test_each_attack_ends_where_it_was_predicted(attack: dict[str, Any]) -> None:
+def test_each_attack_ends_at_the_predicted_stage(attack: dict[str, Any]) -> None:
     verdict = run_attack(attack)
     assert rejecting_stage(verdict) == attack["expected"], verdict
     assert ("then" in attack) == (attack["expected"] == "accepted")
     if isinstance(verdict, Rejected):
-        written = msgspec.json.encode(verdict).decode()
-        assert written.isascii()
+        encoded = msgspec.json.encode(verdict).decode()
+        assert encoded.isascii()
         assert str(verdict.got).isprintable()
-        assert len(written) < LONGEST_REFUSAL
+        assert len(encoded) < MAX_REJECTION_BYTES
         assert verdict.hint
 
 
-def test_the_contract_that_the_attacks_start_from_is_good() -> None:
+def test_the_contract_that_the_attacks_modify_is_valid() -> None:
     assert isinstance(run_attack({"text": "$GOOD"}), Accepted)
     assert isinstance(run_attack({"text": "$GOOD", "stamp": {}}), Accepted)
     assert json.loads(VALID_CONTRACT)["action_sequence"]
 
 
-def test_there_are_enough_of_them_in_every_class_and_at_every_stage() -> None:
+def test_there_are_enough_attacks_in_every_class_and_at_every_stage() -> None:
     table = count_by_class()
     assert len(ATTACKS) >= 70
     assert len({(attack["class"], attack["name"]) for attack in ATTACKS}) == len(ATTACKS)

@@ -1,4 +1,4 @@
-"""Documents in a whole run: what the planner was shown is on record, and only when it was asked for."""
+"""Documents in a run: passages in the prompt are recorded, and are only used on request."""
 
 import pytest
 
@@ -28,41 +28,41 @@ corners = [[-0.4, 1.2], [2.4, 1.2], [2.4, 4.5], [-0.4, 4.5]]
 """
 
 
-def test_passages_reach_the_planner_and_the_record_and_places_of_a_map_the_scene(tmp_path):
-    shelf = tmp_path / "knowledge.sqlite"
+def test_passages_are_shown_and_recorded_and_places_of_a_map_are_in_the_scene(tmp_path):
+    store = tmp_path / "knowledge.sqlite"
     move = {"target": "inspection_spot", "speed": 0.2, "clearance": 0.2, "route": "direct", "wait": "none"}
-    config = run_config(tmp_path, "with", knowledge=shelf, consult=True, map="room-map:panda_table")
-    told = run_session(config, contract_text(("move_to", move)))
-    shown = told.planner.requests[0].recall.passages
-    assert 1 <= len(shown) <= 3
-    assert told.stored_episode.recall.passages == shown == told.episode.recall.passages
-    last = render(told.planner.requests[0])[-1]["content"]
-    assert all(one.citation in last for one in shown)
-    assert "inspection_spot" in told.planner.requests[0].scene
-    assert told.episode.outcome.kind == "succeeded"
-    assert told.episode.contract["action_sequence"][0]["params"]["target"] == "inspection_spot"
+    config = run_config(tmp_path, "with", knowledge=store, consult=True, map="room-map:panda_table")
+    story = run_session(config, contract_text(("move_to", move)))
+    passages = story.planner.requests[0].recall.passages
+    assert 1 <= len(passages) <= 3
+    assert story.stored_episode.recall.passages == passages == story.episode.recall.passages
+    last = render(story.planner.requests[0])[-1]["content"]
+    assert all(one.citation in last for one in passages)
+    assert "inspection_spot" in story.planner.requests[0].scene
+    assert story.episode.outcome.kind == "succeeded"
+    assert story.episode.contract["action_sequence"][0]["params"]["target"] == "inspection_spot"
 
-    silent = run_session(run_config(tmp_path, "without", knowledge=shelf), hold_contract())
-    assert silent.planner.requests[0].recall.passages == () == silent.episode.recall.passages
-    assert all(isinstance(one, Exemplar) for one in silent.episode.recall.exemplars)
+    without = run_session(run_config(tmp_path, "without", knowledge=store), hold_contract())
+    assert without.planner.requests[0].recall.passages == () == without.episode.recall.passages
+    assert all(isinstance(one, Exemplar) for one in without.episode.recall.exemplars)
 
 
-def test_a_base_drives_by_its_map_to_a_place_of_it_and_the_map_s_floor_is_on_record(tmp_path):
-    shelf, file = tmp_path / "knowledge.sqlite", tmp_path / "hall.toml"
+def test_a_base_drives_to_a_place_of_its_map_and_the_floor_of_the_map_is_recorded(tmp_path):
+    store, file = tmp_path / "knowledge.sqlite", tmp_path / "hall.toml"
     file.write_text(MAP)
-    assert add(file, trust="site", store=shelf) == 0
+    assert add(file, trust="site", store=store) == 0
     drive = ("drive_to", {"place": "waiting_spot", "max_speed": 0.5, "max_turn_rate": 1.2})
-    given = contract_text(drive, robot="base", registry=load_skill_registry("base").hash)
-    base = {"robot": "base", "scene": "empty_room:0", "knowledge": shelf, "map": "hall:start"}
-    told = run_session(run_config(tmp_path, "with", goal="go to waiting_spot", **base), given)
-    assert told.episode.outcome.kind == "succeeded"
-    assert told.stored_episode.judgement.success
-    assert told.stored_episode.judgement.violations == ()
+    contract = contract_text(drive, robot="base", registry=load_skill_registry("base").hash)
+    base = {"robot": "base", "scene": "empty_room:0", "knowledge": store, "map": "hall:start"}
+    story = run_session(run_config(tmp_path, "with", goal="go to waiting_spot", **base), contract)
+    assert story.episode.outcome.kind == "succeeded"
+    assert story.stored_episode.judgement.success
+    assert story.stored_episode.judgement.violations == ()
     floor = load_scene(tmp_path / "with" / "scene.json").floor
     assert sorted((round(x, 6), round(y, 6)) for x, y in floor) == [(-0.8, -1.4), (-0.8, 1.4), (2.5, -1.4), (2.5, 1.4)]
-    assert told.stored_episode.scene.region == floor
+    assert story.stored_episode.scene.region == floor
 
     file.write_text(MAP.replace("[0.4, 3.0, 0.0]", "[2.9, 3.0, 0.0]"))  # 0.5 m on the other side of the border
-    assert add(file, trust="site", store=shelf) == 0
+    assert add(file, trust="site", store=store) == 0
     with pytest.raises(ConfigurationError, match="'waiting_spot' of the map"):
-        run_session(run_config(tmp_path, "refused", **base), given)
+        run_session(run_config(tmp_path, "refused", **base), contract)

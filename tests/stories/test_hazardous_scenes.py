@@ -1,4 +1,4 @@
-"""Scenes that are dangerous or impossible from the start: nothing is hit, and the end is told and recorded."""
+"""Scenes that are dangerous or infeasible from the start: no collision, and the outcome is reported and recorded."""
 
 import msgspec
 import numpy as np
@@ -19,19 +19,19 @@ PICK = contract_text(("grasp", GRASP), ("place", PLACE))
 
 
 def scene_file(folder, change):
-    """A file with the bare scene after `change(things)`."""
+    """A file with the bare scene after `change(objects)`."""
     spec = open_scene("bare:0")
     path = folder / "scene.json"
-    save_scene(msgspec.structs.replace(spec, things=change(spec.objects)), path)
+    save_scene(msgspec.structs.replace(spec, objects=change(spec.objects)), path)
     return str(path)
 
 
-def test_a_thing_out_of_reach_is_refused_before_anything_moves(tmp_path):
-    def away(things):
-        cube, *others = things
+def test_an_object_out_of_reach_is_rejected_before_any_motion(tmp_path):
+    def move_away(objects):
+        cube, *others = objects
         return (msgspec.structs.replace(cube, position=(0.92, -0.6, 0.025)), *others)
 
-    story = run_session(run_config(tmp_path, scene=scene_file(tmp_path, away)), PICK)
+    story = run_session(run_config(tmp_path, scene=scene_file(tmp_path, move_away)), PICK)
     for attempt in story.episode.attempts:
         assert isinstance(attempt.verdict, Rejected)
         assert (attempt.verdict.stage, attempt.verdict.pointer) == ("envelope", "/action_sequence/0/params/object")
@@ -50,32 +50,32 @@ WALL = ObjectSpec(
     category="wall",
     fixed=True,
 )
-"""It stands through the forearm of an arm at home."""
+"""A wall through the forearm of an arm at its home position."""
 
 
-def _pressed(folder):
-    story = run_session(run_config(folder, scene=scene_file(folder, lambda things: (*things, WALL))), PICK)
+def _run_in_contact(folder):
+    story = run_session(run_config(folder, scene=scene_file(folder, lambda objects: (*objects, WALL))), PICK)
     return story.episode, story.displacement, story.config
 
 
 @pytest.fixture(scope="module")
-def pressed(tmp_path_factory):
-    return run_once(tmp_path_factory, "pressed", _pressed)[1:]
+def run_in_contact(tmp_path_factory):
+    return run_once(tmp_path_factory, "run_in_contact", _run_in_contact)[1:]
 
 
-def test_an_obstacle_on_top_of_the_robot_ends_the_contract_safely(pressed):
-    episode, _, config = pressed
+def test_an_obstacle_inside_the_robot_ends_the_contract_safely(run_in_contact):
+    episode, _, config = run_in_contact
     assert episode.outcome.kind in ("stopped", "taken_over", "failed")
-    assert "'wall'" in episode.outcome.hindrance  # what held it back is named, for whoever plans again
+    assert "'wall'" in episode.outcome.hindrance  # the hindrance is named for replanning
     assert episode.outcome.reason
-    assert exit_code(episode) in (ExitCode.FAILED_SAFELY, ExitCode.VIOLATION)  # the overlap itself may count as touch
+    assert exit_code(episode) in (ExitCode.FAILED_SAFELY, ExitCode.VIOLATION)  # the overlap itself may count as contact
     (remembered,) = ledger_episodes(config.ledger)
     assert remembered["episode"]["outcome"]["kind"] == episode.outcome.kind
 
 
-def test_an_obstacle_on_top_of_the_robot_is_not_driven_into(pressed):
-    """h never falls below where it began: the arm may leave the obstacle, never go deeper."""
-    h = read_trace(pressed[2].out / "episode.mcap")["h_min"]
+def test_the_robot_does_not_move_deeper_into_an_obstacle_inside_it(run_in_contact):
+    """h never falls below its initial value: the arm may leave the obstacle, and must not move deeper into it."""
+    h = read_trace(run_in_contact[2].out / "episode.mcap")["h_min"]
     assert h[0] < 0.0
     assert np.min(h) >= h[0] - 1e-3
-    assert replay(pressed[2].out / "episode.mcap").identical
+    assert replay(run_in_contact[2].out / "episode.mcap").identical

@@ -1,4 +1,4 @@
-"""Ctrl-C, kill -9 and power that goes: the arm stands, what was recorded can be read, and the next start says it."""
+"""Ctrl-C, SIGKILL and power loss: the arm stops, the recording can be read, and the next start reports the run."""
 
 import json
 import os
@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 import msgspec
@@ -32,43 +33,52 @@ from tests.stories.story_session import (
 )
 from tests.support.run_once import run_once
 
-RUN = "import sys; from dualbrain.cli.main import run_command_line; sys.exit(run_command_line(sys.argv[1:]))"
+CLI_PROGRAM = "import sys; from dualbrain.cli.main import run_command_line; sys.exit(run_command_line(sys.argv[1:]))"
 PICK = contract_text(("grasp", GRASP), ("place", PLACE))
 
 
-def in_the_middle(folder, name, number):
-    """Run in `folder` and send signal `number` while the arm comes down; returns (exit code, stdout, stderr)."""
+def signal_during_descent(folder, name, number):
+    """Run in `folder` and send signal `number` while the arm descends; returns (exit code, stdout, stderr)."""
     (folder / "pick.json").write_text(PICK)
-    command = [sys.executable, "-c", RUN, "run", "put it there", "--contract", "pick.json", "--headless", "--json"]
+    command = [
+        sys.executable,
+        "-c",
+        CLI_PROGRAM,
+        "run",
+        "put it there",
+        "--contract",
+        "pick.json",
+        "--headless",
+        "--json",
+    ]
     command += ["--scene", "bare:0", "--ledger", "ledger.sqlite", "--out", name]
     environment = {**os.environ, "MUJOCO_GL": "disable", "COLUMNS": "500", "DUALBRAIN_HOME": str(folder)}
     process = subprocess.Popen(
         command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
-    heard = []
+    lines = []
     for line in process.stderr:
-        heard.append(line)
+        lines.append(line)
         if "grasp: descend" in line:
-            time.sleep(0.1)
             process.send_signal(number)
             break
     out, err = process.communicate(timeout=60)
-    return process.returncode, out, "".join(heard) + err
+    return process.returncode, out, "".join(lines) + err
 
 
 @pytest.fixture(scope="module")
 def ctrl_c(tmp_path_factory):
-    return run_once(tmp_path_factory, "ctrl_c", lambda folder: in_the_middle(folder, "one", signal.SIGINT))
+    return run_once(tmp_path_factory, "ctrl_c", lambda folder: signal_during_descent(folder, "one", signal.SIGINT))
 
 
-def test_ctrl_c_in_the_middle_of_a_motion_brakes_and_leaves_with_130(ctrl_c):
+def test_ctrl_c_during_a_motion_brakes_and_exits_with_130(ctrl_c):
     _, code, out, err = ctrl_c
     assert code == ExitCode.INTERRUPTED == 130
     assert "interrupted by a person: braking to rest" in err
     assert "drive off, brakes on" in err
     assert "Traceback" not in err
-    told = json.loads(out)
-    assert (told["outcome"], told["success"]) == ("aborted", False)
+    result = json.loads(out)
+    assert (result["outcome"], result["success"]) == ("aborted", False)
 
 
 def test_ctrl_c_is_recorded_in_episode_and_ledger(ctrl_c):
@@ -81,7 +91,7 @@ def test_ctrl_c_is_recorded_in_episode_and_ledger(ctrl_c):
     assert ledger_kinds(folder / "ledger.sqlite") == ["run_started", "episode", "run_ended"]
 
 
-def test_the_recording_of_an_interrupted_run_is_whole_and_ends_at_rest(ctrl_c):
+def test_the_recording_of_an_interrupted_run_is_complete_and_ends_at_rest(ctrl_c):
     folder, *_ = ctrl_c
     path = folder / "one" / "episode.mcap"
     assert recording_state(path).complete
@@ -95,10 +105,10 @@ def test_the_recording_of_an_interrupted_run_is_whole_and_ends_at_rest(ctrl_c):
 
 @pytest.fixture(scope="module")
 def killed(tmp_path_factory):
-    return run_once(tmp_path_factory, "killed", lambda folder: in_the_middle(folder, "one", signal.SIGKILL))
+    return run_once(tmp_path_factory, "killed", lambda folder: signal_during_descent(folder, "one", signal.SIGKILL))
 
 
-def test_a_killed_run_leaves_a_ledger_that_holds_and_a_recording_that_can_be_read(killed):
+def test_a_killed_run_leaves_an_intact_ledger_and_a_readable_recording(killed):
     folder, code, *_ = killed
     assert code == -signal.SIGKILL
     assert ledger_kinds(folder / "ledger.sqlite") == ["run_started"]
@@ -111,21 +121,21 @@ def test_a_killed_run_leaves_a_ledger_that_holds_and_a_recording_that_can_be_rea
     assert not (folder / "one" / "episode.json").exists()
 
 
-def test_the_start_after_a_kill_says_what_was_interrupted(killed, tmp_path):
+def test_the_start_after_a_kill_reports_the_interrupted_run(killed, tmp_path):
     folder = shutil.copytree(killed[0], tmp_path / "copy")
     story = run_session(run_config(folder, "two"), hold_contract())
-    (cut,) = story.interrupted
-    assert cut.run == "one"
-    assert "Run one of" in str(cut)
-    assert "was interrupted after its start" in str(cut)
+    (interrupted,) = story.interrupted
+    assert interrupted.run == "one"
+    assert "Run one of" in str(interrupted)
+    assert "was interrupted after its start" in str(interrupted)
     assert ledger_kinds(story.config.ledger)[:3] == ["run_started", "run_interrupted", "run_started"]
-    assert run_session(run_config(folder, "three"), hold_contract()).interrupted == ()  # said once
+    assert run_session(run_config(folder, "three"), hold_contract()).interrupted == ()  # reported once
 
 
 # --- inside one process -------------------------------------------------------------------------------------------
 
 
-def test_an_interruption_while_the_planner_thinks_moves_nothing(tmp_path):
+def test_an_interruption_during_planning_moves_nothing(tmp_path):
     story = run_session(run_config(tmp_path), PICK, before=lambda session: session.interrupt())
     assert story.episode.outcome.kind == "aborted"
     assert story.episode.attempts == ()
@@ -135,45 +145,45 @@ def test_an_interruption_while_the_planner_thinks_moves_nothing(tmp_path):
     assert len(ledger_episodes(story.config.ledger)) == 1
 
 
-def test_a_planner_that_never_answers_does_not_hold_up_an_interruption(tmp_path, monkeypatch):
-    sessions = []
+@pytest.mark.realtime
+def test_a_planner_that_never_answers_does_not_delay_an_interruption(tmp_path, monkeypatch):
+    sessions, never = [], threading.Event()
 
-    def never(self, request):
+    def propose_forever(self, request):
         sessions[0].interrupt()
-        time.sleep(60.0)
+        never.wait(60.0)
 
-    monkeypatch.setattr(ScriptedPlanner, "propose", never)
+    monkeypatch.setattr(ScriptedPlanner, "propose", propose_forever)
     start = time.monotonic()
     story = run_session(run_config(tmp_path), before=sessions.append)
     assert story.episode.outcome.kind == "aborted"
     assert time.monotonic() - start < 30.0
+    never.set()
 
 
-def test_a_planner_that_raises_stops_the_robot_and_the_run_is_found_by_the_next(tmp_path, monkeypatch):
-    def broken(self, request):
+def test_a_planner_that_raises_stops_the_robot_and_the_next_run_reports_it(tmp_path, monkeypatch):
+    def raise_error(self, request):
         raise ZeroDivisionError
 
     plants = []
-    usual = ScriptedPlanner.propose
-    monkeypatch.setattr(ScriptedPlanner, "propose", broken)
+    propose = ScriptedPlanner.propose
+    monkeypatch.setattr(ScriptedPlanner, "propose", raise_error)
     with pytest.raises(ZeroDivisionError):
         run_session(run_config(tmp_path, "one"), before=lambda session: plants.append(session.plant))
     assert not plants[0].read().drive_enabled
-    monkeypatch.setattr(ScriptedPlanner, "propose", usual)
-    (cut,) = run_session(run_config(tmp_path, "two"), hold_contract()).interrupted
-    assert cut.run == "one"
+    monkeypatch.setattr(ScriptedPlanner, "propose", propose)
+    (interrupted,) = run_session(run_config(tmp_path, "two"), hold_contract()).interrupted
+    assert interrupted.run == "one"
 
 
 def test_after_an_interruption_the_drive_is_off(tmp_path):
-    seen = []
+    sessions = []
 
-    def before(session):
-        seen.append(session)
+    def interrupt(phase):
+        if phase == "approach":
+            sessions[0].interrupt()
 
-    def phase(name):
-        if name == "approach":
-            seen[0].interrupt()
-
-    story = run_session(run_config(tmp_path), PICK, before=before, observer=RunObserver(on_phase=phase))
+    observer = RunObserver(on_phase=interrupt)
+    story = run_session(run_config(tmp_path), PICK, before=sessions.append, observer=observer)
     assert story.episode.outcome.kind == "aborted"
-    assert not seen[0].plant.read().drive_enabled
+    assert not sessions[0].plant.read().drive_enabled

@@ -1,4 +1,4 @@
-"""Words to motion in two processes and real time: the same episode, ledger and replay as in lockstep."""
+"""A run in real time behind a gatekeeper process: the same episode, ledger and replay as in lockstep."""
 
 import json
 
@@ -11,11 +11,11 @@ from dualbrain.runtime.backends.gatekeeper import ADDRESS_FILE, GatekeeperBacken
 from dualbrain.runtime.session import RunObserver, Session
 from tests.stories.story_session import contract_text, hold_contract, ledger_episodes, make_clocks, run_config
 
-pytestmark = pytest.mark.slow
-"""Real time: it needs a machine that does nothing else."""
+pytestmark = [pytest.mark.slow, pytest.mark.realtime]
+"""These tests need a machine without other load."""
 
 
-def test_a_live_run_refuses_asks_again_moves_and_replays_bit_for_bit(tmp_path):
+def test_a_live_run_rejects_replans_moves_and_replays_bit_for_bit(tmp_path):
     config = run_config(tmp_path)
     wrong = contract_text(("hold", {"duration": 99.0}))
     events = []
@@ -32,11 +32,11 @@ def test_a_live_run_refuses_asks_again_moves_and_replays_bit_for_bit(tmp_path):
     assert replay(config.out / "episode.mcap").identical
     punctuality = json.loads((config.out / "punctuality.json").read_bytes())
     assert punctuality["interval"][0] < 2e-3
-    assert not (config.out / ADDRESS_FILE).exists(), "the door is gone with the gatekeeper"
+    assert not (config.out / ADDRESS_FILE).exists(), "the gatekeeper has removed its address"
     assert any(event.kind == "action" for event in events)
 
 
-def test_a_hand_needs_a_gatekeeper_and_the_filter_cannot_be_off(tmp_path, capsys):
+def test_an_operator_needs_a_gatekeeper_and_the_filter_cannot_be_off(tmp_path, capsys):
     assert (
         run_command_line(["operate", "pause", "--socket", str(tmp_path / "none"), "--keys", str(tmp_path / "keys")])
         == 5

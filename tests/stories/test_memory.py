@@ -1,4 +1,4 @@
-"""The next run recalls the last one, and only what the robot itself could know shapes memory."""
+"""A run retrieves the memory of the run before, and only the robot's own verdict updates memory."""
 
 import pytest
 
@@ -21,16 +21,16 @@ BAD = contract_text(("throw", {"object": "red_cube"}))
 
 
 def _four_runs(folder):
-    """One ledger: a pause that is called success, the same again, a refusal, and a last question."""
-    told = []
-    for name, words, answer, goal in (
+    """Four runs with one ledger: a hold that counts as success, the same again, a rejection, and a decline."""
+    results = []
+    for name, instruction, answer, goal in (
         ("one", "rest a little", hold_contract(0.7), GOAL),
         ("two", "rest a little more", hold_contract(0.8), ""),
         ("three", "throw the cube", BAD, ""),
         ("four", "throw the cube, please", decline_contract(), ""),
     ):
-        story = run_session(run_config(folder, name, instruction=words, goal=goal), answer)
-        told.append(
+        story = run_session(run_config(folder, name, instruction=instruction, goal=goal), answer)
+        results.append(
             (
                 story.episode,
                 render(story.planner.requests[0]),
@@ -38,7 +38,7 @@ def _four_runs(folder):
                 story.config.ledger,
             )
         )
-    return (told,)
+    return (results,)
 
 
 @pytest.fixture(scope="module")
@@ -46,31 +46,31 @@ def runs(tmp_path_factory):
     return run_once(tmp_path_factory, "four_runs", _four_runs)[1]
 
 
-def test_the_first_run_has_nothing_to_recall(runs):
+def test_the_first_run_retrieves_nothing(runs):
     episode, messages, *_ = runs[0]
     assert episode.recall.exemplars == ()
     assert not any("rest a little" in message["content"] for message in messages[:-1])
 
 
-def test_the_second_run_recalls_the_first_and_the_prompt_shows_it(runs):
+def test_the_second_run_retrieves_the_first_and_the_prompt_shows_it(runs):
     episode, messages, *_ = runs[1]
     (exemplar,) = episode.recall.exemplars
     assert exemplar.episode_id == "one"
     assert exemplar.succeeded
-    questions = [index for index, message in enumerate(messages) if "rest a little\n" in message["content"]]
-    assert questions
-    answer = messages[questions[0] + 1]
+    exemplars = [index for index, message in enumerate(messages) if "rest a little\n" in message["content"]]
+    assert exemplars
+    answer = messages[exemplars[0] + 1]
     assert answer["role"] == "assistant"
     assert '"duration":0.7' in answer["content"]
 
 
-def test_what_was_shown_is_weighed_by_the_outcome(runs):
+def test_the_outcome_updates_the_weights_of_retrieved_memories(runs):
     changes = runs[1][2]
     assert [(change.memory, change.rank) for change in changes] == [("two", 0), ("one", 1)]
     assert all(change.after > change.before for change in changes)
 
 
-def test_a_refused_contract_is_a_warning_to_the_next(runs):
+def test_a_rejected_contract_is_a_warning_in_the_next_run(runs):
     episode, messages, *_ = runs[3]
     assert [warning.episode_id for warning in episode.recall.warnings] == ["three"]
     assert not episode.recall.warnings[0].succeeded
@@ -78,8 +78,8 @@ def test_a_refused_contract_is_a_warning_to_the_next(runs):
     assert "three" not in messages[-1]["content"]
 
 
-def test_r_is_the_robots_own_verdict_even_where_truth_differs(runs):
-    """The robot says that all it was asked was done; the world says that no cube is in the bowl."""
+def test_r_is_the_robots_own_verdict_even_if_ground_truth_differs(runs):
+    """The robot's verdict is success; on ground truth no cube is in the bowl."""
     episode, _, changes, ledger = runs[0]
     assert episode.outcome.kind == "succeeded"
     assert not episode.judgement.success
@@ -90,7 +90,7 @@ def test_r_is_the_robots_own_verdict_even_where_truth_differs(runs):
     assert "judgement" not in remembered
 
 
-def test_a_given_contract_teaches_nothing_to_memories_that_nobody_was_shown(tmp_path):
+def test_a_given_contract_does_not_update_memories_that_were_not_shown(tmp_path):
     run_session(run_config(tmp_path, "one"), BAD)
     (tmp_path / "pause.json").write_text(hold_contract())
     story = run_session(run_config(tmp_path, "two", contract=tmp_path / "pause.json"), hold_contract())

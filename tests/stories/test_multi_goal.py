@@ -1,4 +1,4 @@
-"""Several goals in one contract, from words to truth: what the planner is told, and what counts as done."""
+"""Several goals in one contract, from the instruction to ground truth: the prompt, and the judgement."""
 
 import pytest
 
@@ -12,7 +12,7 @@ CASES = {
         "put all red things in the blue bowl",
         (("red_cube", "blue_bowl"), ("red_block", "blue_bowl")),
     ),
-    "a taken bowl": (
+    "an occupied bowl": (
         "sorting:1",
         "if the bowl is free put the red cube in it, otherwise on the left side of the table",
         "if blue_bowl is free put red_cube in blue_bowl else put red_cube on table_left",
@@ -21,22 +21,23 @@ CASES = {
 }
 
 
-def fetching(things):
-    """The contract that puts each thing where it belongs."""
+def sorting_contract(placements):
+    """The contract that puts each object at its destination."""
     steps = []
-    for name, destination in things:
+    for name, destination in placements:
         steps.append(("grasp", {**GRASP, "object": name, "opening": 0.08, "clearance": 0.15}))
         steps.append(("place", {**PLACE, "destination": destination, "clearance": 0.15}))
     return contract_text(*steps)
 
 
-@pytest.mark.parametrize("case", [pytest.param("all of a colour", marks=pytest.mark.slow), "a taken bowl"])
-def test_the_planner_is_told_and_the_truth_is_judged_by_what_was_asked(case, tmp_path):
-    scene, words, goal, things = CASES[case]
-    story = run_session(run_config(tmp_path, scene=scene, instruction=words, goal=goal), fetching(things))
-    (asked,) = story.planner.requests
-    assert "This instruction needs care" in render(asked)[-1]["content"]
-    assert ("blue_bowl: container, holds green_tin" in asked.scene) == (case == "a taken bowl")
+@pytest.mark.parametrize("case", [pytest.param("all of a colour", marks=pytest.mark.slow), "an occupied bowl"])
+def test_the_prompt_has_the_rules_of_several_goals_and_ground_truth_is_judged_by_them(case, tmp_path):
+    scene, instruction, goal, placements = CASES[case]
+    config = run_config(tmp_path, scene=scene, instruction=instruction, goal=goal)
+    story = run_session(config, sorting_contract(placements))
+    (request,) = story.planner.requests
+    assert "This instruction needs care" in render(request)[-1]["content"]
+    assert ("blue_bowl: container, holds green_tin" in request.scene) == (case == "an occupied bowl")
     assert story.episode.outcome.kind == "succeeded", story.episode.outcome.reason
     judgement = story.episode.judgement
     assert judgement is not None

@@ -113,6 +113,7 @@ class _SlowDisk:
         monkeypatch.setattr(recorder_module, "encode", lambda message: self.release.wait(10) and encode(message))
 
 
+@pytest.mark.realtime
 def test_a_slow_disk_never_blocks_and_the_gap_is_marked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     disk = _SlowDisk(monkeypatch)
     recorder = Recorder(tmp_path / "a.mcap", Trace(7), capacity=4)
