@@ -27,7 +27,7 @@ def prepare_base(stack: AdapterStack, cache: Path) -> Path:
     """The base file for the adapters of `stack`: a small quantised base in float16, any other base unchanged.
 
     For a 4-bit matrix llama.cpp rounds activations to 8 bits, which training does not do, so near-ties may be decided
-    differently (docs/how-to/serve_planners.md).
+    differently (docs/reference/planners.md).
     """
     path = base_path(stack, cache)
     return path if path == stack.gguf else _make_if_missing(path, lambda: write_merged_gguf({}, stack.gguf, path))
