@@ -1,4 +1,4 @@
-"""What each method's door lets through, on the same bytes."""
+"""Gates of the compared methods, on the same contracts."""
 
 import msgspec
 import pytest
@@ -32,16 +32,16 @@ def registry():
     return load_skill_registry("panda")
 
 
-def written(registry, *actions, written_for=None):
-    about = {"robot": "panda", "registry": written_for or registry.hash}
-    return msgspec.json.encode({"id": "c-0001", "context": about, "action_sequence": list(actions)}).decode()
+def encode(registry, *actions, written_for=None):
+    context = {"robot": "panda", "registry": written_for or registry.hash}
+    return msgspec.json.encode({"id": "c-0001", "context": context, "action_sequence": list(actions)}).decode()
 
 
 def check(registry, kind, *actions, written_for=None):
-    data = written(registry, *actions, written_for=written_for).encode()
-    door = BaselineGate(kind, Gate(registry, planner_grants(registry)), registry)
-    stamp = ContractHeader(sequence=1, issued=0.0, expires=100.0, principal=PLANNER, scene_version=1)
-    return door, door.check(data, names=NAMES, principal=PLANNER, now=1.0, header=stamp)
+    data = encode(registry, *actions, written_for=written_for).encode()
+    gate = BaselineGate(kind, Gate(registry, planner_grants(registry)), registry)
+    header = ContractHeader(sequence=1, issued=0.0, expires=100.0, principal=PLANNER, scene_version=1)
+    return gate, gate.check(data, names=NAMES, principal=PLANNER, now=1.0, header=header)
 
 
 def grasp(**values):
@@ -49,70 +49,70 @@ def grasp(**values):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_good_contract_passes_every_door_the_same(registry, kind):
-    door, verdict = check(registry, kind, grasp())
+def test_every_gate_accepts_a_valid_contract(registry, kind):
+    gate, verdict = check(registry, kind, grasp())
     assert isinstance(verdict, Accepted)
-    assert verdict == door.full_gate_verdicts[0]
+    assert verdict == gate.full_gate_verdicts[0]
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("actions", [[{"skill": "grasp"}], [{"skill": "disable_filter", "params": {}}]])
-def test_no_door_lets_in_what_is_malformed_or_not_authorized(registry, kind, actions):
+def test_no_gate_accepts_a_malformed_or_unauthorized_contract(registry, kind, actions):
     _, verdict = check(registry, kind, *actions)
     assert isinstance(verdict, Rejected)
     assert verdict.stage in ("syntax", "authorization")
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_another_vocabulary_is_refused_at_every_door(registry, kind):
+def test_every_gate_rejects_another_registry(registry, kind):
     assert check(registry, kind, grasp(), written_for="00000000")[1].stage == "authorization"
 
 
-def test_numbers_out_of_bounds_are_taken_clipped_or_refused(registry):
+def test_numbers_out_of_bounds_are_accepted_clipped_or_rejected(registry):
     wild = grasp(speed=4.0, clearance=-0.3)
-    taken, clipped, refused = (check(registry, kind, wild)[1] for kind in KINDS)
-    assert taken.contract.action_sequence[0].params["speed"] == 4.0
+    accepted, clipped, rejected = (check(registry, kind, wild)[1] for kind in KINDS)
+    assert accepted.contract.action_sequence[0].params["speed"] == 4.0
     params = clipped.contract.action_sequence[0].params
     bounds = {p.name: p for p in registry.skill("grasp").parameters}
     assert (params["speed"], params["clearance"]) == (bounds["speed"].upper, bounds["clearance"].lower)
     assert {name: params[name] for name in GRASP if name not in ("speed", "clearance")} == {
         name: value for name, value in GRASP.items() if name not in ("speed", "clearance")
     }
-    assert refused.stage == "envelope"
+    assert rejected.stage == "envelope"
 
 
-def test_names_that_are_not_offered_pass_only_the_weakest_door(registry):
-    phantom = grasp(object="ghost")
-    taken, intercepted, refused = (check(registry, kind, phantom)[1] for kind in KINDS)
-    assert isinstance(taken, Accepted)
-    assert intercepted.pointer == refused.pointer == "/action_sequence/0/params/object"
+def test_unknown_names_pass_only_the_weakest_gate(registry):
+    unknown = grasp(object="ghost")
+    accepted, clipped, rejected = (check(registry, kind, unknown)[1] for kind in KINDS)
+    assert isinstance(accepted, Accepted)
+    assert clipped.pointer == rejected.pointer == "/action_sequence/0/params/object"
 
 
-def test_the_whole_gates_word_is_kept_whatever_the_door_says(registry):
-    door, verdict = check(registry, "syntax", grasp(speed=4.0))
+def test_the_verdict_of_the_full_gate_is_kept(registry):
+    gate, verdict = check(registry, "syntax", grasp(speed=4.0))
     assert isinstance(verdict, Accepted)
-    assert door.full_gate_verdicts[0].stage == "envelope"
+    assert gate.full_gate_verdicts[0].stage == "envelope"
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_is_put_aside_is_judged_by_the_whole_gate_and_takes_nothing_from_the_proposal(registry, kind):
-    """The gate accepts a sequence number once: what is only looked at must not use it up."""
-    good = written(registry, grasp())
+def test_an_unconstrained_answer_is_checked_without_using_the_sequence_number(registry, kind):
+    """The gate accepts a sequence number once; the check of the unconstrained answer must not use it."""
+    valid = encode(registry, grasp())
     for text, finish, stage in (
-        (good, STOP, ""),
-        (written(registry, grasp(speed=4.0)), STOP, "envelope"),
+        (valid, STOP, ""),
+        (encode(registry, grasp(speed=4.0)), STOP, "envelope"),
         ("no JSON \ud800", STOP, "syntax"),
-        (good, LENGTH, "syntax"),
+        (valid, LENGTH, "syntax"),
     ):
-        door = BaselineGate(kind, Gate(registry, planner_grants(registry)), registry)
-        door.unconstrained_answer = Proposal(
+        gate = BaselineGate(kind, Gate(registry, planner_grants(registry)), registry)
+        gate.unconstrained_answer = Proposal(
             text=text, finish_reason=finish, planner="it", constrained_by="nothing", timings={}
         )
-        stamps = [
+        headers = [
             ContractHeader(sequence=number, issued=0.0, expires=100.0, principal=PLANNER, scene_version=1)
             for number in (1, 2)
         ]
-        verdicts = [door.check(good.encode(), names=NAMES, principal=PLANNER, now=1.0, header=one) for one in stamps]
+        verdicts = [gate.check(valid.encode(), names=NAMES, principal=PLANNER, now=1.0, header=one) for one in headers]
         assert all(isinstance(one, Accepted) for one in verdicts)
-        assert ("" if isinstance(door.unconstrained_verdict, Accepted) else door.unconstrained_verdict.stage) == stage
-        assert len(door.full_gate_verdicts) == 2
+        assert ("" if isinstance(gate.unconstrained_verdict, Accepted) else gate.unconstrained_verdict.stage) == stage
+        assert len(gate.full_gate_verdicts) == 2
