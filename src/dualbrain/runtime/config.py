@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
+
 from dualbrain.control.control_loop import TickSnapshot
 from dualbrain.control.recording.trace import Event, Trace
 from dualbrain.memory.memory import StoreReport
@@ -13,6 +15,9 @@ from dualbrain.memory.plasticity.rule import EPSILON
 from dualbrain.planner.registry import DEFAULT_PLANNER
 from dualbrain.records import Episode
 from dualbrain.runtime.planning_time import Clock
+
+STORED_NAMES = {"image_memory": "eyes"}
+"""Names in `config.json` of the fields of a configuration, where they differ."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,6 +54,12 @@ class RunConfig:
     """Intervention threshold ε: a successful episode with Δ > ε lowers the weights of the memories it used."""
     adapters: Path | None = None
     """Folder of the adapter registry; None: the folder `adapters` beside the ledger."""
+
+    def encode(self) -> bytes:
+        """The content of `config.json`, with the field names of earlier versions."""
+        fields = msgspec.to_builtins(self, enc_hook=str)
+        stored = {STORED_NAMES.get(name, name): value for name, value in fields.items()}
+        return msgspec.json.format(msgspec.json.encode(stored), indent=2)
 
 
 @dataclass(frozen=True, slots=True)

@@ -156,8 +156,7 @@ class Session:
     def run(self, observer: RunObserver) -> RunResult:
         """Run the instruction; afterwards the run folder holds configuration, scene, recording and episodes."""
         config, out = self.config, self.config.out
-        encoded = msgspec.json.encode(config, enc_hook=str)
-        out.joinpath("config.json").write_bytes(msgspec.json.format(encoded, indent=2))
+        out.joinpath("config.json").write_bytes(config.encode())
         save_scene(self.spec, out / "scene.json")
         about = {"instruction": config.instruction}
         self.interrupted_runs = self.ledger.start_run(out.name, about, now=self.clocks.now())
