@@ -1,4 +1,4 @@
-"""The kernel and a C program, compiled by any compiler with the flags of CMakeLists.txt."""
+"""Builds the kernel with a C program, by any compiler and with the flags of CMakeLists.txt."""
 
 import os
 import re
@@ -27,25 +27,25 @@ INCLUDES = [f"-I{ROOT / 'kernel/include'}", f"-I{ROOT / 'kernel/src'}", f"-I{ROO
 def compiler_flags():
     """DBK_FLAGS of CMakeLists.txt without the optimisation level."""
     text = (ROOT / "CMakeLists.txt").read_text()
-    words = re.search(r"set\(DBK_FLAGS ([^)]*)\)", text)
-    return [word for word in words.group(1).split() if not word.startswith("-O")]
+    match = re.search(r"set\(DBK_FLAGS ([^)]*)\)", text)
+    return [flag for flag in match.group(1).split() if not flag.startswith("-O")]
 
 
 @dataclass(frozen=True)
 class Compiler:
-    """How one is called, and what it needs beside the common flags."""
+    """The command of a compiler, and its flags in addition to the common ones."""
 
     name: str
     command: tuple[str, ...]
     extra: tuple[str, ...] = ()
 
     def run(self, *arguments, cwd=None):
-        """Call it; its complaints are the test's."""
-        # zig keeps what it has built beside our own build products, never in the user's home
-        place = str(ROOT / "build" / "zig")
-        more = {"ZIG_LOCAL_CACHE_DIR": place, "ZIG_GLOBAL_CACHE_DIR": place}
+        """Run the compiler; a compiler error fails the test."""
+        # zig stores its cache in the build folder, not in the user's home
+        cache_folder = str(ROOT / "build" / "zig")
+        zig = {"ZIG_LOCAL_CACHE_DIR": cache_folder, "ZIG_GLOBAL_CACHE_DIR": cache_folder}
         command = [*self.command, "-std=c99", *compiler_flags(), *self.extra, *arguments]
-        done = subprocess.run(command, cwd=cwd, env=os.environ | more, capture_output=True, text=True, check=False)
+        done = subprocess.run(command, cwd=cwd, env=os.environ | zig, capture_output=True, text=True, check=False)
         assert done.returncode == 0, f"{' '.join(command)}\n{done.stderr}"
         return done.stdout
 
@@ -53,7 +53,7 @@ class Compiler:
 ZIG = (sys.executable, "-m", "ziglang", "cc")
 GCC = Compiler("gcc", ("gcc",), ("-Wno-maybe-uninitialized",))
 CLANG = Compiler("clang", ZIG, ("-mcpu=baseline", "-fno-sanitize=all"))
-"""zig adds to clang: its own -march (the host's), and traps for undefined behaviour below -O2; both are taken away."""
+"""zig adds -march of the host and, below -O2, traps for undefined behaviour; these flags remove both."""
 CLANG_HOST = Compiler("clang", ZIG, ("-mcpu=native", "-fno-sanitize=all"))
 CLANG_TRAPS = Compiler("clang", ZIG, ("-mcpu=native", "-fsanitize=undefined", "-fsanitize-trap=undefined"))
 
@@ -65,20 +65,20 @@ class Program:
     path: Path
 
     def output_lines(self, *arguments):
-        """What it prints; it must end well."""
+        """The lines that the program prints; a non-zero exit code fails the test."""
         done = subprocess.run([str(self.path), *arguments], capture_output=True, text=True, check=False)
         assert done.returncode == 0, f"exit {done.returncode}\n{done.stdout}{done.stderr}"
         return done.stdout.splitlines()
 
 
 def kernel_sources():
-    """The kernel's files."""
+    """The source files of the kernel."""
     return sorted(str(path) for path in (ROOT / "kernel/src").rglob("*.c"))
 
 
 def build_program(folder, name, compiler, *more):
-    """tests/kernel/<name>.c with the kernel."""
+    """Build tests/kernel/<name>.c with the kernel."""
     out = folder / name
-    own = [str(ROOT / "tests/kernel" / f"{file}.c") for file in (name, *MORE_SOURCES.get(name, ()))]
-    compiler.run(*WARNINGS, *more, *INCLUDES, *kernel_sources(), *own, "-o", str(out))
+    sources = [str(ROOT / "tests/kernel" / f"{file}.c") for file in (name, *MORE_SOURCES.get(name, ()))]
+    compiler.run(*WARNINGS, *more, *INCLUDES, *kernel_sources(), *sources, "-o", str(out))
     return Program(out)

@@ -1,6 +1,6 @@
-"""The golden hashes: one a case and number type, in golden.json.
+"""The golden hashes in golden.json: one per case and number type.
 
-Run: python -m tests.kernel.golden_hashes (only when the kernel's arithmetic is changed on purpose, or a case is added).
+Run `python -m tests.kernel.golden_hashes` only after an intended change of the kernel's arithmetic or for a new case.
 """
 
 import json
@@ -13,17 +13,17 @@ FILE = Path(__file__).with_name("golden.json")
 
 
 def hashes(program):
-    """Case -> hash, as printed by the golden program."""
+    """Hash by case, as printed by the golden program."""
     return {line.split()[0]: line.split()[1] for line in program.output_lines()}
 
 
 def recorded_hashes():
-    """Number type -> case -> hash."""
+    """Recorded hash by number type and case."""
     return json.loads(FILE.read_text())
 
 
 def record_hashes():
-    """Write what gcc -O2 gives."""
+    """Record the hashes of a build with gcc -O2."""
     with tempfile.TemporaryDirectory() as folder:
         FILE.write_text(
             json.dumps(

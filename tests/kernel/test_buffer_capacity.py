@@ -1,4 +1,4 @@
-"""What fills the room there is: no loop over joints, parts, spheres, pairs or things runs on beyond the last one."""
+"""Full buffers: no loop over joints, links, spheres, pairs or obstacles reads beyond the last one."""
 
 from tests.kernel.compilers import GCC, build_program
 
@@ -7,8 +7,8 @@ FILLED = [f"-DDBK_MAX_{what}={count}" for what, count in (("DOF", 7), ("SPHERES"
 CHECKED = ["-O1", "-Wno-error", "-fsanitize=bounds", "-fno-sanitize-recover=all"]
 
 
-def test_no_loop_runs_on_behind_the_last_joint(tmp_path):
-    """The room of another body behind it would hide that; here whatever lies there stops the program."""
+def test_no_loop_reads_beyond_the_last_joint(tmp_path):
+    """With larger buffers, the memory behind the last joint is valid and hides the error; here it ends the program."""
     cases = build_program(tmp_path, "golden", GCC, *CHECKED, *FILLED).output_lines()
     assert len(cases) > 20
     counts = [
@@ -18,8 +18,8 @@ def test_no_loop_runs_on_behind_the_last_joint(tmp_path):
     assert all(count > 0 for count in counts[1:])
 
 
-def test_no_loop_runs_on_behind_the_last_thing(tmp_path):
-    """Sixteen things fill the room, all near one link."""
+def test_no_loop_reads_beyond_the_last_obstacle(tmp_path):
+    """Sixteen obstacles near one link fill the table."""
     rows = build_program(
         tmp_path, "full_obstacle_table", GCC, *CHECKED, "-fsanitize=address", *FILLED, "-DDBK_MAX_OBSTACLES=16"
     ).output_lines()

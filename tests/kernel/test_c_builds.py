@@ -1,4 +1,4 @@
-"""The kernel as a C program: the same bits from every compiler at every level, every line run, nothing to report."""
+"""The kernel as a C program: the same bits from every compiler and level, full line coverage, no sanitizer reports."""
 
 import re
 import shutil
@@ -22,7 +22,7 @@ from tests.kernel.compilers import (
 SANITIZE = ["-O1", "-g", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all"]
 
 WIDE = '-DDBK_SIMD_CLONES=__attribute__((target_clones("avx2","default")))'
-"""As CMakeLists.txt has it on x86-64: hot loops compiled twice."""
+"""The definition of CMakeLists.txt on x86-64: hot loops are compiled twice."""
 
 BUILDS = [
     (GCC, "-O0"),
@@ -34,7 +34,7 @@ BUILDS = [
     (CLANG, "-O2"),
     (CLANG_HOST, "-O3"),
 ]
-MORE = [
+SLOW_BUILDS = [
     (GCC, "-O1"),
     (GCC, "-Os"),
     (GCC, "-O2 -DDBK_LANES=1"),
@@ -54,8 +54,8 @@ def names(cases):
 
 @pytest.mark.parametrize(
     ("compiler", "level"),
-    [*BUILDS, *(pytest.param(*case, marks=pytest.mark.slow) for case in MORE)],
-    ids=[*names(BUILDS), *names(MORE)],
+    [*BUILDS, *(pytest.param(*case, marks=pytest.mark.slow) for case in SLOW_BUILDS)],
+    ids=[*names(BUILDS), *names(SLOW_BUILDS)],
 )
 def test_every_build_gives_the_same_bits(tmp_path, compiler, level):
     assert (
@@ -73,8 +73,8 @@ def test_the_float64_build_gives_its_own_bits(tmp_path, compiler, level):
 # --- the golden cases run everything ------------------------------------------------------------------------------
 
 
-def covered(folder, include):
-    """Kernel lines (file, number, text) that ran, and those that did not, in a build with the headers of `include`."""
+def measure_coverage(folder, include):
+    """Executed and missed kernel lines (file, number, text), and the output, of a build with the headers `include`."""
     folder.mkdir()
     flags = ["-O0", "--coverage", f"-I{include}", *INCLUDES[1:]]
     cases = [str(ROOT / "tests/kernel" / name) for name in ("golden_cases.c", "golden.c")]
@@ -92,19 +92,21 @@ def covered(folder, include):
     return ran, missed, [line.split() for line in printed.splitlines()]
 
 
-def test_the_golden_cases_run_every_line(tmp_path):
-    """A second build with a cap of three iterations runs what no problem of this size reaches; it must brake."""
-    ran, missed, _ = covered(tmp_path / "shipped", ROOT / "kernel/include")
+def test_the_golden_cases_execute_every_line(tmp_path):
+    """A second build with a limit of three iterations executes the lines for the iteration limit, and must brake."""
+    ran, missed, _ = measure_coverage(tmp_path / "shipped", ROOT / "kernel/include")
     short = shutil.copytree(ROOT / "kernel/include", tmp_path / "include") / "dbk/dbk_config.h"
     text, found = re.subn(r"#define DBK_QP_MAX_ITERATIONS \d+", "#define DBK_QP_MAX_ITERATIONS 3", short.read_text())
     assert found == 1
     short.write_text(text)
-    ran_short, _, printed = covered(tmp_path / "capped", tmp_path / "include")
+    ran_short, _, printed = measure_coverage(tmp_path / "capped", tmp_path / "include")
     capped = [line for line in printed if int(line[7]) & 64]
-    assert capped, "the cap was met"
-    assert all(int(line[5]) > 0 for line in capped), "and the filter stopped"
-    left = sorted(missed - ran_short)
-    assert not left, "lines that no golden case runs; add one to golden_cases.c: " + "; ".join(map(str, left))
+    assert capped, "the limit was reached"
+    assert all(int(line[5]) > 0 for line in capped), "the filter stopped"
+    never_run = sorted(missed - ran_short)
+    assert not never_run, "lines that no golden case executes; add one to golden_cases.c: " + "; ".join(
+        map(str, never_run)
+    )
     assert len(ran) > 800
 
 
@@ -114,12 +116,12 @@ def test_the_golden_cases_run_every_line(tmp_path):
 @pytest.mark.parametrize(
     "real", [[], pytest.param(["-DDBK_DOUBLE"], marks=pytest.mark.slow)], ids=["float32", "float64"]
 )
-def test_arbitrary_bits_never_make_an_inadmissible_control(tmp_path, real):
+def test_arbitrary_bits_never_give_an_inadmissible_control(tmp_path, real):
     counts = [
         int(word)
         for word in build_program(tmp_path, "arbitrary_input", GCC, *SANITIZE, *real).output_lines("6000")[-1].split()
     ]
-    assert all(count > 0 for count in counts[1:])  # modified, relaxed, stopped and faulty answers were all seen
+    assert all(count > 0 for count in counts[1:])  # modified, relaxed, stopped and faulty results all occurred
 
 
 @pytest.mark.slow
@@ -128,7 +130,7 @@ def test_a_million_arbitrary_inputs(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_golden_cases_leave_the_sanitizers_nothing_to_report(tmp_path):
+def test_the_golden_cases_cause_no_sanitizer_report(tmp_path):
     assert (
         golden_hashes.hashes(build_program(tmp_path, "golden", GCC, *SANITIZE))
         == golden_hashes.recorded_hashes()["float32"]
@@ -159,14 +161,14 @@ def symbols(path):
 def check_symbols(path, allowed):
     for kind, name in symbols(path):
         if name.startswith("$"):
-            continue  # ARM's marks between code and data
+            continue  # mapping symbols of ARM between code and data
         assert kind not in "bBdDC", f"{name} is writable data"
         assert kind != "T" or name.startswith("dbk_"), f"{name} lacks the prefix"
         assert kind != "U" or name.startswith("dbk_") or name in allowed, f"{name} comes from a library"
 
 
 def test_no_heap_no_libm_no_globals(tmp_path):
-    """The objects refer to nothing but each other, memory moves, and hold no writable data."""
+    """The objects refer only to each other and to memory functions, and have no writable data."""
     for source in kernel_sources():
         target = tmp_path / "one.o"
         GCC.run("-O1", *WARNINGS, *INCLUDES, "-c", source, "-o", str(target))
@@ -177,11 +179,11 @@ def test_no_heap_no_libm_no_globals(tmp_path):
     "core", ["cortex_m7+fp_armv8d16sp", pytest.param("cortex_m4+vfp4d16sp", marks=pytest.mark.slow)]
 )
 def test_compiles_for_a_microcontroller_without_any_library(tmp_path, core):
-    """Hard float in single precision: a helper such as __aeabi_dadd would mean that a double slipped in."""
+    """Hard float in single precision: a reference to a helper such as __aeabi_dadd means that a double is used."""
     total = 0
     for source in kernel_sources():
         target = tmp_path / "one.o"
-        # zig's own compiler settings for the host do not apply: the target is named here
+        # the compiler flags of zig for the host do not apply, because the target is given here
         bare = type(CLANG)("clang", CLANG.command, (*ARM, f"-mcpu={core}"))
         bare.run("-Os", *WARNINGS, *INCLUDES[:2], "-c", source, "-o", str(target))
         check_symbols(target, ALLOWED | ARM_ALLOWED)
