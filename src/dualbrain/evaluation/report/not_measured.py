@@ -16,6 +16,7 @@ from dualbrain.simulation.tasks.instructions import Label
 TEMPLATE_PLANNER = "template"
 PAPER_EPISODES = 100
 """Minimum number of episodes of each setting (paper 7.5)."""
+NO_TRACES = "Curves of h and δ over time, and images of failures: the rows contain no traces."
 LABELS: tuple[Label, ...] = ("possible", "impossible", "hazardous", "unauthorised")
 
 
@@ -45,7 +46,7 @@ def list_not_measured(
         if role.startswith("adapted") and cost.bootstrapped
     ]
     if not any(row.trace_t for row in rows):
-        sentences.append("Curves of h and δ over time, and images of failures: the rows contain no traces.")
+        sentences.append(NO_TRACES)
     names = {row.planner for row in rows}
     if TEMPLATE_PLANNER in names:
         sentences.append("A language model: the planner `template` draws random contracts.")

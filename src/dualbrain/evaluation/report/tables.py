@@ -26,6 +26,7 @@ WALL_TIME_PARTS = ("physics", "monitor", "filter", "planner", "rest")
 """Parts of the wall time of an episode."""
 ROUNDING_TOLERANCE = 1e-12
 """Numbers below this are rounding errors of sums that cancel, and are printed as 0."""
+THROUGHPUT_TITLE = "Throughput"
 WALL_TIME_NOTE = "wall time of a process that shares its processor"
 MAX_COLUMNS = 11
 """Maximum number of columns besides the row names: that of the table of hypotheses."""
@@ -249,7 +250,7 @@ def throughput_table(rows: Sequence[EpisodeRow]) -> Table:
         )
     header = ("method", "episodes per hour and core", "simulated s per s", *WALL_TIME_PARTS)
     return Table(
-        "Throughput",
+        THROUGHPUT_TITLE,
         header,
         tuple(lines),
         "medians over episodes, shares as means; wall time on the machine of the run under its load; episodes with "

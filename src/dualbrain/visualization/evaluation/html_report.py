@@ -116,7 +116,11 @@ def render_html_report(data: ReportData) -> str:
         _table_section(rest[0]),
         _chart_section("Metrics over repetitions", data.curves, "mean with 95 % interval; a run repeats its scenes"),
         *map(_table_section, rest[1:4]),
-        *([_chart_section("Traces of one case", data.traces, traces_caption(data))] if data.traced_pair else []),
+        *(
+            [_chart_section("Traces of one case", data.traces, traces_caption(data.traced_pair))]
+            if data.traced_pair
+            else []
+        ),
         _gallery_section(data.gallery),
         _chart_section("Latency", data.latencies, LATENCY_NOTE),
         *map(_table_section, rest[4:]),
@@ -188,9 +192,9 @@ def encode_jpeg(rgb: NDArray[np.uint8]) -> bytes:
     return data.getvalue()
 
 
-def traces_caption(data: ReportData) -> str:
-    """Caption of the traces: their case, and how to read them."""
-    return f"{data.traced_pair}; methods with identical results share a line; × : start of a violation on ground truth"
+def traces_caption(pair: str) -> str:
+    """Caption of the traces of the case `pair`."""
+    return f"{pair}; methods with identical results share a line; × : start of a violation on ground truth"
 
 
 def provenance_facts(data: ReportData) -> dict[str, str]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 from dualbrain.evaluation.report.captions import headline
-from dualbrain.evaluation.report.tables import markdown_page
+from dualbrain.evaluation.report.tables import Table, markdown_page
+from dualbrain.evaluation.results.episode_row import EpisodeRow
 from dualbrain.visualization.evaluation.html_report import (
     LATENCY_NOTE,
-    FailureImage,
     ReportData,
     encode_jpeg,
     provenance_facts,
@@ -18,7 +19,7 @@ from dualbrain.visualization.evaluation.html_report import (
 from dualbrain.visualization.html.page import Html, palette_css
 
 PAGE_FILE = "report.md"
-CHARTS_TITLE = "Charts and images"
+CHARTS_TITLE, TRACES_PREFIX = "Charts and images", "Traces of one case: "
 FAILURE_IMAGE_PATTERN = re.compile(r"\((failure_[0-9]+\.jpg)\)")
 MARKDOWN_SPECIAL_CHARACTERS = re.compile(r"([\\`*_{}\[\]<>#|!&])")
 
@@ -30,28 +31,42 @@ def write_markdown_page(folder: Path, data: ReportData) -> None:
     """
     folder.mkdir(parents=True, exist_ok=True)
     replaced = _failure_images(folder / PAGE_FILE) if data.gallery else set[str]()
-    lines = [f"## {CHARTS_TITLE}", ""]
-    charts = [("curves", "Metrics over repetitions: mean with 95 % interval", data.curves)]
-    charts += [("traces", f"Traces of one case: {traces_caption(data)}", data.traces)] if data.traced_pair else []
-    charts += [("latencies", f"Latency: {LATENCY_NOTE}", data.latencies)]
-    for name, title, chart in charts:
+    charts = [("curves", data.curves), ("latencies", data.latencies)]
+    charts += [("traces", data.traces)] if data.traced_pair else []
+    for name, chart in charts:
         folder.joinpath(f"{name}.svg").write_text(standalone_svg(chart), encoding="utf-8")
-        lines += [f"{escape_markdown(title)}", "", f"![{name}]({name}.svg)", ""]
-    for number, shot in enumerate(data.gallery, start=1):
-        name = f"failure_{number}.jpg"
-        folder.joinpath(name).write_bytes(encode_jpeg(shot.rgb))
-        lines += [f"![{number}]({name})", "", *_caption(shot), ""]
-    lines += ["## Not measured", "", *(f"- {line}" for line in data.not_measured), ""]
-    lines += [
-        "## Provenance",
-        "",
-        *(f"- {name}: {escape_markdown(fact)}" for name, fact in provenance_facts(data).items()),
-        "",
-    ]
-    whole = markdown_page(f"Evaluation {data.suite.name}", header_lines(data), data.tables)
-    folder.joinpath(PAGE_FILE).write_text(whole + "\n" + "\n".join(lines), encoding="utf-8")
+    for number, image in enumerate(data.gallery, start=1):
+        folder.joinpath(f"failure_{number}.jpg").write_bytes(encode_jpeg(image.rgb))
+    captions = [(image.row, image.caption) for image in data.gallery]
+    text = render_markdown_page(data, data.tables, data.not_measured, data.traced_pair, captions)
+    folder.joinpath(PAGE_FILE).write_text(text, encoding="utf-8")
     for old in replaced - _failure_images(folder / PAGE_FILE):  # images of a larger gallery
         folder.joinpath(old).unlink(missing_ok=True)
+
+
+def render_markdown_page(
+    data: ReportData,
+    tables: Sequence[Table],
+    not_measured: Sequence[str],
+    traced_pair: str,
+    captions: Sequence[tuple[EpisodeRow, str]],
+) -> str:
+    """Text of the page.
+
+    `traced_pair` is the case of the traces ("" without traces), `captions` are those of failure_1.jpg, failure_2.jpg, …
+    """
+    titles = {"curves": "Metrics over repetitions: mean with 95 % interval"}
+    titles |= {"traces": f"{TRACES_PREFIX}{traces_caption(traced_pair)}"} if traced_pair else {}
+    titles |= {"latencies": f"Latency: {LATENCY_NOTE}"}
+    lines = [f"## {CHARTS_TITLE}", ""]
+    for name, title in titles.items():
+        lines += [escape_markdown(title), "", f"![{name}]({name}.svg)", ""]
+    for number, (row, caption) in enumerate(captions, start=1):
+        lines += [f"![{number}](failure_{number}.jpg)", "", *_caption_lines(row, caption), ""]
+    lines += ["## Not measured", "", *(f"- {line}" for line in not_measured), ""]
+    facts = provenance_facts(data)
+    lines += ["## Provenance", "", *(f"- {name}: {escape_markdown(fact)}" for name, fact in facts.items()), ""]
+    return markdown_page(f"Evaluation {data.suite.name}", header_lines(data), tables) + "\n" + "\n".join(lines)
 
 
 def _failure_images(page: Path) -> set[str]:
@@ -86,8 +101,8 @@ def escape_markdown(text: str) -> str:
     return MARKDOWN_SPECIAL_CHARACTERS.sub(r"\\\1", " ".join(text.split()))
 
 
-def _caption(shot: FailureImage) -> list[str]:
+def _caption_lines(row: EpisodeRow, caption: str) -> list[str]:
     return [
-        f"{escape_markdown(shot.row.method)}: {escape_markdown(headline(shot.row))}. {escape_markdown(shot.caption)}  ",
-        f"`{shot.row.key}`",
+        f"{escape_markdown(row.method)}: {escape_markdown(headline(row))}. {escape_markdown(caption)}  ",
+        f"`{row.key}`",
     ]

@@ -1,0 +1,1 @@
+"""Pages of the committed results: recomputed tables, and the figures of the front page."""
