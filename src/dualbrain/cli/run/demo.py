@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from dualbrain.cli.common.planner_choice import PACKAGED_PLANNER
+from dualbrain.cli.run.run import DEFAULT_TRIES
 
 
 def demo(
@@ -31,5 +32,6 @@ def demo(
     from dualbrain.cli.run.execution import RunView, default_config, execute_run
 
     shown = not headless
-    config = replace(default_config(instruction), scene=scene, planner=planner, measured=shown)
+    config = default_config(instruction)
+    config = replace(config, scene=scene, planner=planner, tries=DEFAULT_TRIES, measured=shown)
     return execute_run(config, RunView(live_view=shown, keep_open=shown, real_time=shown))

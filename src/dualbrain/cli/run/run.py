@@ -14,7 +14,8 @@ from dualbrain.cli.common.arguments import parse_fraction
 from dualbrain.errors import UsageError
 from dualbrain.memory.plasticity.rule import EPSILON
 
-MAX_TRIES = 5
+MAX_TRIES, DEFAULT_TRIES = 5, 2
+"""Number of contracts that may be executed for one instruction: the maximum, and the default of `run` and `demo`."""
 
 
 def run(
@@ -32,7 +33,7 @@ def run(
     out: Path | None = None,
     ledger: Path | None = None,
     seed: int = 0,
-    tries: int = 2,
+    tries: int = DEFAULT_TRIES,
     port: int = 8080,
     knowledge: Literal["on", "off"] = "off",
     image_memory: Annotated[bool, Parameter(negative="")] = False,
