@@ -97,7 +97,9 @@ class CommanderTestbed:
             self.commander.wait()
             if self.commander.stdin:
                 self.commander.stdin.close()
-            time.sleep(0.1)
+            time.sleep(0.1)  # the reader thread reads the remaining lines
+            if self.commander.stdout:
+                self.commander.stdout.close()
         self.watcher.close()
         self.process.stop()
 

@@ -45,6 +45,8 @@ N_FRAMES = 10_000_000
 FRAMES_PER_UNIT = 250_000
 N_SERVER_RUNS, RUN_SECONDS, N_CLIENTS = 4, 30.0, 2
 """Runs at the socket, duration of each with and without fuzzing [s], fuzzing clients per run."""
+REJECTION_PAUSE_S = 0.02
+"""Pause after a contract that is not fuzzed [s]; without it, rejected contracts would count as a flood."""
 WARM_UP_FRAMES = 2_000
 """Frames before the first measurement of resident memory."""
 SCENE = "tabletop:1"
@@ -250,6 +252,7 @@ def _run_commander(link: GatekeeperClient, fuzzer: Fuzzer | None, until: float) 
     verdicts: Counter[str] = Counter()
     while time.monotonic() < until:
         _run_pick_and_place(link)
+        time.sleep(REJECTION_PAUSE_S)
         for _ in range(200 if fuzzer else 0):
             verdicts[_propose(link, fuzzer.contract() if fuzzer else b"")] += 1
             time.sleep(0.004)
