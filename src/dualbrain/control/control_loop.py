@@ -93,7 +93,7 @@ class LoopObserver:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopInputs:
-    """Inputs of a control loop beside the robot and the world.
+    """Inputs of a control loop in addition to the robot and the world.
 
     `interrupted`: whether a person wants the robot to stop. `external_conditions`: the `Condition` bits that hold
     outside the loop (operator, connections), read once per tick. `clock` [s] is the loop's own, independent of the
@@ -177,7 +177,7 @@ class ControlLoop:
         self._skill, self._roles = skill, roles
 
     def end_contract(self, *, succeeded: bool) -> None:
-        """Withdraw all contact permits; after a failure, contacts that still exist stay permitted."""
+        """Withdraw all contact permits; after a failure, contacts that still exist remain permitted."""
         contacts = () if succeeded else self._residual_contacts.combine(self._contacts)
         self._residual_contacts.retain(self._phase, contacts, self.state, self.scene)
         self._contacts = ()
@@ -214,7 +214,7 @@ class ControlLoop:
             self.rest_tick(phase, IDLE_ACTION)
 
     def rest_tick(self, phase: str, action: int) -> FilterResult:
-        """One tick at rest; contacts that the last phase permitted stay permitted."""
+        """One tick at rest; contacts that the last phase permitted remain permitted."""
         nominal = self.controller.rest(phase)
         return self.tick(replace(nominal, phase=self._phase or phase, contacts=self._contacts), action)
 
@@ -240,7 +240,7 @@ class ControlLoop:
     def _record(
         self, now: float, nominal: Nominal, result: FilterResult, action: int, decision: SupervisorDecision
     ) -> None:
-        """Record the tick, and show it to the observer now and then."""
+        """Record the tick, and pass a snapshot to the observer every snapshot period."""
         scale = self.safety_controller.scale_applied
         self.log.extra_rows(now, self.safety.extra_rows)
         self.log.tick(
@@ -285,7 +285,7 @@ class ControlLoop:
     def _switch_drive(self, *, on: bool) -> None:
         self._drive_on = on
         (self.robot.enable if on else self.robot.stop)()
-        kind, text = ("order", "drive on, standing") if on else ("fault", "drive off, brakes on")
+        kind, text = ("order", "drive on, at rest") if on else ("fault", "drive off, brakes on")
         self.log.note(self.state.stamp, kind, text)
 
     def _read_sensors(self) -> None:

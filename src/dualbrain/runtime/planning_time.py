@@ -31,40 +31,40 @@ class Clock(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class PlanningClock:
-    """Runs the planner beside the control loop. `measured` False: lockstep; then `clock` only measures."""
+    """Runs the planner in parallel with the control loop; with `measured` False (lockstep), `clock` only measures."""
 
     clock: Clock
     measured: bool = False
     planning_time: float = PLANNING_TIME
 
-    def wait_for(self, executor: Executor, ask: Callable[[], T]) -> T | None:
-        """The result of `ask`, called on a separate thread while the arm holds position; None if a person interrupts.
+    def wait_for(self, executor: Executor, propose: Callable[[], T]) -> T | None:
+        """The result of `propose`, called on a separate thread while the arm holds position.
 
-        After an interruption the thread is not joined; it ends with the process.
+        None if a person interrupts. After an interruption the thread is not joined; it ends with the process.
         """
-        answer: Future[T] = Future()
-        Thread(target=_set_future, args=(answer, ask), name="planner", daemon=True).start()
+        future: Future[T] = Future()
+        Thread(target=_set_future, args=(future, propose), name="planner", daemon=True).start()
         if not self.measured:
             executor.hold(self.planning_time, "planning")
-        while not (answer.done() or executor.interrupted()):
+        while not (future.done() or executor.interrupted()):
             if self.measured:
                 executor.hold(0.02, "planning")
             else:
-                wait((answer,), timeout=0.1)
-        return None if executor.interrupted() else answer.result()
+                wait((future,), timeout=0.1)
+        return None if executor.interrupted() else future.result()
 
-    def measure(self, do: Callable[[], T]) -> tuple[T, float]:
-        """The result of `do` and its duration [s]."""
+    def measure(self, function: Callable[[], T]) -> tuple[T, float]:
+        """The result of `function` and its duration [s]."""
         start = self.clock()
-        return do(), self.clock() - start
+        return function(), self.clock() - start
 
 
-def _set_future(answer: Future[T], ask: Callable[[], T]) -> None:
-    """Set `answer` to the result or the exception of `ask`."""
+def _set_future(future: Future[T], propose: Callable[[], T]) -> None:
+    """Set `future` to the result or the exception of `propose`."""
     try:
-        answer.set_result(ask())
-    except BaseException as error:  # raised where the answer is read
-        answer.set_exception(error)
+        future.set_result(propose())
+    except BaseException as error:  # raised where the future is read
+        future.set_exception(error)
 
 
 LATENCY_PARTS = {

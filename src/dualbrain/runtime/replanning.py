@@ -1,6 +1,6 @@
 """Replanning after a contract that failed or was taken over: the reason enters the next prompt.
 
-Each try is an episode of its own in memory and on disk, with its own outcome, Δ and contract. There are at most `tries`
+Each try is a separate episode in memory and on disk, with its own outcome, Δ and contract. There are at most `tries`
 of them, and the instruction is judged on ground truth once, at its end.
 """
 

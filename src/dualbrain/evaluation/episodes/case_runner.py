@@ -204,7 +204,7 @@ def make_perception(case: Case, method: Method, plant: Plant) -> NoisyPerception
 
 
 class _TimedPlanner:
-    """A planner whose time is measured beside that of the loop; `before_propose` gets every request first."""
+    """A planner whose time is measured separately from that of the loop; `before_propose` gets every request first."""
 
     def __init__(self, planner: Planner, stopwatch: Stopwatch, before_propose: Callable[[PlanRequest], None]) -> None:
         self._planner, self._before_propose = planner, before_propose

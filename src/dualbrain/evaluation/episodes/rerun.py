@@ -40,7 +40,7 @@ class RecordedAnswers:
 
 @dataclass(frozen=True, slots=True)
 class RerunHooks:
-    """Observers of a rerun: `on_open` gets the plant before any motion, `on_tick` a snapshot now and then."""
+    """Observers of a rerun: `on_open` gets the plant before any motion, `on_tick` a snapshot every snapshot period."""
 
     on_open: Callable[[Plant], None] = lambda plant: None
     on_tick: Callable[[TickSnapshot], None] | None = None

@@ -91,7 +91,7 @@ def draw_scene(robot: str, part: Split, rng: np.random.Generator) -> SceneSpec:
     while True:
         family, seed = choice[int(rng.integers(len(choice)))], int(rng.integers(seeds.start, seeds.stop))
         spec = (make_room if is_mobile(robot) else make_scene)(family, seed, robot)
-        if is_scene_allowed(part, family, frozenset(thing.category for thing in spec.objects)):
+        if is_scene_allowed(part, family, frozenset(obj.category for obj in spec.objects)):
             return spec
 
 

@@ -61,8 +61,8 @@ class CounterfactualQueries:
 
     def build_request(self, episode: Episode, excluded: Exemplar) -> PlanRequest:
         """The first request of `episode`, without the exemplar `excluded`."""
-        kept = tuple(one for one in episode.recall.exemplars if one.episode_id != excluded.episode_id)
-        recall = in_prompt_order(msgspec.structs.replace(episode.recall, exemplars=kept), self._registry)
+        remaining = tuple(one for one in episode.recall.exemplars if one.episode_id != excluded.episode_id)
+        recall = in_prompt_order(msgspec.structs.replace(episode.recall, exemplars=remaining), self._registry)
         names = scene_names(episode.scene)
         return PlanRequest(
             instruction=episode.instruction,
