@@ -88,44 +88,14 @@ def test_a_correct_answer_contains_one_of_the_words():
     assert retention.BARE_MODEL not in report
 
 
-def test_the_small_planner_is_chosen_only_if_it_is_correct_as_often(drawn):
-    good = {
-        "compliant": True,
-        "skills": True,
-        "named": True,
-        "declines": False,
-        "goals": 2,
-        "decision_s": 1.0,
-        "flight": None,
-    }
-    executed, bad = good | {"flight": {"kind": "succeeded", "Delta": 0.0}}, good | {"compliant": False}
-
-    def report(*pairs):
-        rows = [
-            {"number": place, "who": name, "answer": one}
-            for place, pair in enumerate(pairs)
-            for name, one in zip((starter.SMALL_PLANNER, starter.LARGE_PLANNER), pair, strict=False)
-        ]
-        return "\n".join(starter.Starter().report(rows))
-
-    even = report((executed, bad), (bad, executed), (executed, executed))
-    worse = report((executed, executed), (bad, executed))
-    assert f"+0% (95 % interval -100% to +100%). By the rule, {starter.SMALL_PLANNER} is the planner" in even
-    assert f"| {starter.SMALL_PLANNER} | 2 of 3" in even
-    assert "| 2 of 2" in even
-    assert f"-50% (95 % interval -100% to +0%). By the rule, {starter.SMALL_PLANNER} is not the planner" in worse
-    assert f"| {starter.SMALL_PLANNER} | none yet | 2 of 3 (21%–94%) | none yet |" in even
-    assert "have no common request" in report((executed,))
-
-
 def test_only_installed_planners_are_compared(monkeypatch):
     def planners():
         return {unit.parameters["who"] for unit in starter.Starter().units(Options(Path(), ""))}
 
     monkeypatch.setattr(starter, "packaged_names", lambda: ("base-135m",))
     assert planners() == {"base-135m", starter.LARGE_PLANNER}
-    monkeypatch.setattr(starter, "packaged_names", lambda: ("base-135m", starter.SMALL_PLANNER))
-    assert planners() == set(starter.PLANNERS)
+    monkeypatch.setattr(starter, "packaged_names", lambda: ("base-135m", "starter-135m"))
+    assert planners() == {"base-135m", "starter-135m", starter.LARGE_PLANNER}
 
 
 def test_the_requests_of_the_comparison_are_for_a_table_and_have_no_exemplars():

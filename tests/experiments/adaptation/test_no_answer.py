@@ -19,4 +19,4 @@ def test_a_missing_answer_ends_the_unit(fault):
 def test_a_missing_answer_is_not_counted_in_a_comparison_of_planners(fault, monkeypatch):
     monkeypatch.setattr(starter, "cached_planner", lambda name: ScriptedPlanner(["{}"], finish_reason=fault))
     with pytest.raises(NoAnswerError, match=fault):
-        starter.score_planner(starter.SMALL_PLANNER, starter.questions()[0])
+        starter.score_planner("starter-135m", starter.questions()[0])

@@ -68,3 +68,16 @@ def test_the_large_model_is_compared_but_not_chosen():
     assert best_packaged_planner(some) in NAMES
     assert LARGE_PLANNER in rule_verdict(some)
     assert any(line.startswith(f"| {LARGE_PLANNER} | 1 of 1") for line in Starter().report(some))
+
+
+def test_the_report_counts_answers_executions_and_kinds_of_instructions():
+    two_goals = answer() | {"goals": 2, "flight": {"kind": "succeeded", "Delta": 0.0}}
+    wrong = answer(False) | {"goals": 2}
+    text = "\n".join(
+        Starter().report(rows_of(base_135m=[two_goals, wrong, two_goals], starter_135m=[wrong, wrong, two_goals]))
+    )
+    assert "| base-135m | 2 of 3" in text
+    assert "| 2 of 2" in text
+    assert "| base-135m | none yet | 2 of 3 (21%–94%) | none yet |" in text
+    assert "By the rule **base-135m** is the planner of `make demo`" in text
+    assert "minus starter-135m: +33% (95 % interval" in text
