@@ -1,6 +1,6 @@
 """Coverage of 95 % intervals of a rate in clustered episodes, by simulation.
 
-    python -m benchmarks.interval_coverage [--samples 2000] [--write-docs]
+    python -m experiments.evaluation.interval_coverage [--samples 2000] [--write-docs]
 
 Each sample has 40 clusters of 10 episodes. The rate of a cluster is drawn from a beta distribution with mean p and
 intra-cluster correlation ICC, so that the hits of a cluster are beta-binomial. The table shows, for each method, how
@@ -31,8 +31,8 @@ from dualbrain.evaluation.analysis.statistics import (
 from experiments.figures.tables import markdown_table
 
 Array = NDArray[np.float64]
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "explanation" / "statistics.md"
-MARKER = "<!-- python -m benchmarks.interval_coverage --write-docs writes all that follows -->"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "explanation" / "statistics.md"
+MARKER = "<!-- python -m experiments.evaluation.interval_coverage --write-docs writes all that follows -->"
 N_CLUSTERS, CLUSTER_SIZE = 40, 10
 N_EPISODES = N_CLUSTERS * CLUSTER_SIZE
 CORRELATIONS = (0.0, 0.2, 0.5, 0.9)

@@ -4,17 +4,19 @@ import numpy as np
 import pytest
 import statsmodels.api as sm
 
-from benchmarks.interval_coverage import (
+from dualbrain.evaluation.analysis.statistics import estimate
+from experiments.evaluation.interval_coverage import (
     CLUSTER_SIZE,
+    MARKER,
     METHODS,
     N_CLUSTERS,
+    PAGE,
     coverage,
     draw_hits,
     gee,
     report_lines,
     reported,
 )
-from dualbrain.evaluation.analysis.statistics import estimate
 
 
 def clusters_of(hits):
@@ -61,3 +63,13 @@ def test_the_report_has_a_row_for_each_rate_and_the_lowest_coverage():
     assert sum(line.startswith("| 0.005 |") for line in lines) == 4
     assert any(line.startswith("| lowest of all cells |") for line in lines)
     assert lines[2].count("|") == len(METHODS) + 3
+
+
+def test_the_page_has_the_marker_and_a_table_for_each_correlation():
+    text = PAGE.read_text(encoding="utf-8").partition(MARKER)[2]
+    assert [line for line in text.splitlines() if line.startswith("### ICC")] == [
+        "### ICC 0",
+        "### ICC 0.2",
+        "### ICC 0.5",
+        "### ICC 0.9",
+    ]
