@@ -97,7 +97,7 @@ class Poisoning:
             "bad in top 3",
             "best exemplar bad",
             "no exemplar",
-            "mean |Δw| of common memories",
+            "mean weight change of common memories",
         )
         names = ("false_top3", "bad_top3", "bad_first", "none", "moved")
         lines: list[tuple[object, ...]] = []
