@@ -74,7 +74,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
         "--planner", default=DEFAULT_PLANNER, help="planner under test: name, URL or contract file (.json)"
     )
     parser.add_argument("--nice", type=int, default=5, help="niceness of the workers (default 5)")
-    parser.add_argument("--fresh", action="store_true", help="set the existing log aside and start again")
+    parser.add_argument("--fresh", action="store_true", help="rename the existing log and start again")
     parser.add_argument("--tables", action="store_true", help="run nothing, only print the tables of the logs")
     parser.add_argument("--write-docs", action="store_true", help="render the tables into docs/experiments/")
     parser.add_argument("--keep", action="store_true", help="pack the logs into experiments/logs, to be committed")

@@ -167,14 +167,14 @@ def _infeasible(whole: dict[str, Any]) -> str:
 
 
 def _describe_answer(one: dict[str, Any]) -> str:
-    if one["said"].startswith("raised"):
-        return one["said"]
+    if one["report"].startswith("raised"):
+        return one["report"]
     if not one["finite"]:
-        return f"{one['said']}: u is NaN"
+        return f"{one['report']}: u is NaN"
     answer = "u = u_nom" if one["is_nominal"] else f"max u {one['u_max']:.2g}"
     if not one["within_v_max"]:
         answer += " **above v_max**"
-    return f"{one['said']}: {answer}"
+    return f"{one['report']}: {answer}"
 
 
 def _clearance(whole: dict[str, Any]) -> str:

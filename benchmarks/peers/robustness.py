@@ -90,7 +90,7 @@ def _verdict(entry: BenchmarkedFilter, problem: Problem, case: Case, answer: dic
         "case": case.name,
         "what": case.description,
         "feasible": case.feasible,
-        "said": report,
+        "report": report,
         "finite": finite,
         "u_max": float(np.max(np.abs(u))) if finite else None,
         "within_v_max": bool(np.all(np.abs(u) <= problem.v_max + 1e-6)) if finite else None,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class NoAnswerError(RuntimeError):
-    """The engine failed or time ran out, which says nothing about the model: the unit must be run again."""
+    """The engine failed or time ran out, which is no evidence about the model: the unit must be run again."""
 
     def __init__(self, finish_reason: str, detail: str = "") -> None:
         """Report the finish reason, and a detail if there is one."""

@@ -50,7 +50,7 @@ def write_episodes(path: Path) -> None:
 
 
 def main(path: str, keys: str, ledger: str, failure: str, waits: str) -> None:
-    """Send the contract, store episodes, fail when told to."""
+    """Send the contract, store episodes, fail on request."""
     Thread(target=write_episodes, args=(Path(ledger),), daemon=True).start()
     link = GatekeeperClient(Path(path), load_or_create_keys(Path(keys)), "planner")
     version = link.request_scene().scene.version

@@ -92,7 +92,7 @@ ROBOTS = (
     ZooRobot("tiago_pro_base", "tiago_pro_description/robots/tiago_pro.urdf", mobile=True),
     ZooRobot("pr2_base", "pr2_description/urdf/pr2.urdf", mobile=True),
 )
-"""The robots of the zoo; walking and flying robots and hands are out of scope."""
+"""The robots of the zoo; walking and aerial robots and hands are out of scope."""
 
 EXCLUDED = {
     "legs": (

@@ -59,7 +59,7 @@ def test_dualbrain_is_exact_reports_infeasible_problems_and_keeps_its_clearance(
     assert own["max_on_own_rows"] < 1e-4
     assert own["worst_row_violation"] < 1e-5
     assert fake["worst_row_violation"] > 0.1
-    assert all(one["finite"] and one["within_v_max"] and one["said"] != "silent" for one in whole["infeasible"])
+    assert all(one["finite"] and one["within_v_max"] and one["report"] != "silent" for one in whole["infeasible"])
     assert [one["feasible"] for one in whole["infeasible"]] == [False, False, None, None]
     assert all(one["h_min"] > 0.0 and one["no_answer"] == 0 for one in whole["clearance"])
 

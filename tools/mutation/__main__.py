@@ -6,7 +6,7 @@ Each mutant changes one place (a sign, an index, a unit factor, a comparison, a 
 pair) in a copy of the project, is compiled, and is tested with tests/safety, tests/invariants and
 tests/kernel/test_buffer_capacity.py until the first failure; tests that compare every value of a step with its
 definition run first. Recorded results (golden hashes, vectors) and comparisons of builds are excluded: they detect
-every changed bit and prove no property. Mutants that do not compile, or whose object code equals the original, are
+every changed bit and test no property. Mutants that do not compile, or whose object code equals the original, are
 counted separately and replaced. Each mutant is written to the log at once as a JSON line; `--resume` continues a log,
 `--again` also repeats the surviving mutants.
 """

@@ -12,7 +12,7 @@ REASONS_FILE = Path(__file__).with_name("survivors.toml")
 METHOD = """Each mutant changes one place in `kernel/src/**/*.c` or `safety/cbf/kernel.py`, in a copy of the project,
 which is compiled again. `tests/safety`, `tests/invariants` and `tests/kernel/test_buffer_capacity.py` run until the
 first failure; tests that compare every value of a step with its definition run first. Recorded results (golden
-hashes, vectors) and comparisons of builds are excluded: they detect every changed bit and prove no property. A mutant
+hashes, vectors) and comparisons of builds are excluded: they detect every changed bit and test no property. A mutant
 counts as equivalent only with an explanation below. Equivalent mutants remain in the denominator of the detected
 share; the share without them is given as well. Mutants with the object code of the original are counted separately."""
 

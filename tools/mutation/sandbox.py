@@ -48,7 +48,7 @@ EXCLUDED_TESTS = (
     *(f"tests/safety/kernel/test_{name}.py" for name in ("step_vectors", "build_variants")),
     *(f"tests/safety/supervisor/test_{name}.py" for name in ("supervisor", "loop_delay")),
 )
-"""Recorded results and comparisons of builds, which detect every changed bit and prove no property; tests of the
+"""Recorded results and comparisons of builds, which detect every changed bit and test no property; tests of the
 supervisor, which call no kernel; tests of the loop delay, which need builds that are not compiled here."""
 STEP_TESTS_CPU_S, MIN_CPU_S, BASELINE_FACTOR = 30.0, 60.0, 5.0
 """Limits of processor time [s]: of the tests that run first, of the others; or a multiple of the unmutated run."""

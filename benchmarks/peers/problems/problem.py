@@ -1,6 +1,6 @@
 """The common problem: an arm of revolute joints covered by spheres, among obstacles. Requires only numpy.
 
-The process of every filter imports this file, whatever its environment. It is also the reference in float64: rows of
+The processes of all filters import this file in their environments. It is also the reference in float64: rows of
 the plain control barrier function, n'J_s u ≥ −α (h − margin), and the box |u| ≤ v_max,
 −α (q − q_lower) ≤ u ≤ α (q_upper − q).
 """
