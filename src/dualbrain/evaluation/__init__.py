@@ -43,10 +43,10 @@ _MODULES = {
 """Public names by the module that defines them."""
 
 __all__ = [
-    "EpisodeRow",
-    "Estimate",
     "METHODS",
     "METRICS",
+    "EpisodeRow",
+    "Estimate",
     "Method",
     "PairedComparison",
     "Runner",
