@@ -103,7 +103,7 @@ static int32_t optimise(const dbk_model *model, dbk_ctx *ctx, const dbk_real *u_
   return result == 0 ? 0 : (result == 1 ? DBK_INFEASIBLE : DBK_QP_ITERATIONS);
 }
 
-/* solves the problem with the rows of the trust region. Returns 1: u is the solution of the full problem, 0: u lies
+/* solves the problem with the rows of the trust region. Returns 1: u is the solution of the full problem, 0: u is
  * outside the trust region, -1: no solution */
 static int32_t solve_in_trust_region(const dbk_model *model, dbk_ctx *ctx, const dbk_real *u_nom, const dbk_real *brake,
                                      dbk_real *u, dbk_out *out) {

@@ -1,9 +1,10 @@
 """dualbrain lets an LLM plan for a robot without trusting it.
 
-Plans are typed contracts that a gate validates, and every joint velocity passes a CBF-QP safety filter. The names listed
-in `__all__` are the public API (with the sub-namespaces `dualbrain.safety.barriers`, `dualbrain.skills`,
-`dualbrain.memory`, `dualbrain.evaluation` and `dualbrain.drivers`); all other modules are private. Names are imported on
-first use, so that `import dualbrain` is light.
+Plans are typed contracts that a gate validates, and every joint velocity passes a CBF-QP safety filter. The names in
+`__all__` are the public API, with the sub-namespaces `dualbrain.safety`, `dualbrain.safety.barriers`,
+`dualbrain.safety.control_affine`, `dualbrain.safety.higher_order`, `dualbrain.skills`, `dualbrain.memory`,
+`dualbrain.evaluation` and `dualbrain.drivers`; all other modules are private. Names are imported on first use, so that
+`import dualbrain` is light.
 """
 
 from __future__ import annotations

@@ -37,12 +37,12 @@ def run(
 ) -> RunResult:
     """Run one instruction on a simulated robot, in lockstep, and return the episode with its trace.
 
-    `robot` is a name or the folder of an imported robot, `scene` a number, FAMILY:SEED or a scene file, `planner` a name
-    as for `dualbrain run --planner` or a planner object. With a `contract` file no planner is asked. `goal` is what
-    counts as success on ground truth; by default, what the contract itself says. `guard` False writes nominal controls
+    `robot` is a name or the folder of an imported robot, `scene` a number, FAMILY:SEED or a scene file, `planner` a
+    name as for `dualbrain run --planner` or a planner object. With a `contract` file no planner is asked. `goal` is the
+    criterion of success on ground truth, by default the goal of the contract. `guard` False writes nominal controls
     unfiltered, for comparison in simulation only. The run folder `out` (a new folder in `runs/` by default) holds the
-    configuration, the scene, the recording and the episode. The memory is the file `ledger`, by default a new one in the
-    run folder. Raises `ConfigurationError`, `UnknownNameError` and `MissingDependencyError` before any motion.
+    configuration, the scene, the recording and the episode. The memory is the file `ledger`, by default a new one in
+    the run folder. Raises `ConfigurationError`, `UnknownNameError` and `MissingDependencyError` before any motion.
     """
     started = datetime.now(UTC)
     folder = out or Path("runs") / f"{started:%Y%m%dT%H%M%SZ}-{token_hex(3)}"

@@ -18,6 +18,7 @@ from dualbrain.cli.evaluation.report import compare, report
 from dualbrain.cli.run.demo import demo
 from dualbrain.grounding.vocabulary import load_skill_registry
 from tests.stories.story_session import GRASP, PLACE, contract_text, decline_contract, hold_contract
+from tests.support.completed_run import run_command as run_in_process
 
 GOOD = contract_text(("grasp", GRASP), ("place", PLACE))
 
@@ -123,18 +124,19 @@ def test_an_unknown_model_is_answered_with_the_closest(run_command):
     assert "Closest: 'smollm2-135m-instruct'" in err
 
 
-def test_doctor_examines_everything(run_command, completed_run, monkeypatch, tmp_path):
+def test_doctor_examines_everything(completed_run):
     folder, *_ = completed_run
-    monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.setenv("DUALBRAIN_HOME", str(folder))
-    code, out, _ = run_command("doctor")
+    done = run_in_process(folder, "doctor", COLUMNS="200")
+    assert done.returncode == ExitCode.SUCCESS, done.stdout
     for word in ("kernel", "filter step", "rendering", "minilm-l6-v2-int8", "memory", "hash chain intact", "µs"):
-        assert word in out
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "empty"))
-    code, out, _ = run_command("doctor")
-    assert code == ExitCode.SUCCESS, "model files are optional"
-    assert "dualbrain models fetch" in out
-    assert "needs smollm2-135m-instruct" in out
+        assert word in done.stdout
+
+
+def test_doctor_reports_missing_model_files_as_optional(tmp_path):
+    done = run_in_process(tmp_path, "doctor", COLUMNS="200", XDG_CACHE_HOME=str(tmp_path / "empty"))
+    assert done.returncode == ExitCode.SUCCESS, done.stdout
+    assert "dualbrain models fetch" in done.stdout
+    assert "needs smollm2-135m-instruct" in done.stdout
 
 
 @pytest.mark.parametrize(

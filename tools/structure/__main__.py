@@ -5,7 +5,7 @@
 Rules: `folders` (at most 12 entries in a folder), `cycles` (no import cycles between modules), `records` (records of
 more than four fields are keyword-only), `words` (no private vocabulary in sources, documents and help), `docs` (every
 public name is documented). The rules and their exceptions, each with its reason, are in `rules.toml`; the words that an
-area may use are in `allowed_AREA.toml`.
+area may use are in `allowed/AREA.toml`.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Tree:
         listed = subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()
         folder = root / "tools" / "structure"
         config = tomllib.loads((folder / "rules.toml").read_text("utf-8"))
-        for path in sorted(folder.glob("allowed_*.toml")):
+        for path in sorted((folder / "allowed").glob("*.toml")):
             config["words"].setdefault("allowed", []).extend(tomllib.loads(path.read_text("utf-8"))["allowed"])
         return cls(root, tuple(sorted({name for name in listed if (root / name).is_file()})), config)
 

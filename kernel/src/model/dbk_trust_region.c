@@ -1,10 +1,10 @@
 /* Trust region: the part of the control bounds in which the solution is searched first.
  *
  * Rows that no control within the trust region can violate are omitted; these are usually most rows. If the solution of
- * the reduced problem lies within the trust region, it is the solution of the full problem: it satisfies the omitted
+ * the reduced problem is within the trust region, it is the solution of the full problem: it satisfies the omitted
  * rows, and the removal of rows cannot move the optimum farther from u_nom (the cost is strictly convex, so the optimum
  * is unique). The trust region is centred at the previous control if rows were active in the previous step, because
- * they are usually active again, and at the nominal control otherwise. If the solution lies outside, the next trust
+ * they are usually active again, and at the nominal control otherwise. If the solution is outside, the next trust
  * region is centred at it. After DBK_TRUST_TRIES attempts the full control bounds are used.
  */
 #include "model/dbk_trust_region.h"

@@ -3,7 +3,7 @@
  * The reference is the maximum admissible braking: no pair closes faster than under braking, independent of the motion
  * of the obstacles. Within this limit, the ranks are processed from the highest to the lowest. For each rank a QP with
  * one slack minimises the largest violation, subject to the values granted to higher ranks. A rank with moving
- * obstacles is processed twice: first as if all obstacles stood still, so that the robot does not move toward any of
+ * obstacles is processed twice: first as if all obstacles were static, so that the robot does not move toward any of
  * them (passive safety), then with their velocities, so that the robot moves out of their way.
  */
 #include "qp/dbk_relaxation.h"
@@ -18,7 +18,7 @@
 /* targets of all rows */
 typedef struct {
   dbk_real full[DBK_MAX_ROWS];    /* right side, at most the maximum of a'u over the control bounds */
-  dbk_real passive[DBK_MAX_ROWS]; /* right side if the obstacle stood still */
+  dbk_real passive[DBK_MAX_ROWS]; /* right side if the obstacle were static */
   dbk_real floor[DBK_MAX_ROWS];   /* lower limit of a'u; for pairs the value under braking */
   int32_t level[DBK_MAX_ROWS];    /* rank; 0 for a pair that braking satisfies */
   int32_t lowest;                 /* largest level */

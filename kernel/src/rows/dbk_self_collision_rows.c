@@ -203,7 +203,7 @@ static void link_pair_rows(const dbk_model *model, const dbk_scene *scene, dbk_c
   }
 }
 
-/* The pairs are processed from the last one: it lies at the end of the arm and is usually the closest, which lets h_min
+/* The pairs are processed from the last one: it is at the end of the arm and is usually the closest, which lets h_min
  * cull more of the other pairs. */
 void dbk_self_collision_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, dbk_real extra) {
   for (int32_t p = model->n_pairs - 1; p >= 0; --p) {
