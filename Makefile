@@ -10,9 +10,9 @@ export OPENBLAS_NUM_THREADS ?= 1
 
 KERNEL_SOURCES := CMakeLists.txt $(shell find kernel src/dualbrain/safety -name '*.c' -o -name '*.h' -o -name '*.cpp' 2>/dev/null)
 
-.PHONY: help demo test setup format check kernel pytest smoke docs experiments bench clean
+.PHONY: help demo test setup format check kernel pytest smoke docs wheel experiments bench clean
 
-help:  ## what can be made
+help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
 $(VENV)/.ready: pyproject.toml constraints.txt scripts/setup.sh $(KERNEL_SOURCES)
@@ -21,28 +21,28 @@ $(VENV)/.ready: pyproject.toml constraints.txt scripts/setup.sh $(KERNEL_SOURCES
 
 setup: $(VENV)/.ready  ## system packages, virtual environment, compiled kernel
 
-demo: setup  ## words become safe motion: model weights, live view, report
+demo: setup  ## run the main example: model files, live view, report
 	@$(BIN)/dualbrain models fetch $(PLANNER) minilm-l6-v2-int8 minilm-l6-v2-tokenizer
 	@$(BIN)/dualbrain demo "$(INSTRUCTION)" --planner $(PLANNER) $(if $(HEADLESS),--headless)
 
-test: setup check kernel pytest smoke  ## format, lint, types, import layers, kernel under sanitizers, tests
+test: setup check kernel pytest smoke  ## all checks and tests
 
-format: setup
+format: setup  ## format the code and fix lint findings
 	@$(BIN)/ruff format . && $(BIN)/ruff check --fix .
 
-check: setup
+check: setup  ## format, lint, types, import layers, rules on names and layout
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/basedpyright
 	$(BIN)/lint-imports
 	$(BIN)/python -m tools.structure
 
-kernel: setup
+kernel: setup  ## the tests of the C kernel, under sanitizers
 	$(BIN)/python -m pytest -q tests/kernel
 
-pytest: setup
+pytest: setup  ## the tests of the package; COVERAGE=1 prints the line coverage
 	@$(BIN)/dualbrain models fetch smollm2-135m-instruct minilm-l6-v2-int8 minilm-l6-v2-tokenizer efficientnet-lite0
-	$(BIN)/python -m pytest -q -n 2 --ignore=tests/kernel
+	$(BIN)/python -m pytest -q -n 2 --durations=25 $(if $(COVERAGE),--cov=dualbrain --cov-report=term:skip-covered) --ignore=tests/kernel
 
 smoke: setup  ## the evaluation protocol from end to end, six episodes without a language model
 	@rm -rf build/smoke
@@ -51,6 +51,13 @@ smoke: setup  ## the evaluation protocol from end to end, six episodes without a
 
 docs: setup  ## the documentation site, in build/site; warnings are errors
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet
+
+wheel: setup  ## wheel and source distribution in dist/, and a test of the wheel in a new environment
+	$(BIN)/python -m build --no-isolation --outdir dist
+	rm -rf build/wheel-test && $(PYTHON) -m venv build/wheel-test
+	PIP_CONSTRAINT=constraints.txt build/wheel-test/bin/pip install -q dist/dualbrain-*.whl
+	build/wheel-test/bin/dualbrain doctor
+	build/wheel-test/bin/python examples/02_filter_five_lines.py
 
 experiments: setup  ## the slow experiments, resumable; logs are written to experiments/runs/
 	@$(BIN)/python -m experiments

@@ -16,10 +16,12 @@ from dualbrain.cli.evaluation.suite_options import override_suite
 from dualbrain.cli.main import run_command_line
 from dualbrain.evaluation.planners.factory import PlannerSources
 from dualbrain.evaluation.protocol.suite import load_suite
+from dualbrain.evaluation.runner import probe as probe_module
+from dualbrain.evaluation.runner.probe import ProbeTimes
 from dualbrain.evaluation.runner.provenance import collect_provenance
 from dualbrain.evaluation.runner.runner import STAGES, Runner
 from dualbrain.evaluation.runner.work_units import build_units
-from dualbrain.evaluation.runner.workload import compute_workload
+from dualbrain.evaluation.runner.workload import compute_workload, distinct_units
 from tests.evaluation.sample_rows import fake_result_lines
 
 
@@ -28,10 +30,11 @@ def test_a_dry_run_runs_nothing_and_estimates_the_duration(tmp_path, capsys):
     assert run_command_line([*command, "--methods", "B1,M"]) == 0
     estimate = msgspec.json.decode(capsys.readouterr().out)
     assert estimate["left"] == {"pilot": 0, "start": 1, "plan": 0, "fly": 6}
-    assert estimate["basis"] == "a guess"
+    assert estimate["basis"] == "measured now"
+    assert 1.0 < estimate["episode_s"] < 60.0
     assert not (tmp_path / "x").exists()
     assert run_command_line(["evaluate", "--methods", "B9", "--dry-run"]) == 5
-    assert run_command_line(["evaluate", "--suite", "paper", "--dry-run"]) == 5
+    assert run_command_line(["evaluate", "--suite", "paper"]) == 5
     assert "--planner adapted=adapter:ID" in capsys.readouterr().err
     planners = "adapted=base-135m,base=template"
     assert (
@@ -42,7 +45,19 @@ def test_a_dry_run_runs_nothing_and_estimates_the_duration(tmp_path, capsys):
     )
 
 
-def test_the_assumed_request_time_is_that_of_the_model_that_answers(tmp_path, capsys):
+def test_a_dry_run_leaves_out_methods_without_a_planner(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(probe_module, "probe", lambda *_: ProbeTimes(4.0, {"base-135m": 2.0}))
+    command = ["evaluate", "--suite", "paper", "--dry-run", "--json", "--jobs", "2", "--out", str(tmp_path / "x")]
+    assert run_command_line(command) == 0
+    out, err = capsys.readouterr()
+    assert "not included: P, Full, which need an adapted planner" in err
+    estimate = msgspec.json.decode(out)
+    assert estimate["left"] == {"pilot": 40, "start": 48, "plan": 800, "fly": 7 * 400}
+    # B1, B2 and G share their episodes; every fifth episode of B3, B4, M and PE is repeated without filter
+    assert estimate["hours"]["flying"] == pytest.approx(4.0 * (40 + 48 + 400 + 4 * 480) / 2 / 3600)
+
+
+def test_the_assumed_request_time_is_that_of_the_model_that_answers(tmp_path, capsys, monkeypatch):
     sources = PlannerSources(tmp_path, tmp_path)
     for small in ("base-135m", "adapter:starter-135m", "transformers:base-135m", "smollm2-135m-instruct"):
         assert default_request_time(small, sources) == DEFAULT_SMALL_MODEL_REQUEST_S
@@ -50,6 +65,7 @@ def test_the_assumed_request_time_is_that_of_the_model_that_answers(tmp_path, ca
         assert default_request_time(large, sources) == DEFAULT_LARGE_MODEL_REQUEST_S
     command = ["evaluate", "--suite", "paper", "--methods", "B3,P", "--dry-run", "--json", "--jobs", "1"]
     command += ["--planner", "base=template,prompted=template,adapted=base-135m", "--out", str(tmp_path / "x")]
+    monkeypatch.setattr(probe_module, "probe", lambda *_: ProbeTimes())
     assert run_command_line(command) == 0
     one = msgspec.json.decode(capsys.readouterr().out)
     assert one["question_s"] == {"base-135m": DEFAULT_SMALL_MODEL_REQUEST_S}
@@ -63,11 +79,12 @@ def test_the_assumed_request_time_is_that_of_the_model_that_answers(tmp_path, ca
     }
     suite = override_suite("paper", "B3", 0, "", "base=qwen2.5-coder-1.5b-instruct")
     units = [unit for stage in STAGES for unit in build_units(suite, stage)]
-    more = compute_workload(suite, units).requests * DEFAULT_LARGE_MODEL_REQUEST_S / 3600.0
+    more = compute_workload(suite, distinct_units(suite, units)).requests * DEFAULT_LARGE_MODEL_REQUEST_S / 3600.0
     assert both["hours"]["planning"] - one["hours"]["planning"] == pytest.approx(more)
 
 
-def test_times_measured_in_the_folder_replace_the_assumed_ones_by_planner(tmp_path, capsys):
+def test_times_measured_in_the_folder_replace_the_assumed_ones_by_planner(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(probe_module, "probe", lambda *_: ProbeTimes())
     command = ["evaluate", "--suite", "paper", "--methods", "B3,P", "--dry-run", "--json", "--out", str(tmp_path)]
     command += ["--planner", "adapted=starter-135m"]
     runner = Runner(
@@ -84,7 +101,7 @@ def test_times_measured_in_the_folder_replace_the_assumed_ones_by_planner(tmp_pa
     assert run_command_line(command) == 0
     estimate = msgspec.json.decode(capsys.readouterr().out)
     assert estimate["question_s"] == {"base-135m": DEFAULT_SMALL_MODEL_REQUEST_S, "starter-135m": 8.0}
-    assert (estimate["episode_s"], estimate["basis"]) == (11.0, "measured here")
+    assert (estimate["episode_s"], estimate["basis"]) == (11.0, "measured in these results")
 
 
 def test_methods_with_a_single_run_cause_a_warning(tmp_path, capsys, monkeypatch):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import defaultdict
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -13,10 +14,11 @@ from dualbrain.cli.common.console import StderrConsole, print_result
 if TYPE_CHECKING:
     from dualbrain.evaluation.planners.factory import PlannerSources
     from dualbrain.evaluation.protocol.suite import Suite
+    from dualbrain.evaluation.runner.probe import ProbeTimes
     from dualbrain.evaluation.runner.runner import Runner
     from dualbrain.evaluation.runner.work_units import WorkUnit
 
-MEASURED, ASSUMED = "measured here", "a guess"
+MEASURED, PROBED, ASSUMED = "measured in these results", "measured now", "assumed"
 DEFAULT_EPISODE_S = 4.0
 """Assumed wall time of an episode without measurements [s]; this value and the next two are medians on one core."""
 DEFAULT_SMALL_MODEL_REQUEST_S, DEFAULT_LARGE_MODEL_REQUEST_S = 2.4, 25.0
@@ -26,22 +28,39 @@ DEFAULT_SMALL_MODEL_REQUEST_S, DEFAULT_LARGE_MODEL_REQUEST_S = 2.4, 25.0
 def print_estimate(
     runner: Runner, sources: PlannerSources, jobs: int, console: StderrConsole, *, as_json: bool
 ) -> None:
-    """Print the remaining work and its duration, from times measured in the results folder or else from defaults."""
+    """Print the remaining work and its duration.
+
+    The times of an episode and of a request come from the results folder, else from a probe of this machine, else from
+    defaults (servers, and planners that are not downloaded).
+    """
+    from dualbrain.evaluation.runner.probe import ProbeTimes
     from dualbrain.evaluation.runner.runner import STAGES
 
     left = {stage: sum(unit.n_episodes - unit.done for unit in runner.remaining_units(stage)) for stage in STAGES}
-    wall_times = [0.0 if line.get("same_as") else line["wall_s"] for line in runner.read_lines("fly")]
-    episode, basis = (_mean(wall_times), MEASURED) if wall_times else (DEFAULT_EPISODE_S, ASSUMED)
+    wall_times = [line["wall_s"] for line in runner.read_lines("fly") if not line.get("same_as")]
     episodes, requests = _remaining_workload(runner)
     measured = _measured_request_times(runner)
-    seconds = {name: measured[name] if name in measured else default_request_time(name, sources) for name in requests}
+    complete = bool(wall_times) and measured.keys() >= requests.keys()
+    probed = ProbeTimes() if complete else _probe(runner, sources, console)
+    episode, basis = _first((_mean(wall_times), MEASURED), (probed.episode_s, PROBED), (DEFAULT_EPISODE_S, ASSUMED))
+    found = {
+        name: _first(
+            (measured.get(name), MEASURED),
+            (probed.request_s.get(name), PROBED),
+            (default_request_time(name, sources), ASSUMED),
+        )
+        for name in requests
+    }
+    seconds, bases = (
+        {name: time for name, (time, _) in found.items()},
+        {name: basis for name, (_, basis) in found.items()},
+    )
     planning = sum(count * seconds[name] for name, count in requests.items())
     hours = {"planning": planning / jobs / 3600.0, "flying": episode * episodes / jobs / 3600.0}
     for stage, count in left.items():
         console.print(f"{stage}: {count} episodes left")
     total = sum(requests.values())
-    console.print(f"at most {total} planner requests and {episodes} simulated episodes, with those that only measure")
-    bases = {name: MEASURED if name in measured else ASSUMED for name in requests}
+    console.print(f"about {total} planner requests and {episodes} simulated episodes, with those that only measure")
     rates = [f"{episode:.1f} s per episode ({basis})"]
     rates += [f"{seconds[name]:.1f} s per request to {name} ({bases[name]})" for name in requests]
     console.print(
@@ -51,8 +70,21 @@ def print_estimate(
         soft_wrap=True,
     )
     if as_json:
-        found = {"left": left, "hours": hours, "episode_s": episode, "question_s": seconds, "basis": basis}
-        print_result(msgspec.json.encode(found).decode())
+        estimate = {"left": left, "hours": hours, "episode_s": episode, "question_s": seconds, "basis": basis}
+        print_result(msgspec.json.encode(estimate).decode())
+
+
+def _probe(runner: Runner, sources: PlannerSources, console: StderrConsole) -> ProbeTimes:
+    """Measure this machine, with a spinner."""
+    from dualbrain.cli.common.spinner import Spinner
+    from dualbrain.evaluation.runner.probe import probe
+
+    spinner = Spinner(console, "measuring the speed of this machine")
+    spinner.start()
+    try:
+        return probe(runner.suite, sources, time.perf_counter)
+    finally:
+        spinner.stop()
 
 
 def warn_of_single_runs(suite: Suite, console: StderrConsole) -> None:
@@ -86,17 +118,17 @@ def default_request_time(planner: str, sources: PlannerSources) -> float:
 
 
 def _remaining_workload(runner: Runner) -> tuple[int, dict[str, int]]:
-    """Number of remaining episodes, and of remaining requests by planner (planners without requests are left out)."""
+    """Expected number of remaining episodes, and of remaining requests by planner (without planners that get none)."""
     from dualbrain.evaluation.planners.factory import planner_name
     from dualbrain.evaluation.protocol.method import find_method
     from dualbrain.evaluation.runner.runner import STAGES
-    from dualbrain.evaluation.runner.workload import compute_workload
+    from dualbrain.evaluation.runner.workload import compute_workload, distinct_units
 
     units: defaultdict[str, list[WorkUnit]] = defaultdict(list)
     for stage in STAGES:
         for unit in runner.remaining_units(stage):
             units[planner_name(runner.suite, find_method(unit.method))].append(unit)
-    work = {name: compute_workload(runner.suite, some) for name, some in units.items()}
+    work = {name: compute_workload(runner.suite, distinct_units(runner.suite, some)) for name, some in units.items()}
     return sum(one.episodes for one in work.values()), {
         name: one.requests for name, one in work.items() if one.requests
     }
@@ -112,8 +144,13 @@ def _measured_request_times(runner: Runner) -> dict[str, float]:
         if line["asked"]:
             method = find_method(line["key"].partition(" ")[0])
             asked[planner_name(runner.suite, method)].append(line["planner_s"])
-    return {name: _mean(times) for name, times in asked.items()}
+    return {name: sum(times) / len(times) for name, times in asked.items()}
 
 
-def _mean(values: Sequence[float]) -> float:
-    return sum(values) / len(values)
+def _mean(values: Sequence[float]) -> float | None:
+    return sum(values) / len(values) if values else None
+
+
+def _first(*candidates: tuple[float | None, str]) -> tuple[float, str]:
+    """The first of (time [s], basis) that has a time."""
+    return next((time, basis) for time, basis in candidates if time is not None)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -51,8 +52,7 @@ def evaluate(
     suite
         Name of a built-in suite (smoke, first, paper, cross, scenes, large, ablations, refusals, attacks, eyes), or a
         TOML file.
-
-    Methods:
+    methods
         Only these methods, for example B1,B2,B3. Also available: G, B4, M, P, PE, Full, the adversarial A1-A3,
         B3-depth, B1-free, and the ablations. Further methods can be added to the same --out later.
     episodes
@@ -90,9 +90,10 @@ def evaluate(
         raise UsageError("--jobs", got=jobs, allowed="at least 1, or 0 for all cores")
     if again:
         return _rerun(out or Path("runs") / f"evaluate-{Path(suite).stem}", again, no_rendering, as_json=json)
-    chosen = override_suite(suite, methods, episodes, robots, planner)
-    folder = out or Path("runs") / f"evaluate-{chosen.name}"
     console = StderrConsole()
+    on_left_out = partial(_print_left_out, console) if dry_run else None
+    chosen = override_suite(suite, methods, episodes, robots, planner, on_left_out=on_left_out)
+    folder = out or Path("runs") / f"evaluate-{chosen.name}"
     runner = Runner(
         chosen, folder, clock=time.monotonic, on_progress=lambda progress: console.print(_format_progress(progress))
     )
@@ -184,6 +185,18 @@ def _run_stage(runner: Runner, stage: Stage, sources: PlannerSources, jobs: int)
         return runner.run_stage(stage, ProcessPool(config.make_worker, jobs))
     with closing(config.make_worker()) as worker:
         return runner.run_stage(stage, SerialPool(worker))
+
+
+def _print_left_out(console: StderrConsole, methods: tuple[str, ...]) -> None:
+    """Print the methods that a dry run leaves out, because the suite names no planner for their role."""
+    if methods:
+        console.print(
+            f"not included: {', '.join(methods)}, which need an adapted planner. Train one with `dualbrain adapt`, or "
+            "reproduce those of the suites with `python -m experiments suite_adapters`, and name it with --planner "
+            "adapted=adapter:ID.",
+            markup=False,
+            soft_wrap=True,
+        )
 
 
 def _dry_run(runner: Runner, sources: PlannerSources, jobs: int, console: StderrConsole, *, as_json: bool) -> int:

@@ -131,9 +131,9 @@ def _command(suite: Suite, out: str) -> str:
         options |= {"robots": ",".join(suite.robots)} if suite.robots != builtin.robots else {}
         same_size = suite.episodes_per_task == builtin.episodes_per_task
         options |= {} if same_size else {"episodes": str(suite.episodes_per_task)}
-        overrides = {name: options.get(name, "") for name in ("methods", "robots", "planner")}
+        methods, robots, planner = (options.get(name, "") for name in ("methods", "robots", "planner"))
         with suppress(DualbrainError):  # this version may reject the suite of another version
-            if override_suite(suite.name, episodes=int(options.get("episodes", 0)), **overrides) == suite:
+            if override_suite(suite.name, methods, int(options.get("episodes", 0)), robots, planner) == suite:
                 words = [word for name, value in options.items() for word in (f"--{name}", value)]
                 return " ".join(["dualbrain evaluate --suite", suite.name, *words, "--out", out])
     return f"dualbrain evaluate --suite FILE.toml --out {out}  # FILE.toml: the suite in {out}/config.json"

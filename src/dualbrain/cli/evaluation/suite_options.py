@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -12,8 +13,18 @@ if TYPE_CHECKING:
     from dualbrain.evaluation.protocol.suite import Suite, Task
 
 
-def override_suite(suite: str, methods: str, episodes: int, robots: str, planner: str) -> Suite:
+def override_suite(
+    suite: str,
+    methods: str,
+    episodes: int,
+    robots: str,
+    planner: str,
+    *,
+    on_left_out: Callable[[tuple[str, ...]], None] | None = None,
+) -> Suite:
     """The suite `suite` with the options applied, validated again; an empty option changes nothing.
+
+    With `on_left_out`, methods for whose role the suite names no planner are left out and reported to it.
 
     Raises:
         UsageError: an option is malformed.
@@ -36,9 +47,21 @@ def override_suite(suite: str, methods: str, episodes: int, robots: str, planner
         seeds = -(-episodes // found.repetitions)
         changes |= {"seeds": seeds, "runs": min(found.runs, seeds)}
     found = msgspec.structs.replace(found, **changes)
+    if on_left_out:
+        found, left_out = _without_unnamed_planners(found)
+        on_left_out(left_out)
     check_suite(found)
     check_planners(found)
     return found
+
+
+def _without_unnamed_planners(suite: Suite) -> tuple[Suite, tuple[str, ...]]:
+    """`suite` without the methods for whose role it names no planner, and the names of these methods."""
+    missing = tuple(
+        method.name for method in suite.resolved_methods if method.planner_role not in (*suite.planners, "adversary")
+    )
+    kept = tuple(name for name in suite.methods if name not in missing)
+    return (msgspec.structs.replace(suite, methods=kept) if kept else suite), missing
 
 
 def _split_names(option: str, names: str) -> tuple[str, ...]:

@@ -27,6 +27,21 @@ def compute_workload(suite: Suite, units: Iterable[WorkUnit]) -> Workload:
     return Workload(sum(one.episodes for one in found), sum(one.requests for one in found))
 
 
+def distinct_units(suite: Suite, units: Iterable[WorkUnit]) -> list[WorkUnit]:
+    """`units` without those whose episode another method has too: methods without memory that differ in the gate only.
+
+    A planner that is constrained to the schema rarely gives the gates a reason to decide differently.
+    """
+    found: dict[object, WorkUnit] = {}
+    for unit in units:
+        method = find_method(unit.method)
+        shared = (method.planner_role, method.prompt_corruption, method.constrained, method.guard)
+        place = (unit.stage, unit.robot, unit.task.name, unit.seeds, unit.repetitions, method.perception)
+        alone = unit.stage != "fly" or method.uses_memory
+        found.setdefault(unit.key if alone else (*shared, *place), unit)
+    return list(found.values())
+
+
 def _unit_workload(suite: Suite, unit: WorkUnit) -> Workload:
     method = find_method(unit.method)
     left = [repetition for _, repetition in list(unit.seed_repetition_pairs)[unit.done :]]
