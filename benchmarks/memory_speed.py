@@ -35,7 +35,7 @@ from dualbrain.memory.index.filters import Columns, Filter
 from dualbrain.memory.index.index import to_stored_vector
 from dualbrain.memory.ledger.ledger import Ledger, PendingEvent
 from dualbrain.memory.memory import Memory
-from dualbrain.memory.plasticity.rule import BANDWIDTH
+from dualbrain.memory.plasticity.hebbian_update import BANDWIDTH
 from dualbrain.memory.retrieval.search import FlatIndex, Query, contract_weights
 from dualbrain.memory.state.episode_record import episode_payload
 from dualbrain.memory.state.provenance import Provenance

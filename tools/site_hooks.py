@@ -1,4 +1,4 @@
-"""Hooks of MkDocs: the navigation is read from the folders, and links that leave `docs/` lead to the repository."""
+"""Hooks of MkDocs: navigation from the folders, and links from the site to files of the repository."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from pathlib import Path
 from posixpath import normpath
 from typing import Any
 
-REPOSITORY = "https://github.com/dualbrain/dualbrain"
 SECTIONS = {
     "tutorial": "Tutorial",
     "how-to": "How-to guides",
@@ -28,7 +27,7 @@ FIRST = {
 }
 """Entries that come first in a folder; the others follow in alphabetical order."""
 INDEXES = ("index.md", "README.md")
-LINK = re.compile(r"(!?\[[^\]]*\]\()([^)\s#]+)(#[^)\s]*)?\)")
+LINK = re.compile(r"!?\[([^\]]*)\]\(([^)\s#]+)(#[^)\s]*)?\)")
 
 
 def on_config(config: Any) -> Any:
@@ -60,17 +59,24 @@ def section(docs: Path, folder: Path) -> list[Any]:
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
-    """Replace links to files outside `docs/`, or to files that the site leaves out, by links to the repository."""
+    """Replace links to files outside `docs/`, or to files that the site leaves out.
+
+    With `repo_url` in mkdocs.yml they lead to the repository, without it to nowhere: the path follows the text.
+    """
     docs = Path(config["docs_dir"])
     folder = docs / Path(page.file.src_uri).parent
+    repository = config.get("repo_url")
 
     def replaced(match: re.Match[str]) -> str:
-        opening, target, anchor = match[1], match[2], match[3] or ""
+        text, target, anchor = match[1], match[2], match[3] or ""
         if ":" in target or not leaves_site(folder / target, docs):
             return match[0]
         path = Path(normpath(folder / target))
-        kind = "tree" if path.is_dir() else "blob"
-        return f"{opening}{REPOSITORY}/{kind}/main/{path.relative_to(docs.parent).as_posix()}{anchor})"
+        name = path.relative_to(docs.parent).as_posix()
+        if repository:
+            return f"[{text}]({repository}/{'tree' if path.is_dir() else 'blob'}/main/{name}{anchor})"
+        shown = text.strip("`")
+        return text if name == shown else f"`{name}`" if name.endswith(shown) else f"{text} (`{name}`)"
 
     parts = re.split(r"(^```.*?^```)", markdown, flags=re.MULTILINE | re.DOTALL)
     return "".join(part if part.startswith("```") else LINK.sub(replaced, part) for part in parts)

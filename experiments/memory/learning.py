@@ -23,7 +23,7 @@ from dualbrain.cli.common import paths
 from dualbrain.core.storage.resumable_steps import run_steps
 from dualbrain.grounding.vocabulary import load_skill_registry
 from dualbrain.memory.ledger.ledger import LedgerReader
-from dualbrain.memory.plasticity.rule import EPSILON
+from dualbrain.memory.plasticity.hebbian_update import EPSILON
 from dualbrain.memory.state.derivation import derive_state
 from dualbrain.planner.protocol import Planner
 from dualbrain.planner.scripted import FixedContractPlanner

@@ -147,12 +147,12 @@ def test_an_audit_and_a_replay_are_written_down_if_wanted(run_command, filled, a
     assert ask("show", "odd")[1]["history"][-1]["kind"] == "replayed"
 
 
-def test_a_memory_of_a_real_run_stands_when_it_is_replayed(run_command, tmp_path):
+def test_a_memory_of_a_real_run_is_confirmed_when_it_is_replayed(run_command, tmp_path):
     config = run_config(tmp_path, "one", instruction="rest a little")
     run_session(config, hold_contract(0.5))
     code, out, err = run_command("memory", "replay", "one", "--tries", "1", "--ledger", config.ledger)
     assert (code, out) == (ExitCode.SUCCESS, "")
-    assert "one (succeeded): stands; 1 of 1 tries ended as remembered" in err
+    assert "one (succeeded): confirmed; 1 of 1 tries ended as remembered" in err
 
 
 NOT_THERE = "is not a memory of this ledger"

@@ -13,7 +13,7 @@ from dualbrain.memory.embedding.joint_embedding import EmbeddingConfig
 from dualbrain.memory.embedding.posture_features import Posture, PostureLimits
 from dualbrain.memory.ledger.ledger import Ledger
 from dualbrain.memory.memory import Memory
-from dualbrain.memory.plasticity.rule import Plasticity
+from dualbrain.memory.plasticity.hebbian_update import Plasticity
 from dualbrain.records import (
     Attempt,
     Episode,

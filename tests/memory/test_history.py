@@ -18,7 +18,7 @@ from dualbrain.memory.ledger.ledger import Ledger, LedgerReader, PendingEvent
 from dualbrain.memory.maintenance.compaction import compact_ledger, compose_weight_updates
 from dualbrain.memory.maintenance.edits import forget, quarantine, release, roll_back
 from dualbrain.memory.memory import Memory
-from dualbrain.memory.plasticity.rule import Plasticity
+from dualbrain.memory.plasticity.hebbian_update import Plasticity
 from dualbrain.memory.state import snapshot
 from dualbrain.memory.state.derivation import derive_state, derive_state_at
 from dualbrain.memory.state.episode_record import GUIDANCE_BY_OUTCOME

@@ -17,7 +17,7 @@ from dualbrain.memory.index.index import rebuild_vectors
 from dualbrain.memory.ledger.hash_chain import CorruptLedgerError
 from dualbrain.memory.ledger.ledger import Ledger, LedgerReader, PendingEvent
 from dualbrain.memory.memory import Memory
-from dualbrain.memory.plasticity.rule import Plasticity
+from dualbrain.memory.plasticity.hebbian_update import Plasticity
 from dualbrain.memory.state.episode_record import GUIDANCE_BY_OUTCOME
 from dualbrain.records import Judgement, OutcomeCheck, OutcomeClass, RetrievedContext, Violation
 from tests.memory.memory_samples import CONFIG, NOW, REST_POSTURE, episode, grasp_contract, open_ledger, open_memory

@@ -6,10 +6,12 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from tests.repository.test_public_api import NAMESPACES
+from tools.site_hooks import on_page_markdown
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -45,6 +47,21 @@ def test_every_page_is_built_and_in_the_navigation(site):
 def test_no_page_loads_anything_from_outside(site):
     for page in site.rglob("*.html"):
         assert not LOADED.search(page.read_text("utf-8")), page
+
+
+def test_links_leave_the_site_for_the_repository_only():
+    page = SimpleNamespace(file=SimpleNamespace(src_uri="how-to/page.md"))
+    source = (
+        "[the memory](../reference/evaluation.md), [Makefile](../../Makefile), [the example](../../examples/02_x.py#L1)"
+    )
+    config = {"docs_dir": str(DOCS)}
+    kept = "[the memory](../reference/evaluation.md), "
+    assert on_page_markdown(source, page, config) == kept + "Makefile, the example (`examples/02_x.py`)"
+    home = {**config, "repo_url": "https://example.org/dualbrain"}
+    assert on_page_markdown(source, page, home) == kept + (
+        "[Makefile](https://example.org/dualbrain/blob/main/Makefile), "
+        "[the example](https://example.org/dualbrain/blob/main/examples/02_x.py#L1)"
+    )
 
 
 @pytest.mark.parametrize("namespace", NAMESPACES)

@@ -11,7 +11,7 @@ from typing import Any
 
 from dualbrain.contracts.contract import ContractHeader
 from dualbrain.contracts.gate.gate import Gate
-from dualbrain.contracts.gate.parse import MAX_BYTES
+from dualbrain.contracts.gate.strict_json import MAX_BYTES
 from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.verdict import Accepted, Verdict
 from tests.contracts.contract_strategies import NAMES, PRINCIPAL, REGISTRY

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from dualbrain.memory.embedding.text_encoder import MiniLmEncoder
     from dualbrain.memory.ledger.ledger import Ledger, LedgerReader
     from dualbrain.memory.memory import Memory, StoreReport
-    from dualbrain.memory.plasticity.rule import Plasticity
+    from dualbrain.memory.plasticity.hebbian_update import Plasticity
 
 _MODULES = {
     "memory.config": ("MemoryConfig",),
@@ -31,7 +31,7 @@ _MODULES = {
         "Memory",
         "StoreReport",
     ),
-    "memory.plasticity.rule": ("Plasticity",),
+    "memory.plasticity.hebbian_update": ("Plasticity",),
 }
 """Public names by the module that defines them."""
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from dualbrain.memory.embedding.joint_embedding import EmbeddingConfig
 from dualbrain.memory.embedding.posture_features import PostureLimits
 from dualbrain.memory.learning.trust import TrustConfig
-from dualbrain.memory.plasticity.rule import BANDWIDTH, Plasticity
+from dualbrain.memory.plasticity.hebbian_update import BANDWIDTH, Plasticity
 from dualbrain.memory.retrieval.search import check_lambda
 
 

@@ -11,7 +11,7 @@ import msgspec
 from dualbrain.control.control_loop import TickSnapshot
 from dualbrain.control.recording.trace import Event, Trace
 from dualbrain.memory.memory import StoreReport
-from dualbrain.memory.plasticity.rule import EPSILON
+from dualbrain.memory.plasticity.hebbian_update import EPSILON
 from dualbrain.planner.registry import DEFAULT_PLANNER
 from dualbrain.records import Episode
 from dualbrain.runtime.planning_time import Clock

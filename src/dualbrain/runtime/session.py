@@ -33,7 +33,7 @@ from dualbrain.memory.ledger.ledger import Ledger
 from dualbrain.memory.ledger.runs import InterruptedRun
 from dualbrain.memory.maintenance.edits import record_uses
 from dualbrain.memory.memory import Memory, StoreReport
-from dualbrain.memory.plasticity.rule import Plasticity
+from dualbrain.memory.plasticity.hebbian_update import Plasticity
 from dualbrain.planner.prompt.full_prompt import MAX_RECALLED, conditional_text_hash, template_hash
 from dualbrain.planner.protocol import Planner
 from dualbrain.planner.scripted import FixedContractPlanner

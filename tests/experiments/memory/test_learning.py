@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dualbrain.memory.ledger.ledger import Ledger
-from dualbrain.memory.plasticity.rule import EPSILON
+from dualbrain.memory.plasticity.hebbian_update import EPSILON
 from experiments.figures.plot_learning import plot_learning
 from experiments.memory.learning import compare_arms, mean_delta_of_thirds, median_success_delta, start_contracts
 

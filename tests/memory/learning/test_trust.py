@@ -12,7 +12,7 @@ from dualbrain.memory.learning.trust import TrustConfig
 from dualbrain.memory.maintenance.edits import release
 from dualbrain.memory.memory import Memory
 from dualbrain.memory.plasticity.affine_map import AffineMap
-from dualbrain.memory.plasticity.rule import Plasticity
+from dualbrain.memory.plasticity.hebbian_update import Plasticity
 from dualbrain.memory.state.state import SECONDS_PER_DAY
 from dualbrain.records import RetrievedContext
 from tests.memory.memory_samples import CONFIG, NOW, REST_POSTURE, episode, grasp_contract, open_ledger, open_memory

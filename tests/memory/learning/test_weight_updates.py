@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from dualbrain.errors import ConfigurationError
 from dualbrain.memory.learning.trust import TrustConfig
 from dualbrain.memory.plasticity.affine_map import AffineMap
-from dualbrain.memory.plasticity.rule import Penalty, Plasticity
+from dualbrain.memory.plasticity.hebbian_update import Penalty, Plasticity
 from dualbrain.memory.retrieval.search import FlatIndex, Query
 from tests.memory.memory_samples import CONFIG, NOW, REST_POSTURE, episode, grasp_contract, open_ledger, open_memory
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dualbrain.memory.plasticity.affine_map import IDENTITY, AffineMap
-from dualbrain.memory.plasticity.rule import Plasticity
+from dualbrain.memory.plasticity.hebbian_update import Plasticity
 
 maps = st.builds(AffineMap, st.floats(0.0, 1.2), st.floats(-1.0, 1.0))
 

@@ -16,7 +16,7 @@ from dualbrain.contracts.gate.gate import Gate
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.errors import ConfigurationError
-from dualbrain.memory.plasticity.rule import EPSILON
+from dualbrain.memory.plasticity.hebbian_update import EPSILON
 
 PRINCIPAL = "planner"
 

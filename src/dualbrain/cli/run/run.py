@@ -12,7 +12,7 @@ from cyclopts import Parameter
 
 from dualbrain.cli.common.arguments import parse_fraction
 from dualbrain.errors import UsageError
-from dualbrain.memory.plasticity.rule import EPSILON
+from dualbrain.memory.plasticity.hebbian_update import EPSILON
 
 MAX_TRIES, DEFAULT_TRIES = 5, 2
 """Number of contracts that may be executed for one instruction: the maximum, and the default of `run` and `demo`."""

@@ -10,7 +10,7 @@ import msgspec
 from dualbrain.contracts.contract import Context, Contract, ContractHeader
 from dualbrain.contracts.gate.authorization import AuthorizationStage, check_header
 from dualbrain.contracts.gate.envelope import EnvelopeStage
-from dualbrain.contracts.gate.parse import parse
+from dualbrain.contracts.gate.strict_json import parse
 from dualbrain.contracts.gate.syntax import SyntaxStage
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.scene_names import SceneNames

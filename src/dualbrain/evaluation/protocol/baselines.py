@@ -17,7 +17,7 @@ from dualbrain.contracts.contract import Action, Context, Contract, ContractHead
 from dualbrain.contracts.gate.authorization import AuthorizationStage
 from dualbrain.contracts.gate.envelope import EnvelopeStage
 from dualbrain.contracts.gate.gate import Gate
-from dualbrain.contracts.gate.parse import parse
+from dualbrain.contracts.gate.strict_json import parse
 from dualbrain.contracts.gate.syntax import SyntaxStage
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.scene_names import SceneNames

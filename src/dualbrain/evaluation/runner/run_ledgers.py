@@ -17,7 +17,7 @@ from dualbrain.memory.embedding.posture_features import PostureLimits
 from dualbrain.memory.embedding.text_encoder import Encoder
 from dualbrain.memory.ledger.ledger import Ledger
 from dualbrain.memory.memory import Memory
-from dualbrain.memory.plasticity.rule import Penalty, Plasticity
+from dualbrain.memory.plasticity.hebbian_update import Penalty, Plasticity
 
 LEDGER_FILE = "ledger.sqlite"
 FIRST_EPISODE_TIME_S, EPISODE_INTERVAL_S = 1_795_000_000.0, 240.0

@@ -27,8 +27,8 @@ from dualbrain.memory.ledger.events import (
     WeightUpdate,
 )
 from dualbrain.memory.ledger.ledger import LedgerReader, PendingEvent
+from dualbrain.memory.plasticity.hebbian_update import W0
 from dualbrain.memory.plasticity.plan_similarity import count_differences, same_plan
-from dualbrain.memory.plasticity.rule import W0
 from dualbrain.memory.state.episode_record import (
     GUIDANCE_BY_OUTCOME,
     decode_shown_exemplar_ids,

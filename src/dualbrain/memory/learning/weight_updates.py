@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from dualbrain.memory.learning.trust import InfluenceBudget, TrustConfig
 from dualbrain.memory.ledger.events import NeighbourUpdates, WeightUpdate
 from dualbrain.memory.plasticity.affine_map import AffineMap
-from dualbrain.memory.plasticity.rule import Plasticity
+from dualbrain.memory.plasticity.hebbian_update import Plasticity
 from dualbrain.memory.state.state import LedgerState, day_of
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dualbrain.errors import ConfigurationError
 from dualbrain.memory.embedding.text_encoder import Float32Array
-from dualbrain.memory.plasticity.rule import W0
+from dualbrain.memory.plasticity.hebbian_update import W0
 
 Mask = NDArray[np.bool_]
 RowNumbers = NDArray[np.intp]

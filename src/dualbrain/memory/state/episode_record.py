@@ -11,7 +11,7 @@ import msgspec
 from dualbrain.memory.embedding.image_features import ImageFeatures
 from dualbrain.memory.embedding.posture_features import Posture
 from dualbrain.memory.ledger.events import Status
-from dualbrain.memory.plasticity.rule import W0, Plasticity
+from dualbrain.memory.plasticity.hebbian_update import W0, Plasticity
 from dualbrain.memory.retrieval.search import MemoryHit
 from dualbrain.memory.state.provenance import Provenance, episode_provenance
 from dualbrain.records import Episode, Exemplar, OutcomeClass, RetrievedContext

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dualbrain.contracts.gate.parse import MAX_BYTES, MAX_DEPTH, parse
+from dualbrain.contracts.gate.strict_json import MAX_BYTES, MAX_DEPTH, parse
 from dualbrain.contracts.verdict import Rejected
 
 TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=12)

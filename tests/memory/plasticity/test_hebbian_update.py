@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from dualbrain.errors import ConfigurationError
 from dualbrain.memory.plasticity.affine_map import AffineMap
-from dualbrain.memory.plasticity.rule import Penalty, Plasticity
+from dualbrain.memory.plasticity.hebbian_update import Penalty, Plasticity
 
 ROUNDING = 4e-16
 weights = st.floats(0.0, 1.0)
