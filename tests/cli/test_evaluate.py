@@ -54,7 +54,7 @@ def test_a_dry_run_leaves_out_methods_without_a_planner(tmp_path, capsys, monkey
     estimate = msgspec.json.decode(out)
     assert estimate["left"] == {"pilot": 40, "start": 48, "plan": 800, "fly": 7 * 400}
     # B1, B2 and G share their episodes; every fifth episode of B3, B4, M and PE is repeated without filter
-    assert estimate["hours"]["flying"] == pytest.approx(4.0 * (40 + 48 + 400 + 4 * 480) / 2 / 3600)
+    assert estimate["hours"]["episodes"] == pytest.approx(4.0 * (40 + 48 + 400 + 4 * 480) / 2 / 3600)
 
 
 def test_the_assumed_request_time_is_that_of_the_model_that_answers(tmp_path, capsys, monkeypatch):
@@ -68,12 +68,12 @@ def test_the_assumed_request_time_is_that_of_the_model_that_answers(tmp_path, ca
     monkeypatch.setattr(probe_module, "probe", lambda *_: ProbeTimes())
     assert run_command_line(command) == 0
     one = msgspec.json.decode(capsys.readouterr().out)
-    assert one["question_s"] == {"base-135m": DEFAULT_SMALL_MODEL_REQUEST_S}
+    assert one["request_s"] == {"base-135m": DEFAULT_SMALL_MODEL_REQUEST_S}
     assert one["episode_s"] == DEFAULT_EPISODE_S
     command[command.index("--planner") + 1] = "base=qwen2.5-coder-1.5b-instruct,adapted=base-135m"
     assert run_command_line(command) == 0
     both = msgspec.json.decode(capsys.readouterr().out)
-    assert both["question_s"] == {
+    assert both["request_s"] == {
         "qwen2.5-coder-1.5b-instruct": DEFAULT_LARGE_MODEL_REQUEST_S,
         "base-135m": DEFAULT_SMALL_MODEL_REQUEST_S,
     }
@@ -100,7 +100,7 @@ def test_times_measured_in_the_folder_replace_the_assumed_ones_by_planner(tmp_pa
     runner.log("fly").append(line | {"wall_s": 11.0})
     assert run_command_line(command) == 0
     estimate = msgspec.json.decode(capsys.readouterr().out)
-    assert estimate["question_s"] == {"base-135m": DEFAULT_SMALL_MODEL_REQUEST_S, "starter-135m": 8.0}
+    assert estimate["request_s"] == {"base-135m": DEFAULT_SMALL_MODEL_REQUEST_S, "starter-135m": 8.0}
     assert (estimate["episode_s"], estimate["basis"]) == (11.0, "measured in these results")
 
 

@@ -75,5 +75,5 @@ def missing_dependency(error: ModuleNotFoundError, needed_by: str) -> Exception:
     extra = EXTRAS.get((error.name or "").partition(".")[0])
     if extra is None:
         return error
-    fix = f"Install it with `pip install 'dualbrain[{extra}]'` (`dualbrain[all]` is everything that the commands need)."
+    fix = f"Install it with `pip install 'dualbrain[{extra}]'`."
     return MissingDependencyError(f"The package {error.name}, which {needed_by} needs,", fix=fix)

@@ -144,13 +144,14 @@ class SiteError(ConfigurationError):
         )
 
 
-def read_site(path: Path) -> SiteFile:
+def read_site(path: Path | str) -> SiteFile:
     """The site in the TOML file `path`.
 
     Raises:
         SiteError: The file is not TOML, or an entry is unknown, missing, of the wrong type or out of bounds.
         ConfigurationError: The file does not exist or is too large.
     """
+    path = Path(path)
     if not path.is_file() or path.stat().st_size > MAX_FILE_BYTES:
         raise ConfigurationError.stating(
             f"There is no site file at {path}.", fix=f"Give a TOML file of at most {MAX_FILE_BYTES} bytes."

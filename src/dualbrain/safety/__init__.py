@@ -8,6 +8,7 @@ from dualbrain.core.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
     from dualbrain.core.geometry.distance import signed_distance
+    from dualbrain.robots.site_config import SiteFile, read_site
     from dualbrain.safety.barriers.scenarios import EXACT_TRACKING
     from dualbrain.safety.cbf.config import FilterConfig
     from dualbrain.safety.cbf.filter import SafetyFilter, ToolState
@@ -36,6 +37,10 @@ if TYPE_CHECKING:
 
 _MODULES = {
     "core.geometry.distance": ("signed_distance",),
+    "robots.site_config": (
+        "SiteFile",
+        "read_site",
+    ),
     "safety.barriers.scenarios": ("EXACT_TRACKING",),
     "safety.cbf.config": ("FilterConfig",),
     "safety.cbf.filter": (
@@ -109,6 +114,7 @@ __all__ = [
     "SceneSource",
     "ShadowFilter",
     "ShadowSummary",
+    "SiteFile",
     "SourceAccepted",
     "SourceRefused",
     "SpeedAndSeparation",
@@ -117,6 +123,7 @@ __all__ = [
     "TorqueDrive",
     "derate",
     "read_intervention_log",
+    "read_site",
     "signed_distance",
     "site_filter",
 ]

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from dualbrain.evaluation.protocol.suite import Suite
     from dualbrain.evaluation.runner.probe import ProbeTimes
     from dualbrain.evaluation.runner.runner import Runner
-    from dualbrain.evaluation.runner.work_units import WorkUnit
+    from dualbrain.evaluation.runner.work_units import Stage, WorkUnit
 
 MEASURED, PROBED, ASSUMED = "measured in these results", "measured now", "assumed"
 DEFAULT_EPISODE_S = 4.0
@@ -35,8 +35,11 @@ def print_estimate(
     """
     from dualbrain.evaluation.runner.probe import ProbeTimes
     from dualbrain.evaluation.runner.runner import STAGES
+    from dualbrain.evaluation.runner.work_units import STAGE_TITLES
 
-    left = {stage: sum(unit.n_episodes - unit.done for unit in runner.remaining_units(stage)) for stage in STAGES}
+    left: dict[Stage, int] = {
+        stage: sum(unit.n_episodes - unit.done for unit in runner.remaining_units(stage)) for stage in STAGES
+    }
     wall_times = [line["wall_s"] for line in runner.read_lines("fly") if not line.get("same_as")]
     episodes, requests = _remaining_workload(runner)
     measured = _measured_request_times(runner)
@@ -56,21 +59,21 @@ def print_estimate(
         {name: basis for name, (_, basis) in found.items()},
     )
     planning = sum(count * seconds[name] for name, count in requests.items())
-    hours = {"planning": planning / jobs / 3600.0, "flying": episode * episodes / jobs / 3600.0}
+    hours = {"planning": planning / jobs / 3600.0, "episodes": episode * episodes / jobs / 3600.0}
     for stage, count in left.items():
-        console.print(f"{stage}: {count} episodes left")
+        console.print(f"{STAGE_TITLES[stage]}: {count} left")
     total = sum(requests.values())
     console.print(f"about {total} planner requests and {episodes} simulated episodes, with those that only measure")
     rates = [f"{episode:.1f} s per episode ({basis})"]
     rates += [f"{seconds[name]:.1f} s per request to {name} ({bases[name]})" for name in requests]
     console.print(
-        f"about {hours['planning']:.1f} h of planning and {hours['flying']:.1f} h of episodes on {jobs} cores, at "
+        f"about {hours['planning']:.1f} h of planning and {hours['episodes']:.1f} h of episodes on {jobs} cores, at "
         + ", ".join(rates),
         markup=False,
         soft_wrap=True,
     )
     if as_json:
-        estimate = {"left": left, "hours": hours, "episode_s": episode, "question_s": seconds, "basis": basis}
+        estimate = {"left": left, "hours": hours, "episode_s": episode, "request_s": seconds, "basis": basis}
         print_result(msgspec.json.encode(estimate).decode())
 
 

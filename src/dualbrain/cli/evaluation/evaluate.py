@@ -241,8 +241,10 @@ def _rerun(folder: Path, key: str, no_rendering: str, *, as_json: bool) -> int:
 
 def _format_progress(progress: Any) -> str:
     """One line about a finished episode."""
+    from dualbrain.evaluation.runner.work_units import STAGE_TITLES
+
     line, left = progress.line, progress.seconds_left
-    words = f"{progress.stage} {progress.done}/{progress.total}  {line['key']}"
+    words = f"{STAGE_TITLES[progress.stage]} {progress.done}/{progress.total}  {line['key']}"
     if progress.error:
         return f"[red]{words}: {progress.error.splitlines()[0]}[/]"
     if "outcome" in line:

@@ -25,9 +25,10 @@ def commission(
 
     The checklist covers tool, payload, mounting, table plane, emergency stop, and limits within those of the
     manufacturer. The first call writes a checklist to fill in at the arm. The second call compares every answer with
-    the robot model, the site file and the manufacturer's limits, and writes a signed record if all agree; `dualbrain
-    gatekeeper --commissioned` requires the record. A change of robot model, site file or driver invalidates it.
-    Exit code 0: signed (or, with --check, valid); 1: incomplete or inconsistent answers.
+    the robot model, the site file and the manufacturer's limits, and writes a record with a checksum if all agree;
+    `dualbrain gatekeeper --commissioned` requires this record. A change of robot model, site file or driver invalidates
+    it.
+    Exit code 0: written (or, with --check, valid); 1: incomplete or inconsistent answers.
 
     Parameters
     ----------
@@ -42,7 +43,7 @@ def commission(
     record
         Signed record to write. Default: beside the checklist, with the suffix .sealed.json.
     check
-        Only check whether the signed record is valid for this robot model and site file.
+        Only check whether the record is valid for this robot model and site file.
     """
     from dualbrain.drivers.catalogue import DRIVER_KINDS, find_driver_kind
     from dualbrain.drivers.commissioning.checklist import TEMPLATE, find_flaws, read_checklist
@@ -71,5 +72,5 @@ def commission(
 
     whole = make_record(answers, robot_model, site, kind)
     record_file.write_bytes(msgspec.json.format(msgspec.json.encode(whole), indent=2) + b"\n")
-    print(f"signed: {record_file} ({whole.seal[:16]})", file=sys.stderr)
+    print(f"commissioned: {record_file} ({whole.seal[:16]})", file=sys.stderr)
     return ExitCode.SUCCESS

@@ -28,9 +28,12 @@ def replay(recording: Path, /, *, json: Annotated[bool, Parameter(negative="")] 
     result = recompute(recording)
     if json:
         print_result(msgspec.json.encode({"identical": result.identical, **msgspec.to_builtins(result)}).decode())
-    comparison = (
-        "identical, bit for bit" if result.identical else f"{result.differing} differ, first at tick {result.first}"
-    )
+    if result.identical:
+        comparison = "identical, bit for bit"
+    elif result.differing:
+        comparison = f"{result.differing} differ, first at tick {result.first}"
+    else:
+        comparison = "the recording has none to compare"
     print(f"{recording.name}: {result.ticks} controls recomputed: {comparison}", file=sys.stderr)
     if not result.complete:
         print(f"The recording is incomplete: {result.problem or 'messages were lost'}.", file=sys.stderr)

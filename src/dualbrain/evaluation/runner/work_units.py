@@ -16,6 +16,13 @@ Stage = Literal["pilot", "start", "plan", "fly"]
 
 The names are also those of the logs in the results folder.
 """
+STAGE_TITLES: dict[Stage, str] = {
+    "pilot": "pilot episodes",
+    "start": "initial ledger",
+    "plan": "planner answers",
+    "fly": "episodes",
+}
+"""The titles of the stages in messages."""
 
 
 class WorkUnit(msgspec.Struct, frozen=True, kw_only=True):

@@ -102,9 +102,8 @@ def verify_chain(events: Iterable[LedgerEvent], anchor: Head | None = None) -> C
     """Check every link, and that the chain contains the event `anchor`.
 
     Promise: a change, insertion or removal of any event before the newest is found and its number reported. Removing
-    the newest events leaves a shorter, valid chain, which only an `anchor` kept elsewhere can reveal (each episode file
-    contains one). An attacker who can rewrite the file and all anchors can forge a chain: the chain is evidence, not a
-    signature.
+    the newest events leaves a shorter, valid chain, which only an `anchor` kept elsewhere can reveal. An attacker who
+    can rewrite the file and all anchors can forge a chain: the chain is evidence, not a signature.
     """
     head = Head(0, GENESIS)
     try:
