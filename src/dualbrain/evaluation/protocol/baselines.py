@@ -10,8 +10,7 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
 from dualbrain.contracts.contract import Action, Context, Contract, ContractHeader, ParameterValue
 from dualbrain.contracts.gate.authorization import AuthorizationStage
@@ -110,7 +109,7 @@ def _clip_params(step: dict[str, Any], registry: SkillRegistry) -> dict[str, Par
 class PassiveFilter(SafetyFilter):
     """A `SafetyFilter` that raises no alarm because of the barriers alone; h and the rows are computed as usual."""
 
-    def filter(self, state: RobotState, u_nom: NDArray[np.float64], now: float) -> FilterResult:
+    def filter(self, state: RobotState, u_nom: ArrayLike, now: float) -> FilterResult:
         """The filter's result, without its intervention if the barriers alone caused an alarm.
 
         `u_nom` (n_controls,) is the nominal control [rad/s], `now` the time [s].

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import cos, sin
+from typing import cast
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from dualbrain.core.geometry.shapes import Box
 from dualbrain.errors import ConfigurationError, UnknownNameError
@@ -61,6 +62,9 @@ class SafetyFilter:
     holds if the spheres cover the robot, every obstacle is at its reported pose within its margin, and ẏ = u within
     `tracking_error` for y = q + lag v. The guarantee covers only `obstacles` and those passed to `observe`. Spheres of
     the base (frame 0) have no rows, because the base is bolted to the world.
+
+    Every argument that is an array may be any sequence of numbers. A configuration q has n entries, and for a mobile
+    base n + 1: the pose (x, y, θ) of the base is before the joint angles.
     """
 
     def __init__(
@@ -68,7 +72,7 @@ class SafetyFilter:
         robot_model: RobotModel,
         config: FilterConfig | None = None,
         *,
-        weight: Array | None = None,
+        weight: ArrayLike | None = None,
         barriers: Sequence[PythonBarrier] = (),
         obstacles: Sequence[Obstacle] = (),
     ) -> None:
@@ -82,7 +86,7 @@ class SafetyFilter:
                 are missing, or the tool is not on the last frame.
         """
         self.robot_model, self.config = robot_model, config or FilterConfig()
-        self._n = robot_model.n
+        self._n, self._nq = robot_model.n, robot_model.nq
         self._mobile = robot_model.base == "differential"
         self._base_lag = (robot_model.base_lag or 0.0) if self.config.lag_compensation else 0.0
         self._barriers = tuple(barriers)
@@ -209,15 +213,19 @@ class SafetyFilter:
                     for link in self._part_links[contact.robot_part]:
                         self._kernel.permit(link, index, contact.speed)
 
-    def attach(self, spheres: Array, error: float) -> None:
+    def attach(self, spheres: ArrayLike, error: float) -> None:
         """Attach a grasped object made of k ≤ 8 `spheres` (k, 4): x, y, z, radius [m] in the tool frame.
 
         `error` [m] is the pose error of the object in the hand and inflates its rows.
 
         Raises:
-            ConfigurationError: more than 8 spheres, or a centre more than 0.5 m from the tool.
+            ConfigurationError: `spheres` does not have four columns of numbers, there are more than 8 spheres, or a
+                centre is more than 0.5 m from the tool.
         """
-        held = np.asarray(spheres, float).reshape(-1, 4).copy()
+        try:
+            held = np.array(spheres, float).reshape(-1, 4)
+        except (TypeError, ValueError):
+            raise ConfigurationError("held spheres", got=spheres, allowed="rows of x, y, z, radius [m]") from None
         held[:, :3] = held[:, :3] @ self._tool_rotation.T + self._tool_offset
         if len(held) > 8 or not np.all(np.linalg.norm(held[:, :3] - self._tool_offset, axis=1) <= 0.5):
             raise ConfigurationError("held spheres", got=len(held), allowed="at most 8, within 0.5 m of the tool")
@@ -227,20 +235,33 @@ class SafetyFilter:
         """Remove the grasped object."""
         self._kernel.attach(np.empty((0, 4)), 0.0)
 
-    def reset(self, u_prev: Array | float = 0.0) -> None:
-        """Clear the memory of the filter and set the last control to `u_prev` (n,) [rad/s]."""
-        self._kernel.reset(np.ascontiguousarray(np.broadcast_to(np.asarray(u_prev, float), (self.robot_model.n,))))
+    def reset(self, u_prev: ArrayLike = 0.0) -> None:
+        """Clear the memory of the filter and set the last control to `u_prev`, one number or (n,) [rad/s].
+
+        Raises:
+            ConfigurationError: `u_prev` is neither one number nor n numbers.
+        """
+        try:
+            last = np.broadcast_to(np.asarray(u_prev, float), (self._n,))
+        except (TypeError, ValueError):
+            raise ConfigurationError("u_prev", got=u_prev, allowed=f"one number, or {self._n} numbers") from None
+        self._kernel.reset(np.ascontiguousarray(last))
 
     # --- control ----------------------------------------------------------------------------------------------
 
-    def __call__(self, q: Array, v: Array, u_nom: Array, now: float = 0.0, opening: float = 0.0) -> FilterResult:
-        """Run one control step from joint angles q, velocities v and the nominal control u_nom, each (n,), in SI units.
+    def __call__(
+        self, q: ArrayLike, v: ArrayLike, u_nom: ArrayLike, now: float = 0.0, opening: float = 0.0
+    ) -> FilterResult:
+        """Run one control step from configuration q, velocities v (n,) and nominal control u_nom (n,), in SI units.
 
-        With moving obstacles `now` [s] must be on the clock of the stamps passed to `observe`. The joint state counts
-        as fresh. Raises `ConfigurationError` if an array does not have the shape (n,).
+        q is (n,), for a mobile base (n + 1,). With moving obstacles `now` [s] must be on the clock of the stamps passed
+        to `observe`. The joint state counts as fresh.
+
+        Raises:
+            ConfigurationError: an argument does not have this shape, or does not consist of numbers.
         """
         if self._needs_state:
-            q, v = np.asarray(q, float), np.asarray(v, float)
+            q, v = cast("Array", q), cast("Array", v)  # `filter` converts them
             return self.filter(
                 RobotState(stamp=now, sequence=0, q=q, v=v, opening=opening, finger_forces=(0.0, 0.0)), u_nom, now
             )
@@ -249,11 +270,14 @@ class SafetyFilter:
         except ValueError:
             raise self._shape_error(q=q, v=v, u_nom=u_nom) from None
 
-    def filter(self, state: RobotState, u_nom: Array, now: float) -> FilterResult:
+    def filter(self, state: RobotState, u_nom: ArrayLike, now: float) -> FilterResult:
         """Run one control step from `state`; call it once per period, because it stores the last control.
 
+        `u_nom` (n,) [rad/s] is the nominal control, `now` the time [s].
+
         Raises:
-            ConfigurationError: an array does not have the shape (n,).
+            ConfigurationError: `state.q`, `state.v` or `u_nom` does not have the shape of `__call__`, or does not
+                consist of numbers.
         """
         state = self._prepare(state)
         ages = (now - state.stamp, now - self._stamp)
@@ -262,18 +286,17 @@ class SafetyFilter:
         except ValueError:
             raise self._shape_error(q=state.q, v=state.v, u_nom=u_nom) from None
 
-    def _shape_error(self, **given: object) -> ConfigurationError:
+    def _shape_error(self, **given: ArrayLike) -> ConfigurationError:
         """The error for the array that does not contain n numbers."""
-        allowed = f"an array ({self.robot_model.n},) of numbers"
         for name, values in given.items():
             try:
-                shape = np.asarray(values, float).shape
-            except (TypeError, ValueError):
-                return ConfigurationError(f"{name} of a step", got=values, allowed=allowed)
-            if shape != (self.robot_model.n,):
-                return ConfigurationError(f"{name} of a step", got=shape, allowed=allowed)
+                _vector(f"{name} of a step", values, self._n)
+            except ConfigurationError as error:
+                return error
         return ConfigurationError(
-            "the arrays of a step", got=[type(v).__name__ for v in given.values()], allowed=allowed
+            "the arrays of a step",
+            got=[type(values).__name__ for values in given.values()],
+            allowed=f"arrays ({self._n},) of numbers",
         )
 
     def rows(self) -> tuple[BarrierRow, ...]:
@@ -291,13 +314,13 @@ class SafetyFilter:
 
     def batch(
         self,
-        Q: Array,
-        V: Array,
-        U: Array,
+        Q: ArrayLike,
+        V: ArrayLike,
+        U: ArrayLike,
         now: float = 0.0,
         *,
-        u_prev: Array | None = None,
-        opening: Array | float = 0.0,
+        u_prev: ArrayLike | None = None,
+        opening: ArrayLike = 0.0,
     ) -> BatchResult:
         """Filter m independent states, one per row of Q, V and U (m, n), for Monte-Carlo studies and learning.
 
@@ -318,16 +341,17 @@ class SafetyFilter:
         previous = V if u_prev is None else u_prev
         return run_batch(self._kernel, self.robot_model.n, Q, V, U, previous, opening, now - self._stamp)
 
-    def project(self, state: RobotState, u_desired: Array, u_nom_prev: Array, now: float) -> Array:
-        """Projection φ of a desired control (n,) onto rows of known obstacles and the box around `u_nom_prev`.
+    def project(self, state: RobotState, u_desired: ArrayLike, u_nom_prev: ArrayLike, now: float) -> Array:
+        """Projection φ of a desired control (n,) onto rows of known obstacles and the box around `u_nom_prev` (n,).
 
         Rows keep `FilterConfig.projection_margin` in addition. If all obstacles are known, `filter` passes the result
-        unchanged, bit for bit. The memory of the filter is not changed.
+        unchanged, bit for bit. The memory of the filter is not changed. Controls are in rad/s, `now` is in s.
 
         Raises:
-            ConfigurationError: an array does not have the shape (n,).
+            ConfigurationError: `u_desired`, `u_nom_prev`, `state.q` or `state.v` does not have the shape of
+                `__call__`, or does not consist of numbers.
         """
-        state = self._prepare(state)
+        state, u_nom_prev = self._prepare(state), _vector("u_nom_prev of a step", u_nom_prev, self._n)
         u = np.empty(self._n)
         ages = (now - state.stamp, now - self._stamp)
         try:
@@ -335,11 +359,19 @@ class SafetyFilter:
                 state.q, state.v, u_desired, u_nom_prev, state.opening, *ages, self.config.projection_margin, u
             )
         except ValueError:
-            raise self._shape_error(q=state.q, v=state.v, u_desired=u_desired, u_nom_prev=u_nom_prev) from None
+            raise self._shape_error(q=state.q, v=state.v, u_desired=u_desired) from None
         return u
 
     def _prepare(self, state: RobotState) -> RobotState:
-        """Set the rows of Python barriers at `state` and return the state in the coordinates of the kernel's chain."""
+        """Set the rows of Python barriers at `state` and return the state in the coordinates of the kernel's chain.
+
+        The arrays of the state are converted here only if Python code reads them; the kernel converts them itself.
+        """
+        if not self._needs_state:
+            return state
+        q, v = _vector("q of a step", state.q, self._nq), _vector("v of a step", state.v, self._n)
+        if q is not state.q or v is not state.v:
+            state = replace(state, q=q, v=v)
         if self._barriers:
             self._update_python_barriers(state)
         return replace(state, q=self._lagged_chain_q(state)) if self._mobile else state
@@ -361,7 +393,7 @@ class SafetyFilter:
         return np.array([0.0, -half, *joints])
 
     def _chain_q(self, q: Array) -> Array:
-        """Joint angles (n,) of the kernel's chain at configuration q; a mobile base is placed by its pose."""
+        """Joint angles (n,) of the kernel's chain at configuration q (nq,); a mobile base is placed by its pose."""
         if not self._mobile:
             return q
         x, y, heading, *joints = q.tolist()
@@ -375,18 +407,42 @@ class SafetyFilter:
 
     # --- kinematics -------------------------------------------------------------------------------------------
 
-    def tool(self, q: Array) -> ToolState:
-        """The tool frame in the world at configuration q (n,) [rad]."""
+    def tool(self, q: ArrayLike) -> ToolState:
+        """The tool frame in the world at configuration q, (n,) or for a mobile base (n + 1,) [rad, m].
+
+        Raises:
+            ConfigurationError: q does not have this shape, or does not consist of numbers.
+        """
         n, flat = self._n, np.empty(12 + 6 * self._n)
-        self._kernel.tool(self._chain_q(q), flat)
+        self._kernel.tool(self._chain_q(_vector("configuration q", q, self._nq)), flat)
         return ToolState(flat[:3], flat[3:12].reshape(3, 3), flat[12:].reshape(6, n))
 
-    def spheres(self, q: Array, opening: float) -> tuple[Array, Array, tuple[str, ...]]:
-        """Centres (k, 3) [m], radii (k,) [m] and group of every sphere; spheres of a grasped object are last."""
+    def spheres(self, q: ArrayLike, opening: float) -> tuple[Array, Array, tuple[str, ...]]:
+        """Centres (k, 3) [m], radii (k,) [m] and group of every sphere at q, with `opening` [m] per finger.
+
+        q is as for `tool`. Spheres of a grasped object are last.
+
+        Raises:
+            ConfigurationError: q does not have this shape, or does not consist of numbers.
+        """
         flat = np.empty((len(self._groups) + 8, 4))
-        count = self._kernel.spheres(self._chain_q(q), opening, flat)
+        count = self._kernel.spheres(self._chain_q(_vector("configuration q", q, self._nq)), opening, flat)
         held = (HELD,) * (count - len(self._groups))
         return flat[:count, :3], flat[:count, 3], self._groups + held
+
+
+def _vector(name: str, values: ArrayLike, count: int) -> Array:
+    """`values` as a contiguous array (count,) of float64, without a copy if it is one already.
+
+    Raises `ConfigurationError` for another shape, and for values that are not numbers.
+    """
+    try:
+        array = np.asarray(values, float, order="C")
+    except (TypeError, ValueError):
+        raise ConfigurationError(name, got=values, allowed=f"an array ({count},) of numbers") from None
+    if array.shape != (count,):
+        raise ConfigurationError(name, got=array.shape, allowed=f"an array ({count},) of numbers")
+    return array
 
 
 def _links_by_part(robot_model: RobotModel) -> dict[str, tuple[int, ...]]:

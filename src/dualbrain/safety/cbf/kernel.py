@@ -7,7 +7,7 @@ from importlib import import_module
 from typing import Any, Protocol, cast
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from dualbrain.core.geometry.rotations import quaternion_to_matrix
 from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Sphere
@@ -37,7 +37,7 @@ def kernel_hash() -> str:
     return _kernel.source_hash
 
 
-def make_kernel(robot_model: RobotModel, config: FilterConfig, weight: Array | None = None) -> Kernel:
+def make_kernel(robot_model: RobotModel, config: FilterConfig, weight: ArrayLike | None = None) -> Kernel:
     """A kernel for `robot_model`; `weight` is R (n, n), symmetric positive definite, by default diag(1/v_max²).
 
     Raises:
@@ -95,7 +95,7 @@ def _required_sizes(robot_model: RobotModel, build: KernelBuild) -> tuple[tuple[
     )
 
 
-def kernel_model(robot_model: RobotModel, config: FilterConfig, weight: Array | None = None) -> dict[str, Any]:
+def kernel_model(robot_model: RobotModel, config: FilterConfig, weight: ArrayLike | None = None) -> dict[str, Any]:
     """The kernel's model of `robot_model`; lengths and angles are in float64, and the kernel rounds once."""
     return (
         _settings(robot_model, config)
@@ -142,7 +142,7 @@ def _row_gain(robot_model: RobotModel, config: FilterConfig, own: float | None) 
     return robot_model.alpha if config.alpha is None else config.alpha
 
 
-def _joint_limits(robot_model: RobotModel, config: FilterConfig, weight: Array | None) -> dict[str, Any]:
+def _joint_limits(robot_model: RobotModel, config: FilterConfig, weight: ArrayLike | None) -> dict[str, Any]:
     v_max = np.array([joint.velocity.value for joint in robot_model.joints])
     a_max = np.array([joint.acceleration.value for joint in robot_model.joints])
     R = np.diag(1.0 / v_max**2) if weight is None else np.asarray(weight, float)

@@ -55,9 +55,9 @@ class Kernel:
     ) -> None: ...
     def project(
         self,
-        q: Array,
-        v: Array,
-        u_nom: Array,
+        q: ArrayLike,
+        v: ArrayLike,
+        u_nom: ArrayLike,
         u_prev: Array,
         opening: float,
         state_age: float,
