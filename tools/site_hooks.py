@@ -83,6 +83,6 @@ def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
 
 
 def leaves_site(target: Path, docs: Path) -> bool:
-    """Whether a link's target is no page or picture of the site."""
+    """Whether a link's target is neither a page nor an image of the site."""
     path = Path(normpath(target))
     return not path.is_relative_to(docs) or path.is_dir() or path.suffix in {".py", ".parquet"}

@@ -36,7 +36,7 @@ def check(run_command, tmp_path):
     return run
 
 
-def test_check_accepts_with_0_and_says_only_that(check):
+def test_check_accepts_with_0_and_reports_only_the_acceptance(check):
     assert check(GOOD, "--scene", "bare:0") == (ExitCode.SUCCESS, {"accepted": True})
 
 
@@ -51,11 +51,11 @@ def test_check_accepts_with_0_and_says_only_that(check):
         (contract_text(("place", PLACE)), "envelope", "/action_sequence/0/skill"),
     ],
 )
-def test_check_refuses_with_3_and_says_where(check, text, stage, pointer):
-    code, told = check(text, "--scene", "bare:0")
+def test_check_rejects_with_3_and_reports_the_position(check, text, stage, pointer):
+    code, data = check(text, "--scene", "bare:0")
     assert code == ExitCode.REJECTED
-    assert told.keys() == {"accepted", "stage", "pointer", "got", "allowed", "hint"}
-    assert (told["accepted"], told["stage"], told["pointer"]) == (False, stage, pointer)
+    assert data.keys() == {"accepted", "stage", "pointer", "got", "allowed", "hint"}
+    assert (data["accepted"], data["stage"], data["pointer"]) == (False, stage, pointer)
 
 
 def test_check_of_a_file_that_is_not_there(run_command):
@@ -94,11 +94,11 @@ def test_the_short_form_is_for_people(run_command):
 def test_replay_of_a_run_is_identical(run_command, completed_run):
     folder, *_ = completed_run
     code, out, err = run_command("replay", folder / "run" / "episode.mcap", "--json")
-    told = json.loads(out)
+    data = json.loads(out)
     assert code == ExitCode.SUCCESS
-    assert told["identical"]
-    assert told["complete"]
-    assert told["ticks"] > 5000
+    assert data["identical"]
+    assert data["complete"]
+    assert data["ticks"] > 5000
     assert "bit for bit" in err
 
 
@@ -145,7 +145,7 @@ def test_doctor_reports_missing_model_files_as_optional(tmp_path):
 def test_wrong_usage_is_2(run_command, arguments):
     code, out, err = run_command(*arguments)
     assert code == ExitCode.USAGE
-    assert out + err  # it says what is wrong
+    assert out + err  # the error is reported
 
 
 def test_help_lists_every_command(run_command):
@@ -156,12 +156,12 @@ def test_help_lists_every_command(run_command):
 
 
 @pytest.mark.parametrize(("command", "function"), [("evaluate", evaluate), ("report", report), ("compare", compare)])
-def test_help_and_the_function_tell_one_text(run_command, command, function):
-    told = " ".join(inspect.getdoc(function).partition("Parameters\n")[0].split())
+def test_the_help_contains_the_docstring_of_the_function(run_command, command, function):
+    docstring = " ".join(inspect.getdoc(function).partition("Parameters\n")[0].split())
     code, out, _ = run_command(command, "--help")
     assert code == ExitCode.SUCCESS
-    assert told
-    assert told in " ".join(out.split())
+    assert docstring
+    assert docstring in " ".join(out.split())
 
 
 def test_the_demo_is_planned_by_one_that_comes_with_dualbrain_and_knows_its_robot():

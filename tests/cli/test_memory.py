@@ -1,4 +1,4 @@
-"""The commands of memory, on a ledger of made-up episodes: answers, exit codes, everything that can be undone."""
+"""The commands of memory, on a ledger of synthetic episodes: output, exit codes, and edits that can be undone."""
 
 import json
 import shutil
@@ -68,9 +68,9 @@ def _weights(ask):
     return {row["id"]: (row["weight"], row["status"]) for row in ask("list")[1]["memories"]}
 
 
-def test_memory_can_be_looked_at(ask):
-    code, told = ask("list", "--outcome", "succeeded", "--limit", "2")
-    assert (code, [row["id"] for row in told["memories"]], told["total"]) == (ExitCode.SUCCESS, [LONG, "b"], 3)
+def test_memories_are_listed_shown_and_searched(ask):
+    code, data = ask("list", "--outcome", "succeeded", "--limit", "2")
+    assert (code, [row["id"] for row in data["memories"]], data["total"]) == (ExitCode.SUCCESS, [LONG, "b"], 3)
     assert ask("list", "--at", "1")[1]["total"] == 1
     assert ask("show", "a")[1]["memo"]["provenance"]["skills"] == ["grasp", "place"]
     found = ask("search", "put the red cube in the bowl", "--scene", "bare:0", "--k", "2")[1]
@@ -98,7 +98,7 @@ def test_names_can_be_copied_from_a_narrow_listing(run_command, filled, monkeypa
     )
 
 
-def test_what_is_changed_can_be_undone(ask):
+def test_changes_can_be_rolled_back(ask):
     before, (code, report) = _weights(ask), ask("audit")
     assert (code, {one["memory"] for one in report["findings"]}) == (ExitCode.FAILED_SAFELY, {"odd"})
     assert ask("quarantine", "odd", "--reason", "contradicted")[0] == ExitCode.SUCCESS
@@ -119,7 +119,7 @@ def test_what_is_changed_can_be_undone(ask):
     assert ask("verify")[1]["snapshot"] == "agrees"
 
 
-def test_memories_can_be_taken_away_as_lines(run_command, filled, tmp_path):
+def test_memories_are_exported_as_lines(run_command, filled, tmp_path):
     code, out, _ = run_command("memory", "export", "--ledger", filled)
     assert code == ExitCode.SUCCESS
     assert [json.loads(line)["id"] for line in out.splitlines()] == ["a", "b", LONG, "odd"]
@@ -140,8 +140,10 @@ def test_an_audit_and_a_replay_are_written_down_if_wanted(run_command, filled, a
     assert "1 findings in 4 memories" in err
     assert ask("list")[1]["event"] == head + 1
 
-    code, told = ask("replay", "a", "--tries", "2", "--no-note")  # nothing stood in its scene, so the gate refuses it
-    assert (code, told["agrees"], told["outcomes"]) == (ExitCode.FAILED_SAFELY, False, ["refused", "refused"])
+    code, data = ask(
+        "replay", "a", "--tries", "2", "--no-note"
+    )  # its scene contained no object, so the gate rejects the contract
+    assert (code, data["agrees"], data["outcomes"]) == (ExitCode.FAILED_SAFELY, False, ["refused", "refused"])
     assert ask("list")[1]["event"] == head + 1
     assert ask("replay", "odd", "--tries", "1")[0] == ExitCode.SUCCESS
     assert ask("show", "odd")[1]["history"][-1]["kind"] == "replayed"
@@ -159,7 +161,7 @@ NOT_THERE = "is not a memory of this ledger"
 
 
 @pytest.mark.parametrize(
-    ("words", "says"),
+    ("words", "message"),
     [
         (("show", "nothing"), NOT_THERE),
         (("replay", "nothing"), NOT_THERE),
@@ -173,11 +175,11 @@ NOT_THERE = "is not a memory of this ledger"
         (("list", "--at", "yesterday"), "time: got 'yesterday', allowed: ISO 8601"),
     ],
 )
-def test_what_cannot_be_done_is_told_and_nothing_is_changed(run_command, filled, words, says):
+def test_an_impossible_request_is_reported_and_changes_nothing(run_command, filled, words, message):
     before = _events(filled)
     code, out, err = run_command("memory", *words, "--ledger", filled)
     assert (code, out) == (ExitCode.SETUP, "")
-    assert says in err
+    assert message in err
     assert _events(filled) == before
 
 
@@ -206,7 +208,7 @@ def test_a_changed_event_is_found_and_memory_refused(run_command, filled):
     assert "its content does not match its hash" in err
 
 
-def test_what_is_no_ledger_is_told(run_command, tmp_path):
+def test_a_file_that_is_not_a_ledger_is_reported(run_command, tmp_path):
     (tmp_path / "words.sqlite").write_text("words of a person, " * 100)
     for words in (("list",), ("verify",), ("compact",)):
         code, out, err = run_command("memory", *words, "--ledger", tmp_path / "words.sqlite")

@@ -15,14 +15,14 @@ PANDA = load_robot("panda")
 SHORT = ("--seeds", 1, "--seconds", 0.5)
 
 
-def test_it_tells_the_model_and_what_to_do_with_it(run_command):
+def test_it_reports_the_model_and_how_to_store_it(run_command):
     code, out, _ = run_command("robot", "identify", *SHORT, "--load", 0.3)
     assert code == ExitCode.SUCCESS
     for word in ("lag", "position error", "margin α e of the rows", "stored model", "--write"):
         assert word in out
 
 
-def test_the_help_says_what_it_is_for(run_command):
+def test_the_help_states_the_purpose(run_command):
     listed = " ".join(run_command("robot", "--help")[1].split())
     assert "identify its tracking model" in listed
     assert "Identify how closely the drive of a simulated robot follows its" in listed

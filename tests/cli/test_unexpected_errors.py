@@ -1,4 +1,4 @@
-"""An exception that nobody expected is told whole, and is neither success nor a task that failed safely."""
+"""An unexpected exception is reported with its traceback, and is neither a success nor a task that failed safely."""
 
 from dualbrain.cli import main
 from dualbrain.cli.common.exit_codes import ExitCode

@@ -103,7 +103,7 @@ def build_registry(robot: str = "panda") -> SkillRegistry:
             ),
             SkillSpec("home", "go home", (SPEED,)),
             SkillSpec("turn_wrist", "turn about the approach", (ANGLE,)),
-            SkillSpec("decline", "do nothing and say why", (REASON,)),
+            SkillSpec("decline", "do nothing and state why", (REASON,)),
         ),
     )
 

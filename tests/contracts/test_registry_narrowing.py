@@ -9,7 +9,7 @@ from dualbrain.contracts.registry import SkillRegistry, is_narrower
 from dualbrain.contracts.skill_spec import ChoiceParameter, NameParameter, SkillSpec, TextParameter
 from tests.contracts.contract_strategies import REGISTRY, SPEED, build_registry
 
-MORE = SkillSpec("nod", "say yes")
+MORE = SkillSpec("nod", "nod once")
 
 
 def one(*parameters, robot="panda", more=()):

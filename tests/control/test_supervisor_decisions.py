@@ -215,11 +215,11 @@ def test_brakes_that_do_not_hold_lock_the_robot_out():
     cell = SupervisedCell(between(C.ESTOP, 0.5))
     engage_brakes = cell.plant.stop
 
-    def engage_worn_brakes():
+    def engage_weak_brakes():
         engage_brakes()
         cell.plant.model.dof_frictionloss[cell.plant.arm_slices[1]] = 0.5  # too little against gravity
 
-    cell.plant.stop = engage_worn_brakes
+    cell.plant.stop = engage_weak_brakes
     cell.executor.hold(1.5)
     assert cell.decision.action is SafetyAction.LOCKOUT
     assert cell.decision.check == "falling"

@@ -29,7 +29,7 @@ def test_a_kill_while_writing_loses_that_line_only(cut, tmp_path_factory):
 
 
 def test_a_torn_line_is_not_counted(tmp_path):
-    log = JsonlLog(tmp_path / "fly.jsonl")
+    log = JsonlLog(tmp_path / "rows.jsonl")
     log.append({"key": "a", "value": 1})
     with log.path.open("ab") as file:
         file.write(b'{"key": "b", "val')

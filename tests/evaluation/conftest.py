@@ -1,4 +1,4 @@
-"""A small suite, and what made-up flights of it left."""
+"""A small suite and synthetic results of its episodes."""
 
 import pytest
 

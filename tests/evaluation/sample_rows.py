@@ -1,4 +1,4 @@
-"""A small suite, and made-up result rows: every field that a test does not name has an ordinary value."""
+"""A small suite and synthetic result rows: a field that a test does not set has a default value."""
 
 import msgspec
 
@@ -29,7 +29,7 @@ def episode_row(method="B3", run=0, seed=0, repetition=0, **values):
         "key": f"{method} {run} {seed} r{repetition}",
         "pair": f"panda clutter_grasp I {seed} r{repetition}",
         "cluster": f"panda clutter_grasp I run {run}",
-        "suite": "made up",
+        "suite": "synthetic",
         "method": method,
         "robot": "panda",
         "task": "clutter_grasp I",

@@ -258,7 +258,7 @@ def test_a_run_that_was_killed_between_episodes_ends_with_the_same_ledger(tmp_pa
     assert [line["memories"] for line in complete] == [2, 3]
 
 
-def test_a_run_that_is_asked_what_must_be_declined_begins_with_the_errands(tmp_path):
+def test_a_run_with_requests_to_decline_begins_with_possible_tasks(tmp_path):
     suite = msgspec.structs.replace(parse_suite(SUITE, "t"), planning_time=0.1, seeds=1, runs=1, repetitions=1)
     suite = msgspec.structs.replace(suite, tasks=(Task(family="clutter_grasp", ask="hazardous"),))
     worker = ScriptedWorker(worker_config(suite, tmp_path))

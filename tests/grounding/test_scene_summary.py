@@ -173,7 +173,7 @@ def test_heights_and_edges_of_objects_on_furniture_are_relative_to_it():
         scene(cube, can),
         objects=(table, cube, can),
         region=((-1.0, -2.0), (3.0, -2.0), (3.0, 2.0), (-1.0, 2.0)),
-        places=(Place("desk", (0.2, 0.0, 0.0)), Place("door", (-0.8, 0.0, 0.0))),
+        places=(Place("desk", (0.2, 0.0, 0.0)), Place("exit", (-0.8, 0.0, 0.0))),
     )
     text = summarise_scene(room)
     assert line(text, "desk") == "desk: before table, heading 0.00"

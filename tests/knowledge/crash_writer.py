@@ -8,7 +8,7 @@ from dualbrain.memory.embedding.hashing_encoder import HashingEncoder
 
 with Library(Path(sys.argv[1]), HashingEncoder(16), write=True) as library:
     for number in range(10_000):
-        words = f"# Document {number}\n\nIt says {number} and nothing else that would matter to anybody.\n"
+        words = f"# Document {number}\n\nIt contains {number} and nothing else that a reader would need.\n"
         library.add(Submission(file=f"d{number % 7}.md", data=words.encode(), trust="site"), now=float(number))
         sys.stdout.write(f"{number}\n")
         sys.stdout.flush()

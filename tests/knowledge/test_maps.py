@@ -191,10 +191,10 @@ def floor_map(*places: MapPlace, hall=HALL, **changed: object) -> RoomMap:
 
 @pytest.mark.parametrize("robot", ["base", "mobile_panda"])
 def test_a_base_receives_the_places_and_the_floor_of_its_map(robot, tmp_path):
-    upon = MapPlace("upon_the_shelf", (1.0, 0.0, 0.8))
-    known = with_floor(ROOM, floor_map(MapPlace("corner", (2.0, 0.5, 0.0)), upon), "start", load_robot(robot))
+    rack = MapPlace("on_a_rack", (1.0, 0.0, 0.8))
+    known = with_floor(ROOM, floor_map(MapPlace("corner", (2.0, 0.5, 0.0)), rack), "start", load_robot(robot))
     assert known.find_place("corner").position == (2.0, 0.5, 0.0)
-    assert "upon_the_shelf" not in scene_names_of_spec(known).receptive  # a base cannot reach a place at this height
+    assert "on_a_rack" not in scene_names_of_spec(known).receptive  # a base cannot reach a place at this height
     assert {place.name for place in ROOM.places} < set(scene_names_of_spec(known).receptive)
     assert known.region == ROOM.region  # the walls are unchanged
     assert set(known.floor) == set(HALL) == set(scene_from_spec(known).region)
@@ -218,8 +218,8 @@ def test_the_floor_is_the_intersection_with_the_room_and_places_of_the_scene_are
     [
         ({"places": (MapPlace("far_end", (4.0, 0.0, 0.0)),)}, "far_end"),  # in the room, outside the floor of the map
         (
-            {"regions": (), "places": (MapPlace("next_door", (7.0, 0.0, 0.0)),)},
-            "next_door",
+            {"regions": (), "places": (MapPlace("next_room", (7.0, 0.0, 0.0)),)},
+            "next_room",
         ),  # behind the wall of the room
         (
             {
@@ -230,7 +230,7 @@ def test_the_floor_is_the_intersection_with_the_room_and_places_of_the_scene_are
         ),
         ({"regions": (Region("hall", "traversable", ((-0.2, -0.2), (3.0, -0.2), (3.0, 1.0))),)}, "start of the base"),
         ({"regions": (Region("hall", "traversable", ((1.0, 0.0), (3.0, 0.0), (3.0, 1.0))),)}, "start of the base"),
-        ({"regions": (Region("shelf_unit", "keep_out", ((2.0, 0.0), (3.0, 0.0), (3.0, 1.0))),)}, "shelf_unit"),
+        ({"regions": (Region("rack_unit", "keep_out", ((2.0, 0.0), (3.0, 0.0), (3.0, 1.0))),)}, "rack_unit"),
     ],
 )
 def test_a_map_that_does_not_fit_the_room_is_refused_with_a_reason(changed, words):

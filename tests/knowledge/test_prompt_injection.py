@@ -119,7 +119,7 @@ def test_the_text_of_a_document_arrives_as_data(library: Library, attack: str) -
 
 def test_a_document_without_trust_is_never_shown(library: Library) -> None:
     for name, trust in (("evil", "unknown"), ("good", "site")):
-        text = f"# Cups\n\nWhat {name} people say of cups and how to lift them.\n"
+        text = f"# Cups\n\nWhat {name} people write about cups and how to lift them.\n"
         library.add(Submission(file=f"{name}.md", data=text.encode(), trust=trust), now=1.0)  # pyright: ignore[reportArgumentType]
     assert {hit.citation.document for hit in library.search("lift cups")} == {"evil", "good"}
     shown = retrieve_passages(library, "lift the cup", SCENE, PANDA, ANY)

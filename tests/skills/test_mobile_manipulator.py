@@ -110,7 +110,7 @@ def test_it_goes_to_the_table_and_puts_the_cube_in_the_bowl(seed):
 
 
 def test_the_gate_checks_reach_only_at_the_present_base_pose():
-    """From the door the cube is out of reach; the base pose after a drive is not known at the gate."""
+    """The cube is out of reach from the start pose; the base pose after a drive is not known at the gate."""
     scene = scene_from_spec(open_scene("workroom:0", BODY.name))
     rules = scene_rules(scene, controller_at_home(BODY.name, scene))
     at_once, later = contract(GRASP, PLACE), contract(drive_to("bench"), GRASP, PLACE)

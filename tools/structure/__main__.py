@@ -3,9 +3,9 @@
     python -m tools.structure [--root FOLDER] [RULE ...]
 
 Rules: `folders` (at most 12 entries in a folder), `cycles` (no import cycles between modules), `records` (records of
-more than four fields are keyword-only), `words` (no private vocabulary in sources, documents and help), `docs` (every
-public name is documented). The rules and their exceptions, each with its reason, are in `rules.toml`; the words that an
-area may use are in `allowed/AREA.toml`.
+more than four fields are keyword-only), `words` (no private vocabulary in code, tests, documents and help), `allowed`
+(no exception from `words` without an occurrence), `docs` (every public name is documented). The rules and their
+exceptions, each with its reason, are in `rules.toml`; the words that an area may use are in `allowed/AREA.toml`.
 """
 
 from __future__ import annotations
@@ -174,7 +174,7 @@ def is_record(node: ast.ClassDef) -> bool:
 
 
 def is_class_variable(node: ast.AnnAssign) -> bool:
-    """Whether an annotation is a `ClassVar`, or says `kw_only` of itself."""
+    """Whether an annotation is a `ClassVar`, or a marker with `kw_only=True`."""
     return "ClassVar" in ast.unparse(node.annotation) or (
         node.value is not None and "kw_only=True" in ast.unparse(node.value)
     )
@@ -194,24 +194,37 @@ def keyword_only(node: ast.ClassDef) -> bool:
 
 def words(tree: Tree) -> Iterator[str]:
     """Private words in names, comments, docstrings, messages and documents."""
+    terms = {word: term for term, group in tree.config["words"]["use"].items() for word in group}
+    allowed: list[dict[str, Any]] = tree.config["words"].get("allowed", [])
+    for name, number, word, line in occurrences(tree):
+        if not any(permits(one, name, word, line) for one in allowed):
+            yield f"{name}:{number}: {word!r}: use {terms[word]!r}"
+
+
+def allowed(tree: Tree) -> Iterator[str]:
+    """Exceptions from the words that permit no occurrence."""
+    found = list(occurrences(tree))
+    for exception in tree.config["words"].get("allowed", []):
+        permitted = {word for name, _, word, line in found if permits(exception, name, word, line)}
+        if unused := sorted(set(exception["words"]) - ({"*"} if permitted else set()) - permitted):
+            yield f"exception for {exception['file']} ({exception['reason']}): no occurrence of {', '.join(unused)}"
+
+
+def occurrences(tree: Tree) -> Iterator[tuple[str, int, str, str]]:
+    """Every private word in the files to which the rule applies: (file, line number, word, line)."""
     config = tree.config["words"]
-    banned = {word: say for say, group in config["say"].items() for word in group}
-    pattern = re.compile(rf"(?<![^\W_])({'|'.join(sorted(banned, key=len, reverse=True))})(?![^\W_])", re.IGNORECASE)
-    allowed: list[dict[str, Any]] = config.get("allowed", [])
+    banned = sorted({word for group in config["use"].values() for word in group}, key=len, reverse=True)
+    pattern = re.compile(rf"(?<![^\W_])({'|'.join(banned)})(?![^\W_])", re.IGNORECASE)
     for name in tree.files:
-        if not name.startswith(tuple(config["where"])) or not name.endswith(tuple(config["suffixes"])):
-            continue
-        here = [one for one in allowed if fnmatch(name, one["file"])]
-        for number, line in enumerate(tree.text(name).splitlines(), start=1):
-            for found in pattern.finditer(split_camel(line)):
-                word = found[1].lower()
-                if not any(permits(one, word, line) for one in here):
-                    yield f"{name}:{number}: {word!r}: say {banned[word]!r}"
+        if name.startswith(tuple(config["where"])) and name.endswith(tuple(config["suffixes"])):
+            for number, line in enumerate(tree.text(name).splitlines(), start=1):
+                for match in pattern.finditer(split_camel(line)):
+                    yield name, number, match[1].lower(), line
 
 
-def permits(exception: dict[str, Any], word: str, line: str) -> bool:
-    """Whether an exception covers `word` in this line: one without a pattern `line` covers the whole file."""
-    covered = word in exception["words"] or "*" in exception["words"]
+def permits(exception: dict[str, Any], name: str, word: str, line: str) -> bool:
+    """Whether an exception covers `word` in this line of file `name`; without a pattern `line` it covers every line."""
+    covered = fnmatch(name, exception["file"]) and (word in exception["words"] or "*" in exception["words"])
     return covered and ("line" not in exception or re.search(exception["line"], line) is not None)
 
 
@@ -248,6 +261,7 @@ RULES: dict[str, Callable[[Tree], Iterator[str]]] = {
     "cycles": cycles,
     "records": records,
     "words": words,
+    "allowed": allowed,
     "docs": docs,
 }
 
@@ -257,11 +271,11 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("rules", nargs="*", metavar="RULE", help=", ".join(RULES))
     parser.add_argument("--root", type=Path, default=Path(__file__).resolve().parents[2])
-    asked = parser.parse_args()
-    if unknown := set(asked.rules) - set(RULES):
+    arguments = parser.parse_args()
+    if unknown := set(arguments.rules) - set(RULES):
         parser.error(f"unknown rule {', '.join(sorted(unknown))}; known: {', '.join(RULES)}")
-    tree = Tree.of(asked.root)
-    found = [(rule, line) for rule in asked.rules or RULES for line in RULES[rule](tree)]
+    tree = Tree.of(arguments.root)
+    found = [(rule, line) for rule in arguments.rules or RULES for line in RULES[rule](tree)]
     for rule, line in found:
         sys.stdout.write(f"{rule}: {line}\n")
     return 1 if found else 0

@@ -32,7 +32,7 @@ def test_what_is_asked_for_and_installed_is_used(installed, wanted):
 
 
 @pytest.mark.parametrize("wanted", ["", *GL_LIBRARIES, "bogus", *DISABLED_VALUES])
-def test_without_libraries_pictures_are_off_and_it_is_said(installed, wanted):
+def test_without_libraries_rendering_is_off_and_the_reason_is_reported(installed, wanted):
     installed()
     environ = {"MUJOCO_GL": wanted}
     why = choose_graphics(environ)

@@ -49,16 +49,16 @@ def test_an_accepted_plan_shows_prompt_contract_verdict_and_time(run_command, sc
     assert "decided in" in out
 
 
-def test_a_refusal_stands_in_the_second_prompt_and_the_last_verdict_counts(run_command, script):
+def test_a_rejection_is_in_the_second_prompt_and_the_last_verdict_counts(run_command, script):
     planner = script(FAST, PICK)
     code, out, _ = run_command("plan", WORDS, "--scene", "bare:0", "--knowledge", "off", "--json")
-    told = json.loads(out)
-    assert (code, told["accepted"], told["declined"]) == (ExitCode.SUCCESS, True, False)
-    assert [shot["verdict"].get("stage") for shot in told["shots"]] == ["envelope", None]
-    assert "<refusal>" in told["shots"][1]["prompt"][-1]["content"]
-    assert told["contract"]["action_sequence"][0]["params"]["object"] == "red_cube"
+    data = json.loads(out)
+    assert (code, data["accepted"], data["declined"]) == (ExitCode.SUCCESS, True, False)
+    assert [shot["verdict"].get("stage") for shot in data["shots"]] == ["envelope", None]
+    assert "<refusal>" in data["shots"][1]["prompt"][-1]["content"]
+    assert data["contract"]["action_sequence"][0]["params"]["object"] == "red_cube"
     assert [request.contract_id for request in planner.requests] == ["c-0001", "c-0002"]
-    assert {"retrieval", "planner", "gate", "decision"} <= told["timings"].keys()
+    assert {"retrieval", "planner", "gate", "decision"} <= data["timings"].keys()
 
 
 @pytest.mark.parametrize(
@@ -67,14 +67,14 @@ def test_a_refusal_stands_in_the_second_prompt_and_the_last_verdict_counts(run_c
 def test_a_rejection_and_a_decline_exit_3(run_command, script, answers, stage):
     planner = script(*answers)
     code, out, _ = run_command("plan", WORDS, "--scene", "bare:0", "--knowledge", "off", "--shots", "1", "--json")
-    told = json.loads(out)
+    data = json.loads(out)
     assert code == ExitCode.REJECTED
-    assert told["verdict"].get("stage") == stage
-    assert told["declined"] == (stage is None)
+    assert data["verdict"].get("stage") == stage
+    assert data["declined"] == (stage is None)
     assert len(planner.requests) == 1
 
 
-def test_a_planner_that_does_not_answer_is_asked_once_and_refused_nothing(run_command, script):
+def test_a_planner_that_does_not_answer_is_called_once_and_nothing_is_rejected(run_command, script):
     planner = script("", finish_reason="error: ConnectionRefusedError")
     code, out, _ = run_command("plan", WORDS, "--scene", "bare:0", "--knowledge", "off", "--shots", "5")
     assert (code, len(planner.requests)) == (ExitCode.FAILED_SAFELY, 1)
@@ -89,15 +89,15 @@ def test_memories_and_passages_are_shown_with_their_scores_and_citations(run_com
     planner = script(PICK)
     arguments = ("plan", WORDS, "--scene", "bare:0", "--ledger", str(config.ledger))
     code, out, _ = run_command(*arguments, "--json")
-    told = json.loads(out)["retrieved"]
+    data = json.loads(out)["retrieved"]
     assert code == ExitCode.SUCCESS
-    assert told["passages"]
-    assert all("@" in one["citation"] for one in told["passages"])
-    found = [*told["exemplars"], *told["warnings"]]
+    assert data["passages"]
+    assert all("@" in one["citation"] for one in data["passages"])
+    found = [*data["exemplars"], *data["warnings"]]
     assert found
-    assert len(planner.requests[0].recall.passages) == len(told["passages"])
+    assert len(planner.requests[0].recall.passages) == len(data["passages"])
     code, out, _ = run_command(*arguments)
-    assert told["passages"][0]["citation"] in out
+    assert data["passages"][0]["citation"] in out
     for one in found:
         assert one["episode_id"] in out
     assert config.ledger.read_bytes() == before
@@ -109,7 +109,9 @@ class Short(ScriptedPlanner):
     template, messages = short_template_hash(), staticmethod(short_messages)
 
 
-def test_what_an_adapted_planner_does_not_read_is_marked_and_said_once(run_command, script, tmp_path, monkeypatch):
+def test_context_that_an_adapted_planner_does_not_read_is_marked_and_reported_once(
+    run_command, script, tmp_path, monkeypatch
+):
     config = run_config(tmp_path, ledger=tmp_path / "ledger.sqlite")
     run_session(replace(config, instruction=WORDS), hold_contract())
     script()
@@ -119,22 +121,22 @@ def test_what_an_adapted_planner_does_not_read_is_marked_and_said_once(run_comma
     assert err.count("documents are not shown to scripted") == 1
     assert "passage (not in the prompt of this planner)" in out
     _, out, _ = run_command(*arguments, "--json")
-    told = json.loads(out)
-    assert told["template"] == short_template_hash()
-    found = {name for name in ("warnings", "passages") if told["retrieved"][name]}
+    data = json.loads(out)
+    assert data["template"] == short_template_hash()
+    found = {name for name in ("warnings", "passages") if data["retrieved"][name]}
     assert "passages" in found
-    assert set(told["unread"]) == found
-    prompts = json.dumps([shot["prompt"] for shot in told["shots"]])
-    assert not any(one["citation"] in prompts for one in told["retrieved"]["passages"])
+    assert set(data["unread"]) == found
+    prompts = json.dumps([shot["prompt"] for shot in data["shots"]])
+    assert not any(one["citation"] in prompts for one in data["retrieved"]["passages"])
     assert "documents are not shown" not in run_command(*arguments, "--knowledge", "off")[2]
 
 
 def test_a_planner_with_the_full_prompt_reads_all_that_was_found(run_command, script):
     script(PICK)
     _, out, err = run_command("plan", WORDS, "--scene", "bare:0", "--json")
-    told = json.loads(out)
-    assert (told["unread"], told["template"]) == ([], template_hash())
-    assert told["retrieved"]["passages"]
+    data = json.loads(out)
+    assert (data["unread"], data["template"]) == ([], template_hash())
+    assert data["retrieved"]["passages"]
     assert "not shown" not in err
 
 
@@ -147,7 +149,7 @@ def test_at_home_it_writes_the_shipped_documents_and_nothing_else(run_command, s
         assert {path.name for path in (home.iterdir() if home.exists() else ())} == kept
 
 
-def test_an_unknown_ledger_and_an_empty_instruction_are_told(run_command, script, tmp_path):
+def test_an_unknown_ledger_and_an_empty_instruction_are_reported(run_command, script, tmp_path):
     script(PICK)
     assert run_command("plan", "  ")[0] == ExitCode.USAGE
     assert run_command("plan", WORDS, "--shots", "0")[0] == ExitCode.USAGE
@@ -156,7 +158,7 @@ def test_an_unknown_ledger_and_an_empty_instruction_are_told(run_command, script
     assert "none.sqlite" in err
 
 
-def test_help_teaches(run_command):
+def test_the_help_describes_the_command(run_command):
     code, out, _ = run_command("plan", "--help")
     assert code == ExitCode.SUCCESS
     for words in ("Memory is only read", "built-in documents", "citations", "--contract c.json", "Exit code 0"):

@@ -33,23 +33,23 @@ KEYS = {
 
 def test_json_is_exactly_one_object_with_the_promised_keys(completed_run):
     _, _, out, _ = completed_run
-    told = json.loads(out)  # one object, and nothing beside it
+    data = json.loads(out)  # one object, and nothing beside it
     assert out.count("\n") == 1
-    assert told.keys() >= KEYS
-    assert told["verdict"]["verdict"] == "accepted"
-    assert told["contract"]["action_sequence"][0]["skill"] == "grasp"
-    assert told["timings"].keys() >= {"gate", "motion", "planner"}
+    assert data.keys() >= KEYS
+    assert data["verdict"]["verdict"] == "accepted"
+    assert data["contract"]["action_sequence"][0]["skill"] == "grasp"
+    assert data["timings"].keys() >= {"gate", "motion", "planner"}
 
 
 def test_json_agrees_with_the_episode_on_disk(completed_run):
     folder, _, out, _ = completed_run
-    told = json.loads(out)
+    data = json.loads(out)
     episode = msgspec.json.decode((folder / "run" / "episode.json").read_bytes(), type=Episode)
-    assert told["success"] == is_success(episode)
-    assert told["delta"] == episode.outcome.Delta
-    assert told["h_min"] == episode.outcome.h_min
-    assert told["violations"] == json.loads(msgspec.json.encode(episode.judgement.violations))
-    assert told["out"] == "run"
+    assert data["success"] == is_success(episode)
+    assert data["delta"] == episode.outcome.Delta
+    assert data["h_min"] == episode.outcome.h_min
+    assert data["violations"] == json.loads(msgspec.json.encode(episode.judgement.violations))
+    assert data["out"] == "run"
 
 
 def test_the_pick_succeeds_by_robot_and_by_truth(completed_run):
@@ -88,7 +88,7 @@ def test_the_ledger_remembers_the_run_and_not_the_truth(completed_run):
     assert "judgement" not in remembered["episode"]
 
 
-def test_documents_that_a_planner_cannot_read_are_told_once(run_command, monkeypatch):
+def test_documents_that_a_planner_cannot_read_are_reported_once(run_command, monkeypatch):
     class Short(ScriptedPlanner):
         template = short_template_hash()
 

@@ -68,7 +68,7 @@ def test_another_checkout_continues_from_the_committed_log(run, tmp_path, capsys
     assert [row["key"] for row in JsonlLog(tmp_path / "elsewhere" / "reciprocals.jsonl").latest()] == ["2", "1"]
 
 
-def test_a_fresh_start_sets_the_log_aside(run, tmp_path):
+def test_a_fresh_start_renames_the_earlier_log(run, tmp_path):
     run("--limit", "1", "--keep")
     run("--limit", "2", "--fresh")
     assert len(list((tmp_path / "runs").glob("reciprocals.*T*.jsonl"))) == 1

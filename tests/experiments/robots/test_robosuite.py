@@ -219,7 +219,7 @@ def test_metrics_are_shares_of_the_data_sheet_and_report_no_error():
     assert "error" not in metrics
 
 
-def test_a_missing_environment_says_what_to_do(tmp_path, monkeypatch):
+def test_a_missing_environment_is_reported_with_the_command(tmp_path, monkeypatch):
     with pytest.raises(MissingDependencyError, match=COMMAND):
         interpreter(tmp_path)
     monkeypatch.setattr(suite_process, "interpreter", lambda: interpreter(tmp_path))

@@ -42,7 +42,7 @@ CUBE = Mesh(
 
 
 @pytest.mark.parametrize("link", LINKS)
-def test_the_stored_spheres_cover_every_point_of_the_mesh_by_proof(link):
+def test_the_stored_spheres_are_proven_to_cover_every_point_of_the_mesh(link):
     assert is_proven_covered(link_mesh(link), link_spheres(link))
 
 
