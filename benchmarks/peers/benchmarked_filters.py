@@ -13,7 +13,7 @@ OWN_NAME = "dualbrain"
 """The filter whose median is the reference of all ratios."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class BenchmarkedFilter:
     """A filter: the class `Filter` of `module` in `environment` (None: that of dualbrain), built with `options`.
 
@@ -55,10 +55,10 @@ def _cbfpy_entry(
     if backend == "elastiqp":
         options |= {"backend": "elastiqp", "tolerance": 1e-6}
     return BenchmarkedFilter(
-        f"cbfpy {backend}, {kinematics}, JAX {jax}",
-        "benchmarks.peers.filters.cbfpy_filter",
-        f"cbfpy-jax-{jax}",
-        options,
+        name=f"cbfpy {backend}, {kinematics}, JAX {jax}",
+        module="benchmarks.peers.filters.cbfpy_filter",
+        environment=f"cbfpy-jax-{jax}",
+        options=options,
         is_default=backend == "default",
         in_primitives=primitives,
         gains=gains,
@@ -67,9 +67,15 @@ def _cbfpy_entry(
 
 OLD_JAX, NEW_JAX = "0.4.30", "0.10.2"
 BENCHMARKED_FILTERS = (
-    BenchmarkedFilter(OWN_NAME, "benchmarks.peers.filters.dualbrain_filter", options={"how": "call"}, gains=(None,)),
-    BenchmarkedFilter(f"{OWN_NAME}, RobotState", "benchmarks.peers.filters.dualbrain_filter", options={"how": "state"}),
-    BenchmarkedFilter(f"{OWN_NAME}, in C", "benchmarks.peers.filters.dualbrain_filter", options={"how": "c"}),
+    BenchmarkedFilter(
+        name=OWN_NAME, module="benchmarks.peers.filters.dualbrain_filter", options={"how": "call"}, gains=(None,)
+    ),
+    BenchmarkedFilter(
+        name=f"{OWN_NAME}, RobotState", module="benchmarks.peers.filters.dualbrain_filter", options={"how": "state"}
+    ),
+    BenchmarkedFilter(
+        name=f"{OWN_NAME}, in C", module="benchmarks.peers.filters.dualbrain_filter", options={"how": "c"}
+    ),
     _cbfpy_entry(OLD_JAX, "oscbf", "default"),
     _cbfpy_entry(OLD_JAX, "oscbf", "hard"),
     _cbfpy_entry(OLD_JAX, "plain", "default", primitives=True, gains=BOTH_GAINS),
@@ -77,21 +83,25 @@ BENCHMARKED_FILTERS = (
     _cbfpy_entry(NEW_JAX, "frax", "default"),
     _cbfpy_entry(NEW_JAX, "frax", "hard"),
     _cbfpy_entry(NEW_JAX, "frax", "elastiqp", primitives=True, gains=BOTH_GAINS),
-    BenchmarkedFilter("pink daqp, all pairs", "benchmarks.peers.filters.pink_filter", "pink", gains=BOTH_GAINS),
-    BenchmarkedFilter("mink daqp, all pairs", "benchmarks.peers.filters.mink_filter", "mink", gains=BOTH_GAINS),
     BenchmarkedFilter(
-        "mink daqp, broadphase 0.1 m",
-        "benchmarks.peers.filters.mink_filter",
-        "mink",
-        {"broadphase": True, "detection": 0.1},
+        name="pink daqp, all pairs", module="benchmarks.peers.filters.pink_filter", environment="pink", gains=BOTH_GAINS
+    ),
+    BenchmarkedFilter(
+        name="mink daqp, all pairs", module="benchmarks.peers.filters.mink_filter", environment="mink", gains=BOTH_GAINS
+    ),
+    BenchmarkedFilter(
+        name="mink daqp, broadphase 0.1 m",
+        module="benchmarks.peers.filters.mink_filter",
+        environment="mink",
+        options={"broadphase": True, "detection": 0.1},
         same_rows=False,
         gains=BOTH_GAINS,
     ),
     BenchmarkedFilter(
-        "mink daqp, its defaults",
-        "benchmarks.peers.filters.mink_filter",
-        "mink",
-        {"defaults": True},
+        name="mink daqp, its defaults",
+        module="benchmarks.peers.filters.mink_filter",
+        environment="mink",
+        options={"defaults": True},
         same_rows=False,
         gains=(None,),
     ),
@@ -100,6 +110,10 @@ QUICK_FILTERS = (
     BENCHMARKED_FILTERS[0],
     BENCHMARKED_FILTERS[2],
     BenchmarkedFilter(
-        "fake", "benchmarks.peers.filters.fake_filter", options={"delay": 2e-4}, is_default=True, gains=(None,)
+        name="fake",
+        module="benchmarks.peers.filters.fake_filter",
+        options={"delay": 2e-4},
+        is_default=True,
+        gains=(None,),
     ),
 )

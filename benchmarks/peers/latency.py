@@ -25,7 +25,7 @@ CHANGE_TOLERANCE = 1e-4
 """Smallest deviation [rad/s] at which a control counts as changed."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class MeasurementBudget:
     """Extent of a measurement: recorded steps, rounds, steps and seconds per block, states for the deviation.
 

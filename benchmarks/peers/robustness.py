@@ -23,7 +23,7 @@ N_PAIRS = 50
 MAX_PARALLEL = 3
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
+@dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
     """An invalid state or nominal control; `feasible`: whether the oracle finds a solution (None: no finite rows)."""
 
@@ -58,7 +58,13 @@ def infeasible_cases() -> tuple[Problem, list[Case]]:
         ("NaN nominal", "u_nom₃ is NaN", q, nan_nominal),
     ]
     return problem, [
-        Case(name, description, state.tolist(), nominal.tolist(), _is_feasible(problem, state, nominal))
+        Case(
+            name=name,
+            description=description,
+            q=state.tolist(),
+            u_nom=nominal.tolist(),
+            feasible=_is_feasible(problem, state, nominal),
+        )
         for name, description, state, nominal in cases
     ]
 

@@ -91,7 +91,7 @@ class CommanderFailure:
         """Execute one contract during which the commander or the gatekeeper fails."""
         with tempfile.TemporaryDirectory(prefix="dualbrain-") as name:
             folder = Path(name)
-            testbed = CommanderTestbed(folder, start_gatekeeper(folder, "one"))
+            testbed = CommanderTestbed(folder=folder, process=start_gatekeeper(folder, "one"))
             try:
                 found = _inject_failure(testbed, about["how"], about["moment"], about["seed"])
                 found |= testbed.run_next_contract(dead=about["how"] == "gatekeeper")

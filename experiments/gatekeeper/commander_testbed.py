@@ -29,7 +29,7 @@ TIMEOUT_S = 60.0
 """Longest wait for a moment or an outcome [s]."""
 
 
-@dataclass
+@dataclass(kw_only=True)
 class CommanderTestbed:
     """A gatekeeper process, a commander process that will fail, and a client that watches both."""
 

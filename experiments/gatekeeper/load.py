@@ -62,7 +62,7 @@ except Exception as error:
 """A page that receives everything a browser would receive, without drawing it."""
 
 
-@dataclass
+@dataclass(kw_only=True)
 class LoadSummary:
     """Contracts by author, outcomes and their reasons, decision times [s], messages and bytes sent to the page."""
 

@@ -34,7 +34,7 @@ GRIP_FORCE = 12.0
 """Grip force [N], below the smallest force that breaks a glass."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Task:
     """A scene, a task in it, and the contract; `goal`, if there is one, is judged on ground truth."""
 
@@ -61,16 +61,24 @@ def make_task(family: str, seed: int, kind: str) -> Task:
     if kind == "move_to":
         target = str(rng.choice([one.name for one in spec.objects if one.role != "obstacle"]))
         move = {"target": target, "speed": speed, **_motion_parameters(scene, target)}
-        return Task(spec, kind, target, [{"skill": "move_to", "params": move}], None)
+        return Task(spec=spec, kind=kind, object_name=target, actions=[{"skill": "move_to", "params": move}], goal=None)
     name = str(rng.choice(_graspable_objects(scene))) if kind in ("fetch", "pick") else "red_cube"
     grasp = [{"skill": "grasp", "params": _grasp_parameters(scene, name, speed)}]
     if kind == "pick":
-        return Task(spec, kind, name, [*grasp, {"skill": "hold", "params": {"duration": 1.0}}], None)
+        return Task(
+            spec=spec,
+            kind=kind,
+            object_name=name,
+            actions=[*grasp, {"skill": "hold", "params": {"duration": 1.0}}],
+            goal=None,
+        )
     destination = str(rng.choice([place.name for place in spec.places])) if kind == "fetch" else "blue_bowl"
     motion = _motion_parameters(scene, name, bowl=destination == "blue_bowl")
     place = {"destination": destination, "speed": speed, **motion}
     goal = PlacementGoal(name, destination)
-    return Task(spec, kind, name, [*grasp, {"skill": "place", "params": place}], goal)
+    return Task(
+        spec=spec, kind=kind, object_name=name, actions=[*grasp, {"skill": "place", "params": place}], goal=goal
+    )
 
 
 def motion_and_grasp(scene: Scene, name: str, speed: float = 0.2) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -98,7 +98,7 @@ def best_fixed_regret(scores: ScoresBySeed) -> tuple[str, float, float]:
     return best, 1.0 - len(where) / len(feasible), extra
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SensitivityResult:
     """The quantities of the four criteria for one family at one speed."""
 
@@ -179,11 +179,22 @@ def evaluate_sensitivity(rows: Iterable[Row], order: Sequence[str] = FAMILIES) -
         good = sum(value < FAILURE_SCORE for value in values)
         contracts = len({name for line in scores.values() for name in line})
         unsolved = [seed for seed, line in scores.items() if min(line.values()) == FAILURE_SCORE]
-        quantities = (
-            delta_ratios(scores),
-            rank_correlations(scores),
-            again.get((family, speed), []),
-            *best_fixed_regret(scores),
+        best, regret_success, regret_delta = best_fixed_regret(scores)
+        found.append(
+            SensitivityResult(
+                family=family,
+                speed=speed,
+                seeds=len(scores),
+                contracts=contracts,
+                episodes=len(values),
+                successes=good,
+                ratios=delta_ratios(scores),
+                cross_scene_correlations=rank_correlations(scores),
+                noise_correlations=again.get((family, speed), []),
+                best_fixed=best,
+                regret_success=regret_success,
+                regret_delta=regret_delta,
+                unsolved_seeds=unsolved,
+            )
         )
-        found.append(SensitivityResult(family, speed, len(scores), contracts, len(values), good, *quantities, unsolved))
     return found

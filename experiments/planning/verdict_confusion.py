@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from experiments.engine.experiment import Row
 from experiments.figures.tables import format_proportion, markdown_table
@@ -12,7 +12,7 @@ EXECUTED_OUTCOMES = ("succeeded", "failed", "taken_over", "stopped")
 """Outcomes of executed contracts; without motion there is no verdict to compare."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class VerdictConfusion:
     """Number of episodes by the robot's verdict (r = 1 or 0) and by ground truth.
 
@@ -32,12 +32,17 @@ def count_verdicts(rows: list[Row]) -> VerdictConfusion:
     """Count `rows` in which a contract was executed and both verdicts are known."""
     both = [row for row in rows if row.get("outcome") in EXECUTED_OUTCOMES and "truth" in row]
     pairs = Counter((row["outcome"] == "succeeded", bool(row["truth"])) for row in both)
-    counts = (pairs[True, True], pairs[True, False], pairs[False, True], pairs[False, False])
+    counts = VerdictConfusion(
+        true_claims=pairs[True, True],
+        false_claims=pairs[True, False],
+        missed=pairs[False, True],
+        true_failures=pairs[False, False],
+    )
     if not any("second_opinion" in row for row in both):
-        return VerdictConfusion(*counts)
+        return counts
     claims = [row for row in both if row["outcome"] == "succeeded" and row.get("second_opinion") == "disagrees"]
     right = sum(bool(row["truth"]) for row in claims)
-    return VerdictConfusion(*counts, len(claims) - right, right)
+    return replace(counts, disputed=len(claims) - right, true_disputed=right)
 
 
 def confusion_table(rows: list[Row]) -> list[str]:

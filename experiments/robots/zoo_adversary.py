@@ -26,7 +26,7 @@ START_CLEARANCE_SHARE = 0.03
 """Least distance of obstacles from the start posture, as a share of the reach."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class AttackResult:
     """Steps by filter status; smallest true h: obstacles, own links [m], joint limits [rad, m]; steps with h < 0."""
 
@@ -138,7 +138,9 @@ def _evaluate_path(
         h_joint = judge.joint_limit_distance(q)
         obstacle, own, joint = min(obstacle, h_obstacles.min()), min(own, h_self.min()), min(joint, h_joint.min())
         below += int(np.sum(np.minimum(np.minimum(h_obstacles, h_self), h_joint) < 0.0))
-    return AttackResult(counts, float(obstacle), float(own), float(joint), below)
+    return AttackResult(
+        status=counts, h_obstacles=float(obstacle), h_self=float(own), h_joint=float(joint), n_below_zero=below
+    )
 
 
 def _worst_control(judge: DistanceChecker, q: Array, obstacles: list[Obstacle], v_max: Array) -> Array:

@@ -15,7 +15,7 @@ from dualbrain.robots.importer.required_limits import LimitPolicy, StatedLimit
 PACKAGE = "example-robot-data"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ZooRobot:
     """One robot of the zoo: its `file` in the package's robots/, and values that its description lacks."""
 
@@ -32,12 +32,12 @@ class ZooRobot:
 
 
 def _ur_robot(name: str) -> ZooRobot:
-    return ZooRobot(name, f"ur_description/urdf/{name}.urdf")
+    return ZooRobot(name=name, file=f"ur_description/urdf/{name}.urdf")
 
 
 ROBOTS = (
-    ZooRobot("panda", "panda_description/urdf/panda.urdf"),
-    ZooRobot("panda_collision", "panda_description/urdf/panda_collision.urdf"),
+    ZooRobot(name="panda", file="panda_description/urdf/panda.urdf"),
+    ZooRobot(name="panda_collision", file="panda_description/urdf/panda_collision.urdf"),
     *map(
         _ur_robot,
         (
@@ -51,46 +51,48 @@ ROBOTS = (
             "ur10_joint_limited_robot",
         ),
     ),
-    ZooRobot("xarm7", "xarm_description/urdf/xarm7.urdf"),
-    ZooRobot("kinova", "kinova_description/robots/kinova.urdf"),
-    ZooRobot("z1", "z1_description/urdf/z1.urdf"),
-    ZooRobot("so100", "so_arm_description/urdf/so100.urdf"),
-    ZooRobot("so101", "so_arm_description/urdf/so101.urdf"),
-    ZooRobot("talos_left_arm", "talos_data/robots/talos_left_arm.urdf", tip="arm_left_7_link"),
-    ZooRobot("asr_twodof", "asr_twodof_description/urdf/TwoDofs.urdf"),
+    ZooRobot(name="xarm7", file="xarm_description/urdf/xarm7.urdf"),
+    ZooRobot(name="kinova", file="kinova_description/robots/kinova.urdf"),
+    ZooRobot(name="z1", file="z1_description/urdf/z1.urdf"),
+    ZooRobot(name="so100", file="so_arm_description/urdf/so100.urdf"),
+    ZooRobot(name="so101", file="so_arm_description/urdf/so101.urdf"),
+    ZooRobot(name="talos_left_arm", file="talos_data/robots/talos_left_arm.urdf", tip="arm_left_7_link"),
+    ZooRobot(name="asr_twodof", file="asr_twodof_description/urdf/TwoDofs.urdf"),
     ZooRobot(
-        "double_pendulum",
-        "double_pendulum_description/urdf/double_pendulum.urdf",
+        name="double_pendulum",
+        file="double_pendulum_description/urdf/double_pendulum.urdf",
         velocity=5.0,
         joints={"joint1": (-3.0, 3.0), "joint2": (-3.0, 3.0)},
     ),
     ZooRobot(
-        "double_pendulum_simple",
-        "double_pendulum_description/urdf/double_pendulum_simple.urdf",
+        name="double_pendulum_simple",
+        file="double_pendulum_description/urdf/double_pendulum_simple.urdf",
         velocity=5.0,
         joints={"joint1": (-3.0, 3.0), "joint2": (-3.0, 3.0)},
     ),
     ZooRobot(
-        "double_pendulum_continuous", "double_pendulum_description/urdf/double_pendulum_continuous.urdf", velocity=5.0
+        name="double_pendulum_continuous",
+        file="double_pendulum_description/urdf/double_pendulum_continuous.urdf",
+        velocity=5.0,
     ),
-    ZooRobot("baxter_left", "baxter_description/urdf/baxter.urdf", tip="left_wrist"),
-    ZooRobot("baxter_right", "baxter_description/urdf/baxter.urdf", tip="right_wrist"),
-    ZooRobot("tiago", "tiago_description/robots/tiago.urdf", tip="arm_tool_link"),
-    ZooRobot("tiago_no_hand", "tiago_description/robots/tiago_no_hand.urdf"),
-    ZooRobot("tiago_dual_left", "tiago_description/robots/tiago_dual.urdf", tip="arm_left_tool_link"),
-    ZooRobot("tiago_dual_right", "tiago_description/robots/tiago_dual.urdf", tip="arm_right_tool_link"),
-    ZooRobot("tiago_pro_left", "tiago_pro_description/robots/tiago_pro.urdf", tip="arm_left_7_link"),
-    ZooRobot("tiago_pro_right", "tiago_pro_description/robots/tiago_pro.urdf", tip="arm_right_7_link"),
-    ZooRobot("pr2_left", "pr2_description/urdf/pr2.urdf", tip="l_wrist_roll_link"),
-    ZooRobot("pr2_right", "pr2_description/urdf/pr2.urdf", tip="r_wrist_roll_link"),
+    ZooRobot(name="baxter_left", file="baxter_description/urdf/baxter.urdf", tip="left_wrist"),
+    ZooRobot(name="baxter_right", file="baxter_description/urdf/baxter.urdf", tip="right_wrist"),
+    ZooRobot(name="tiago", file="tiago_description/robots/tiago.urdf", tip="arm_tool_link"),
+    ZooRobot(name="tiago_no_hand", file="tiago_description/robots/tiago_no_hand.urdf"),
+    ZooRobot(name="tiago_dual_left", file="tiago_description/robots/tiago_dual.urdf", tip="arm_left_tool_link"),
+    ZooRobot(name="tiago_dual_right", file="tiago_description/robots/tiago_dual.urdf", tip="arm_right_tool_link"),
+    ZooRobot(name="tiago_pro_left", file="tiago_pro_description/robots/tiago_pro.urdf", tip="arm_left_7_link"),
+    ZooRobot(name="tiago_pro_right", file="tiago_pro_description/robots/tiago_pro.urdf", tip="arm_right_7_link"),
+    ZooRobot(name="pr2_left", file="pr2_description/urdf/pr2.urdf", tip="l_wrist_roll_link"),
+    ZooRobot(name="pr2_right", file="pr2_description/urdf/pr2.urdf", tip="r_wrist_roll_link"),
     ZooRobot(
-        "tiago_base",
-        "tiago_description/robots/tiago_no_hand.urdf",
+        name="tiago_base",
+        file="tiago_description/robots/tiago_no_hand.urdf",
         mobile=True,
         wheels=("wheel_left_joint", "wheel_right_joint"),
     ),
-    ZooRobot("tiago_pro_base", "tiago_pro_description/robots/tiago_pro.urdf", mobile=True),
-    ZooRobot("pr2_base", "pr2_description/urdf/pr2.urdf", mobile=True),
+    ZooRobot(name="tiago_pro_base", file="tiago_pro_description/robots/tiago_pro.urdf", mobile=True),
+    ZooRobot(name="pr2_base", file="pr2_description/urdf/pr2.urdf", mobile=True),
 )
 """The robots of the zoo; walking and aerial robots and hands are out of scope."""
 

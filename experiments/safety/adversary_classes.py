@@ -28,7 +28,7 @@ CAMERA_PERIODS, MAX_SCENE_AGE_PERIODS = 20, 80
 """Camera period and largest age of a scene [control periods]."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class AdversaryClass:
     """One documented configuration: the error bounds in the loop, and the filter configured for them."""
 
@@ -108,61 +108,71 @@ def _filter_settings_for(loop: dict[str, Any]) -> dict[str, Any]:
 
 
 STATIC_CLASSES = (
-    AdversaryClass("exact", "none: q integrates u, all measurements are exact", {}, EXACT_FILTER),
-    AdversaryClass("plant", "lag and the worst tracking disturbance", PLANT_ERRORS, _filter_settings_for(PLANT_ERRORS)),
     AdversaryClass(
-        "noise",
-        "as plant, with joints and obstacles measured at their error bounds",
-        SENSOR_NOISE,
-        _filter_settings_for(SENSOR_NOISE),
-        OBSTACLE_POSITION_NOISE,
+        name="exact",
+        description="none: q integrates u, all measurements are exact",
+        loop_settings={},
+        filter_settings=EXACT_FILTER,
     ),
     AdversaryClass(
-        "drops",
-        "as noise, with lost joint states and scenes",
-        ALL_ERRORS,
-        _filter_settings_for(ALL_ERRORS),
-        OBSTACLE_POSITION_NOISE,
+        name="plant",
+        description="lag and the worst tracking disturbance",
+        loop_settings=PLANT_ERRORS,
+        filter_settings=_filter_settings_for(PLANT_ERRORS),
     ),
     AdversaryClass(
-        "stale",
-        "as drops, with joint states up to 50 ms old used without dead reckoning",
-        {**ALL_ERRORS, "state_longest": 49, "dead_reckoning": 0},
-        _filter_settings_for(ALL_ERRORS),
-        OBSTACLE_POSITION_NOISE,
+        name="noise",
+        description="as plant, with joints and obstacles measured at their error bounds",
+        loop_settings=SENSOR_NOISE,
+        filter_settings=_filter_settings_for(SENSOR_NOISE),
+        margin=OBSTACLE_POSITION_NOISE,
     ),
     AdversaryClass(
-        "late",
-        "as drops, with missed control periods",
-        {**ALL_ERRORS, "late": 0.002},
-        _filter_settings_for(ALL_ERRORS),
-        OBSTACLE_POSITION_NOISE,
+        name="drops",
+        description="as noise, with lost joint states and scenes",
+        loop_settings=ALL_ERRORS,
+        filter_settings=_filter_settings_for(ALL_ERRORS),
+        margin=OBSTACLE_POSITION_NOISE,
+    ),
+    AdversaryClass(
+        name="stale",
+        description="as drops, with joint states up to 50 ms old used without dead reckoning",
+        loop_settings={**ALL_ERRORS, "state_longest": 49, "dead_reckoning": 0},
+        filter_settings=_filter_settings_for(ALL_ERRORS),
+        margin=OBSTACLE_POSITION_NOISE,
+    ),
+    AdversaryClass(
+        name="late",
+        description="as drops, with missed control periods",
+        loop_settings={**ALL_ERRORS, "late": 0.002},
+        filter_settings=_filter_settings_for(ALL_ERRORS),
+        margin=OBSTACLE_POSITION_NOISE,
     ),
 )
 FAST_OBSTACLE = {**ALL_ERRORS, "evadable": 0, "mover_speed": 0.8, "mover_acceleration": 4.0}
 MOVING_CLASSES = (
     AdversaryClass(
-        "evadable",
-        "a moving obstacle that leaves an escape",
-        ALL_ERRORS,
-        _filter_settings_for(ALL_ERRORS),
-        OBSTACLE_POSITION_NOISE,
+        name="evadable",
+        description="a moving obstacle that leaves an escape",
+        loop_settings=ALL_ERRORS,
+        filter_settings=_filter_settings_for(ALL_ERRORS),
+        margin=OBSTACLE_POSITION_NOISE,
         has_moving_obstacle=True,
     ),
     AdversaryClass(
-        "unevadable",
-        "a fast moving obstacle that leaves no escape if it can; the filter knows its velocity",
-        FAST_OBSTACLE,
-        _filter_settings_for(ALL_ERRORS),
-        OBSTACLE_POSITION_NOISE,
+        name="unevadable",
+        description="a fast moving obstacle that leaves no escape if it can; the filter knows its velocity",
+        loop_settings=FAST_OBSTACLE,
+        filter_settings=_filter_settings_for(ALL_ERRORS),
+        margin=OBSTACLE_POSITION_NOISE,
         has_moving_obstacle=True,
     ),
     AdversaryClass(
-        "person",
-        "the same; the filter knows only its greatest speed",
-        {**FAST_OBSTACLE, "velocity_share": 0.0},
-        _filter_settings_for(ALL_ERRORS),
-        OBSTACLE_POSITION_NOISE,
+        name="person",
+        description="the same; the filter knows only its greatest speed",
+        loop_settings={**FAST_OBSTACLE, "velocity_share": 0.0},
+        filter_settings=_filter_settings_for(ALL_ERRORS),
+        margin=OBSTACLE_POSITION_NOISE,
         has_moving_obstacle=True,
         speed_only=True,
     ),

@@ -47,7 +47,7 @@ GRASP_PARAMETERS = {
 PLACE_PARAMETERS = {"destination": "blue_bowl", "speed": 0.2, "clearance": 0.15, "route": "direct", "wait": "none"}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ContractRun:
     """The result of a contract: outcome or rejection, judgement on ground truth, trace, and the plant at the end."""
 
@@ -96,9 +96,13 @@ def run_contract(
     cell.executor.hold(settle_s)
     verdict = cell.check(cell.contract(actions))
     if isinstance(verdict, Rejected):
-        return ContractRun(None, verdict, cell.judgement(), cell.log.trace, cell.plant)
+        return ContractRun(
+            outcome=None, rejection=verdict, judgement=cell.judgement(), trace=cell.log.trace, plant=cell.plant
+        )
     outcome = cell.executor.execute(verdict.contract)
-    return ContractRun(outcome, None, cell.judgement(), cell.log.trace, cell.plant)
+    return ContractRun(
+        outcome=outcome, rejection=None, judgement=cell.judgement(), trace=cell.log.trace, plant=cell.plant
+    )
 
 
 def run_row(run: ContractRun) -> Row:

@@ -120,15 +120,17 @@ def test_targets_compare_with_the_fastest_peer_and_not_with_dualbrain():
 
 def test_an_unavailable_filter_states_the_reason():
     with pytest.raises(FilterUnavailableError, match="no environment"):
-        FilterProcess(BenchmarkedFilter("missing", "benchmarks.peers.filters.fake_filter", environment="missing"))
+        FilterProcess(
+            BenchmarkedFilter(name="missing", module="benchmarks.peers.filters.fake_filter", environment="missing")
+        )
     with pytest.raises(FilterUnavailableError, match="ModuleNotFoundError"):
-        FilterProcess(BenchmarkedFilter("missing", "benchmarks.peers.no_such_module"))
+        FilterProcess(BenchmarkedFilter(name="missing", module="benchmarks.peers.no_such_module"))
 
 
 def test_a_filter_that_hangs_is_terminated(tmp_path):
     problem = scenes.rows_problem(10)
     problem.save(str(tmp_path / "p.npz"))
-    child = FilterProcess(BenchmarkedFilter("sleeper", "benchmarks.peers.filters.fake_filter"))
+    child = FilterProcess(BenchmarkedFilter(name="sleeper", module="benchmarks.peers.filters.fake_filter"))
     child.request("prepare", problem=str(tmp_path / "p.npz"), options={"delay": 30.0})
     with pytest.raises(FilterUnavailableError, match="no answer"):
         child.request("once", 0.2, q=problem.home.tolist(), u_nom=[0.0] * problem.n)

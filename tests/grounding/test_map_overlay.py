@@ -18,8 +18,14 @@ ROOM = msgspec.structs.replace(open_scene("empty_room:0", "base"), objects=(), p
 
 
 def room_with_map(*regions):
-    spot = MapPlace("waiting_spot", (*SPOT, 0.0))
-    chart = RoomMap("map", "a hall", "start", places=(spot,), regions=(Region("hall", "traversable", HALL), *regions))
+    spot = MapPlace(name="waiting_spot", position=(*SPOT, 0.0))
+    chart = RoomMap(
+        kind="map",
+        title="a hall",
+        frame="start",
+        places=(spot,),
+        regions=(Region(name="hall", use="traversable", corners=HALL), *regions),
+    )
     return with_floor(ROOM, chart, "start", MOBILE_BASE)
 
 
@@ -52,7 +58,7 @@ class MonitoredCell(MobileBaseCell):
 
 
 def test_a_base_drives_around_a_keep_out_area_to_a_place_of_the_map():
-    cell = MonitoredCell(room_with_map(Region("cables", "keep_out", CABLES)))
+    cell = MonitoredCell(room_with_map(Region(name="cables", use="keep_out", corners=CABLES)))
     outcome = cell.run(drive_to_action("waiting_spot"))
     assert outcome.kind == "succeeded", outcome
     assert cell.world.judgement().success

@@ -38,10 +38,12 @@ def room_map(**changed: object) -> RoomMap:
         "title": "t",
         "frame": "room",
         "frames": (MapFrame("dock", (1.0, 2.0, 0.5), pi / 2),),
-        "places": (MapPlace("spot", (2.0, 1.0, 0.0), 0.3, region=((1.5, 0.5), (2.5, 0.5), (2.0, 1.5))),),
+        "places": (
+            MapPlace(name="spot", position=(2.0, 1.0, 0.0), yaw=0.3, region=((1.5, 0.5), (2.5, 0.5), (2.0, 1.5))),
+        ),
         "regions": (
-            Region("hall", "traversable", SQUARE),
-            Region("hole", "keep_out", ((2.5, 1.5), (3.5, 2.0), (3.0, 2.5))),
+            Region(name="hall", use="traversable", corners=SQUARE),
+            Region(name="hole", use="keep_out", corners=((2.5, 1.5), (3.5, 2.0), (3.0, 2.5))),
         ),
     }
     return RoomMap(**(fields | changed))  # pyright: ignore[reportArgumentType]
@@ -58,19 +60,22 @@ def builtin_map() -> RoomMap:
 @settings(deadline=None)
 @given(st.floats(-3, 3), st.floats(-3, 3), st.floats(-pi, pi), st.floats(-pi, pi))
 def test_a_change_of_frame_preserves_distances_and_can_be_inverted(x: float, y: float, yaw: float, turn: float) -> None:
-    places = (MapPlace("a", (x, y, 0.1), yaw), MapPlace("b", (1.0, -1.0, 0.0)))
+    places = (MapPlace(name="a", position=(x, y, 0.1), yaw=yaw), MapPlace(name="b", position=(1.0, -1.0, 0.0)))
     one = room_map(frames=(MapFrame("f", (x, 1.0, 0.2), turn),), places=places)
     (a, b), (a_f, b_f) = one.place_poses("room"), one.place_poses("f")
     assert np.linalg.norm(np.subtract(a.position, b.position)) == pytest.approx(
         np.linalg.norm(np.subtract(a_f.position, b_f.position))
     )
     assert a_f.yaw == pytest.approx(a.yaw - turn)
-    back = room_map(frames=(MapFrame("f", (x, 1.0, 0.2), turn),), places=(MapPlace("a", a_f.position, a_f.yaw, "f"),))
+    back = room_map(
+        frames=(MapFrame("f", (x, 1.0, 0.2), turn),),
+        places=(MapPlace(name="a", position=a_f.position, yaw=a_f.yaw, frame="f"),),
+    )
     assert back.place_poses("room")[0].position == pytest.approx(a.position)
 
 
 def test_a_place_in_a_frame_matches_a_calculation_by_hand() -> None:
-    one = room_map(places=(MapPlace("p", (1.0, 0.0, 0.0), 0.0, "dock"),))
+    one = room_map(places=(MapPlace(name="p", position=(1.0, 0.0, 0.0), yaw=0.0, frame="dock"),))
     pose = one.place_poses("room")[0]
     assert pose.position == pytest.approx((1.0, 3.0, 0.5))
     assert pose.yaw == pytest.approx(pi / 2)
@@ -123,7 +128,7 @@ def test_the_floor_is_exactly_that_of_the_map(x: float, y: float, frame: str) ->
     one = room_map()
     here = one.place_poses(frame)[0].position[:2]
     found = drivable_floor(one, frame, here, WIDE)
-    moved = room_map(places=(MapPlace("x", (x, y, 0.0)),)).place_poses(frame)[0].position
+    moved = room_map(places=(MapPlace(name="x", position=(x, y, 0.0)),)).place_poses(frame)[0].position
     assert borders(found.floor, moved[:2]) == pytest.approx(min(x, y, 4.0 - x, 3.0 - y))
     (box,) = found.closed
     ((_, hole),) = one.polygons(frame, "keep_out")
@@ -186,13 +191,21 @@ HALL = ((-0.8, -1.2), (3.0, -1.2), (3.4, 1.0), (-0.8, 1.0))
 
 
 def floor_map(*places: MapPlace, hall=HALL, **changed: object) -> RoomMap:
-    return room_map(frame="start", frames=(), places=places, regions=(Region("hall", "traversable", hall),), **changed)
+    return room_map(
+        frame="start",
+        frames=(),
+        places=places,
+        regions=(Region(name="hall", use="traversable", corners=hall),),
+        **changed,
+    )
 
 
 @pytest.mark.parametrize("robot", ["base", "mobile_panda"])
 def test_a_base_receives_the_places_and_the_floor_of_its_map(robot, tmp_path):
-    rack = MapPlace("on_a_rack", (1.0, 0.0, 0.8))
-    known = with_floor(ROOM, floor_map(MapPlace("corner", (2.0, 0.5, 0.0)), rack), "start", load_robot(robot))
+    rack = MapPlace(name="on_a_rack", position=(1.0, 0.0, 0.8))
+    known = with_floor(
+        ROOM, floor_map(MapPlace(name="corner", position=(2.0, 0.5, 0.0)), rack), "start", load_robot(robot)
+    )
     assert known.find_place("corner").position == (2.0, 0.5, 0.0)
     assert "on_a_rack" not in scene_names_of_spec(known).receptive  # a base cannot reach a place at this height
     assert {place.name for place in ROOM.places} < set(scene_names_of_spec(known).receptive)
@@ -205,7 +218,8 @@ def test_a_base_receives_the_places_and_the_floor_of_its_map(robot, tmp_path):
 
 def test_the_floor_is_the_intersection_with_the_room_and_places_of_the_scene_are_kept():
     beyond = ((-9.0, -1.2), (9.0, -1.2), (9.0, 1.0), (-9.0, 1.0))
-    moved = MapPlace("shelf", (40.0, 0.0, 0.0))  # the shelf of the scene was measured; this place is ignored
+    # the shelf of the scene was measured, so this place is ignored
+    moved = MapPlace(name="shelf", position=(40.0, 0.0, 0.0))
     known = with_floor(ROOM, floor_map(moved, hall=beyond), "start", load_robot("base"))
     assert np.sort(np.array(known.floor), axis=0) == pytest.approx(
         np.array([(-1.0, -1.2), (-1.0, -1.2), (5.2, 1.0), (5.2, 1.0)])
@@ -216,21 +230,33 @@ def test_the_floor_is_the_intersection_with_the_room_and_places_of_the_scene_are
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        ({"places": (MapPlace("far_end", (4.0, 0.0, 0.0)),)}, "far_end"),  # in the room, outside the floor of the map
+        # in the room, outside the floor of the map
+        ({"places": (MapPlace(name="far_end", position=(4.0, 0.0, 0.0)),)}, "far_end"),
         (
-            {"regions": (), "places": (MapPlace("next_room", (7.0, 0.0, 0.0)),)},
+            {"regions": (), "places": (MapPlace(name="next_room", position=(7.0, 0.0, 0.0)),)},
             "next_room",
         ),  # behind the wall of the room
         (
             {
-                "places": (MapPlace("hole_in", (2.0, 0.0, 0.0)),),
-                "regions": (Region("hole", "keep_out", ((1.8, -0.2), (2.2, -0.2), (2.2, 0.2), (1.8, 0.2))),),
+                "places": (MapPlace(name="hole_in", position=(2.0, 0.0, 0.0)),),
+                "regions": (
+                    Region(name="hole", use="keep_out", corners=((1.8, -0.2), (2.2, -0.2), (2.2, 0.2), (1.8, 0.2))),
+                ),
             },
             "hole_in",
         ),
-        ({"regions": (Region("hall", "traversable", ((-0.2, -0.2), (3.0, -0.2), (3.0, 1.0))),)}, "start of the base"),
-        ({"regions": (Region("hall", "traversable", ((1.0, 0.0), (3.0, 0.0), (3.0, 1.0))),)}, "start of the base"),
-        ({"regions": (Region("rack_unit", "keep_out", ((2.0, 0.0), (3.0, 0.0), (3.0, 1.0))),)}, "rack_unit"),
+        (
+            {"regions": (Region(name="hall", use="traversable", corners=((-0.2, -0.2), (3.0, -0.2), (3.0, 1.0))),)},
+            "start of the base",
+        ),
+        (
+            {"regions": (Region(name="hall", use="traversable", corners=((1.0, 0.0), (3.0, 0.0), (3.0, 1.0))),)},
+            "start of the base",
+        ),
+        (
+            {"regions": (Region(name="shelf_unit", use="keep_out", corners=((2.0, 0.0), (3.0, 0.0), (3.0, 1.0))),)},
+            "shelf_unit",
+        ),
     ],
 )
 def test_a_map_that_does_not_fit_the_room_is_refused_with_a_reason(changed, words):
@@ -268,4 +294,4 @@ def test_an_invalid_map_is_rejected_with_a_reason(text: str) -> None:
 def test_a_star_is_not_convex() -> None:
     star = tuple((float(np.cos(4 * pi * k / 5)), float(np.sin(4 * pi * k / 5))) for k in range(5))
     with pytest.raises(ValueError, match="convex"):
-        room_map(regions=(Region("star", "keep_out", star),))
+        room_map(regions=(Region(name="star", use="keep_out", corners=star),))

@@ -74,6 +74,52 @@ def test_a_violation_is_found_by_its_rule_only(findings, rule):
     assert not any(found.values())
 
 
+def five(decorator, bases, fields=FIVE_FIELDS):
+    """A module with a class `Five`."""
+    return f'"""Third."""\n\n\n{decorator}\nclass Five{bases}:\n    """Five."""\n\n{fields}'
+
+
+BASE_STRUCT = '"""Base."""\n\n\nclass Base(msgspec.Struct, frozen=True):\n    """Base."""\n\n    z: int\n'
+EXPORT = '"""Base."""\n\nfrom dualbrain.lowest import Base\n\n__all__ = ["Base"]\n'
+IMPORT = "from dualbrain.exported import Base\n"
+FOUR_FIELDS = FIVE_FIELDS.removesuffix("    e: int\n")
+
+
+@pytest.mark.parametrize("top", ["src/dualbrain", "experiments", "benchmarks", "tools"])
+@pytest.mark.parametrize(
+    ("text", "count"),
+    [
+        (five("@dataclass", ""), 5),
+        (five("@dataclass(frozen=True)", ""), 5),
+        (five("", "(msgspec.Struct, frozen=True)"), 5),
+        (five("", "(NamedTuple)"), 5),
+        (five(IMPORT, "(Base, frozen=True)"), 6),
+        (five(IMPORT, "(Base, frozen=True)", FOUR_FIELDS), 5),
+        (five("@dataclass(kw_only=True)", ""), 0),
+        (five("@dataclass", "", "    a: int\n    _: KW_ONLY\n" + FIVE_FIELDS[11:]), 0),
+        (five("@dataclass", "", FOUR_FIELDS + "    e: int = field(kw_only=True)\n"), 0),
+        (five("@dataclass", "", FOUR_FIELDS + "    e: ClassVar[int] = 1\n"), 0),
+        (five("", "(NamedTuple)", FOUR_FIELDS), 0),
+        (five(IMPORT, "(Base, frozen=True, kw_only=True)"), 0),
+        (five("", "(Protocol)"), 0),
+    ],
+)
+def test_records_with_more_than_four_positional_fields_are_found(findings, top, text, count):
+    base = {"src/dualbrain/lowest.py": BASE_STRUCT, "src/dualbrain/exported/__init__.py": EXPORT}
+    found = findings({**base, f"{top}/third.py": text})["records"]
+    assert len(found) == (count > 0)
+    assert not found or f"{top}/third.py" in found[0]
+    assert not found or f"Five has {count} fields" in found[0]
+
+
+def test_records_are_exempt_where_a_reason_is_given(findings):
+    rules = CLEAN["tools/structure/rules.toml"].replace(
+        "[records]", '[records]\n"dualbrain.third.Five" = "a table row"'
+    )
+    files = {"tools/structure/rules.toml": rules, "src/dualbrain/third.py": five("", "(NamedTuple)")}
+    assert findings(files)["records"] == []
+
+
 def test_words_are_allowed_where_a_reason_is_given(findings):
     assert findings({})["words"] == []
     assert len(findings({"docs/new.md": "It was flown.\n"})["words"]) == 1

@@ -10,7 +10,7 @@ SYMTAB, RELA, REL = 2, 4, 9
 FUNCTION, SECTION = 2, 3
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Section:
     """One section of an object file, with the fields of its header and its bytes."""
 
@@ -21,7 +21,7 @@ class Section:
     data: bytes
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class ObjectFile:
     """Functions of an object: code sizes, calls, undefined symbols, taken addresses, stack sizes; sizes in bytes."""
 
@@ -38,7 +38,7 @@ def read_object(path: Path) -> ObjectFile:
     raw = path.read_bytes()
     wide = raw[4] == 2
     sections = _sections(raw, wide)
-    out = ObjectFile(path)
+    out = ObjectFile(path=path)
     symbols = next((_symbols(s, sections[s.link], wide) for s in sections if s.kind == SYMTAB), [])
     home = {i: _function(s.name) for i, s in enumerate(sections) if _function(s.name)}
     for name, kind, section, size in symbols:
@@ -61,7 +61,10 @@ def _sections(raw: bytes, wide: bool) -> list[Section]:
         start, (size, count, names) = struct.unpack_from("<I", raw, 32)[0], struct.unpack_from("<HHH", raw, 46)
     heads = [struct.unpack_from("<IIQQQQIIQQ" if wide else "<10I", raw, start + i * size) for i in range(count)]
     text = raw[heads[names][4] : heads[names][4] + heads[names][5]]
-    return [Section(_string(text, h[0]), h[1], h[6], h[7], raw[h[4] : h[4] + h[5] * (h[1] != 8)]) for h in heads]
+    return [
+        Section(name=_string(text, h[0]), kind=h[1], link=h[6], info=h[7], data=raw[h[4] : h[4] + h[5] * (h[1] != 8)])
+        for h in heads
+    ]
 
 
 def _symbols(section: Section, strings: Section, wide: bool) -> list[tuple[str, int, int, int]]:

@@ -19,7 +19,7 @@ OBSTACLE_COUNTS = (8, 20, 47)
 """Numbers of obstacles around the arm, without the table."""
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class StepCase:
     """Inputs of one step (joint positions, previous and nominal control), and its iterations, rows and time [s]."""
 
@@ -82,7 +82,15 @@ def adversarial_loop(robot_model: RobotModel, seed: int, steps: int) -> Iterator
             q = np.array(robot_model.home) + rng.uniform(-0.3, 0.3, robot_model.n)
         result = safety(q, rest, u_nom)
         seconds = twin._kernel.time_steps(q[None], u_nom[None], False)
-        yield StepCase(seed, q.copy(), u_prev.copy(), u_nom.copy(), result.iterations, result.n_rows, seconds)
+        yield StepCase(
+            scene=seed,
+            q=q.copy(),
+            u_prev=u_prev.copy(),
+            u_nom=u_nom.copy(),
+            iterations=result.iterations,
+            rows=result.n_rows,
+            seconds=seconds,
+        )
         u_prev = result.u
         q = q + robot_model.period * result.u
 
@@ -95,7 +103,15 @@ def repeat_cold(safety: SafetyFilter, m: StepCase, *, times: int = 1) -> StepCas
     for _ in range(times):
         safety.reset(m.u_prev)
         seconds = min(seconds, safety._kernel.time_steps(m.q[None], m.u_nom[None], True))
-    return StepCase(m.scene, m.q, m.u_prev, m.u_nom, result.iterations, result.n_rows, seconds)
+    return StepCase(
+        scene=m.scene,
+        q=m.q,
+        u_prev=m.u_prev,
+        u_nom=m.u_nom,
+        iterations=result.iterations,
+        rows=result.n_rows,
+        seconds=seconds,
+    )
 
 
 def search_worst_step(robot_model: RobotModel, start: list[StepCase], rng: np.random.Generator, tries: int) -> StepCase:
@@ -110,13 +126,13 @@ def search_worst_step(robot_model: RobotModel, start: list[StepCase], rng: np.ra
             candidate = repeat_cold(
                 safety,
                 StepCase(
-                    first.scene,
-                    current.q + size * rng.normal(size=robot_model.n),
-                    np.clip(current.u_prev + size * v_max * rng.normal(size=robot_model.n), -v_max, v_max),
-                    np.clip(current.u_nom + size * v_max * rng.normal(size=robot_model.n), -v_max, v_max),
-                    0,
-                    0,
-                    0.0,
+                    scene=first.scene,
+                    q=current.q + size * rng.normal(size=robot_model.n),
+                    u_prev=np.clip(current.u_prev + size * v_max * rng.normal(size=robot_model.n), -v_max, v_max),
+                    u_nom=np.clip(current.u_nom + size * v_max * rng.normal(size=robot_model.n), -v_max, v_max),
+                    iterations=0,
+                    rows=0,
+                    seconds=0.0,
                 ),
             )
             if (candidate.iterations, candidate.rows) >= (current.iterations, current.rows):

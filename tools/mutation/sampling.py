@@ -14,7 +14,7 @@ from tools.mutation.tokens import tokenize
 SOURCES = ("kernel/src/**/*.c", "src/dualbrain/safety/cbf/kernel.py")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Mutant:
     """One change: `file` relative to the root, whole lines `before` and `after`, whole mutated file `text`."""
 
@@ -55,7 +55,9 @@ def make_mutant(file: str, source: str, kind: str, site: Site, choice: str) -> M
     last = source.find("\n", end)
     before, after = source[first:last], text[first : last + len(text) - len(source)]
     line = source.count("\n", 0, start) + 1
-    return Mutant(file, line, kind, collapse_whitespace(before), collapse_whitespace(after), text)
+    return Mutant(
+        file=file, line=line, kind=kind, before=collapse_whitespace(before), after=collapse_whitespace(after), text=text
+    )
 
 
 def collapse_whitespace(text: str) -> str:

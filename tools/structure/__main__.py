@@ -22,9 +22,11 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
+from tools.structure.records import Records
+
 MAX_ENTRIES = 12
-MAX_POSITIONAL = 4
 PACKAGE = "src/dualbrain"
+RECORD_TOPS = (PACKAGE, "experiments", "benchmarks", "tools")
 NOT_COUNTED = {"__init__.py", "conftest.py", "py.typed"}
 
 
@@ -151,45 +153,11 @@ def finishing(graph: dict[str, set[str]], start: str, seen: set[str]) -> list[st
 
 
 def records(tree: Tree) -> Iterator[str]:
-    """Dataclasses and structs of more than `MAX_POSITIONAL` fields that may be built by position."""
-    exempt: dict[str, str] = tree.config["records"]
-    for name, parsed in tree.python(PACKAGE):
-        for node in ast.walk(parsed):
-            if (
-                not isinstance(node, ast.ClassDef)
-                or not is_record(node)
-                or f"{module_name(name)}.{node.name}" in exempt
-            ):
-                continue
-            fields = [one for one in node.body if isinstance(one, ast.AnnAssign) and not is_class_variable(one)]
-            if len(fields) > MAX_POSITIONAL and not keyword_only(node):
-                yield f"{name}:{node.lineno}: {node.name} has {len(fields)} fields and is not keyword-only"
-
-
-def is_record(node: ast.ClassDef) -> bool:
-    """Whether a class is a dataclass or a msgspec structure."""
-    decorators = [ast.unparse(one) for one in node.decorator_list]
-    bases = [ast.unparse(one) for one in node.bases]
-    return any("dataclass" in one for one in decorators) or any(one.endswith(("Struct", "Record")) for one in bases)
-
-
-def is_class_variable(node: ast.AnnAssign) -> bool:
-    """Whether an annotation is a `ClassVar`, or a marker with `kw_only=True`."""
-    return "ClassVar" in ast.unparse(node.annotation) or (
-        node.value is not None and "kw_only=True" in ast.unparse(node.value)
-    )
-
-
-def keyword_only(node: ast.ClassDef) -> bool:
-    """Whether the class is declared `kw_only=True`, or separates its fields by `_: KW_ONLY`."""
-    options = [*node.keywords]
-    for one in node.decorator_list:
-        if isinstance(one, ast.Call):
-            options += one.keywords
-    declared = any(one.arg == "kw_only" and ast.unparse(one.value) == "True" for one in options)
-    return declared or any(
-        isinstance(one, ast.AnnAssign) and "KW_ONLY" in ast.unparse(one.annotation) for one in node.body
-    )
+    """Dataclasses, structs and named tuples of more than four fields that may be built by position."""
+    files = {module_name(name): name for name, _ in tree.python(*RECORD_TOPS)}
+    known = Records.of((module_name(name), parsed) for name, parsed in tree.python(*RECORD_TOPS))
+    for module, node, message in known.violations(tree.config["records"]):
+        yield f"{files[module]}:{node.lineno}: {message}"
 
 
 def words(tree: Tree) -> Iterator[str]:

@@ -15,7 +15,7 @@ import numpy as np
 SPHERE, CAPSULE, BOX = 0, 1, 2
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Problem:
     """Geometry and limits; lengths in m, angles in rad. Frame 0 is the base, frame i follows joint i.
 

@@ -37,7 +37,7 @@ MODES = ("unfiltered", "clipped", "filtered")
 """The policy's control directly; each joint clipped to the filter's velocity limit; through the filter."""
 
 
-@dataclass
+@dataclass(kw_only=True)
 class EpisodeRecord:
     """The recorded periods of an episode, and its end."""
 

@@ -31,7 +31,7 @@ UNITS = {"joint_velocity": "rad/s", "joint_position": "rad", "touch": "N"}
 """Kinds of breach with the unit of their peak: greatest speed, greatest excess, greatest normal force."""
 
 
-@dataclass
+@dataclass(kw_only=True)
 class Breach:
     """One exceeded limit: its start and last observation [s], and its peak."""
 
@@ -78,6 +78,6 @@ class LimitMonitor:
         if known is not None and now - known.last_seen <= MERGE_GAP_S:
             known.last_seen, known.peak = now, max(known.peak, size)
             return
-        breach = Breach(kind, between, now, now, size)
+        breach = Breach(kind=kind, bodies=between, start=now, last_seen=now, peak=size)
         self._open_breaches[kind, between] = breach
         self._breaches.append(breach)

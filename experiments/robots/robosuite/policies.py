@@ -30,7 +30,7 @@ WAYPOINT_TIMEOUT_S = 10.0
 """Time after which the policy proceeds to the next waypoint [s]; long, because a filtered arm may be much slower."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Waypoint:
     """A waypoint: the tool moves to `height` [m] above the initial centre of `target_cube`, fingers `closed` or open.
 
@@ -52,16 +52,16 @@ def lift_waypoints(hasty: bool) -> tuple[Waypoint, ...]:
     """Grasp the cube and lift it."""
     if hasty:
         return (
-            Waypoint("over", "cube", 0.03, False, 0.02),
-            Waypoint("down", "cube", GRASP_HEIGHT, False, 0.01),
-            Waypoint("close", "cube", GRASP_HEIGHT, True, 0.02, 0.25),
-            Waypoint("up", "cube", 0.12, True, 0.02, 0.2),
+            Waypoint(name="over", target_cube="cube", height=0.03, closed=False, tolerance=0.02),
+            Waypoint(name="down", target_cube="cube", height=GRASP_HEIGHT, closed=False, tolerance=0.01),
+            Waypoint(name="close", target_cube="cube", height=GRASP_HEIGHT, closed=True, tolerance=0.02, dwell=0.25),
+            Waypoint(name="up", target_cube="cube", height=0.12, closed=True, tolerance=0.02, dwell=0.2),
         )
     return (
-        Waypoint("over", "cube", 0.10, False, 0.01),
-        Waypoint("down", "cube", GRASP_HEIGHT, False, 0.003),
-        Waypoint("close", "cube", GRASP_HEIGHT, True, 0.01, 0.4),
-        Waypoint("up", "cube", 0.12, True, 0.01, 0.3),
+        Waypoint(name="over", target_cube="cube", height=0.10, closed=False, tolerance=0.01),
+        Waypoint(name="down", target_cube="cube", height=GRASP_HEIGHT, closed=False, tolerance=0.003),
+        Waypoint(name="close", target_cube="cube", height=GRASP_HEIGHT, closed=True, tolerance=0.01, dwell=0.4),
+        Waypoint(name="up", target_cube="cube", height=0.12, closed=True, tolerance=0.01, dwell=0.3),
     )
 
 
@@ -70,23 +70,62 @@ def stack_waypoints(hasty: bool) -> tuple[Waypoint, ...]:
     put = STACK_OFFSET + GRASP_HEIGHT
     if hasty:
         return (
-            Waypoint("over", "cubeA", 0.03, False, 0.02),
-            Waypoint("down", "cubeA", GRASP_HEIGHT, False, 0.01),
-            Waypoint("close", "cubeA", GRASP_HEIGHT, True, 0.02, 0.25),
-            Waypoint("across", "cubeB", put + 0.01, True, 0.02, carried_cube="cubeA"),
-            Waypoint("lower", "cubeB", put + 0.002, True, 0.005, carried_cube="cubeA", may_touch="cubeB"),
-            Waypoint("open", "cubeB", put + 0.002, False, 0.02, 0.25, carried_cube="cubeA", may_touch="cubeB"),
-            Waypoint("away", "cubeB", put + 0.10, False, 0.03, 0.1),
+            Waypoint(name="over", target_cube="cubeA", height=0.03, closed=False, tolerance=0.02),
+            Waypoint(name="down", target_cube="cubeA", height=GRASP_HEIGHT, closed=False, tolerance=0.01),
+            Waypoint(name="close", target_cube="cubeA", height=GRASP_HEIGHT, closed=True, tolerance=0.02, dwell=0.25),
+            Waypoint(
+                name="across", target_cube="cubeB", height=put + 0.01, closed=True, tolerance=0.02, carried_cube="cubeA"
+            ),
+            Waypoint(
+                name="lower",
+                target_cube="cubeB",
+                height=put + 0.002,
+                closed=True,
+                tolerance=0.005,
+                carried_cube="cubeA",
+                may_touch="cubeB",
+            ),
+            Waypoint(
+                name="open",
+                target_cube="cubeB",
+                height=put + 0.002,
+                closed=False,
+                tolerance=0.02,
+                dwell=0.25,
+                carried_cube="cubeA",
+                may_touch="cubeB",
+            ),
+            Waypoint(name="away", target_cube="cubeB", height=put + 0.10, closed=False, tolerance=0.03, dwell=0.1),
         )
     return (
-        Waypoint("over", "cubeA", 0.10, False, 0.01),
-        Waypoint("down", "cubeA", GRASP_HEIGHT, False, 0.003),
-        Waypoint("close", "cubeA", GRASP_HEIGHT, True, 0.01, 0.4),
-        Waypoint("up", "cubeA", 0.12, True, 0.01),
-        Waypoint("across", "cubeB", put + 0.06, True, 0.005, carried_cube="cubeA"),
-        Waypoint("lower", "cubeB", put + 0.002, True, 0.003, 0.2, carried_cube="cubeA", may_touch="cubeB"),
-        Waypoint("open", "cubeB", put + 0.002, False, 0.01, 0.5, carried_cube="cubeA", may_touch="cubeB"),
-        Waypoint("away", "cubeB", put + 0.10, False, 0.01, 0.3),
+        Waypoint(name="over", target_cube="cubeA", height=0.10, closed=False, tolerance=0.01),
+        Waypoint(name="down", target_cube="cubeA", height=GRASP_HEIGHT, closed=False, tolerance=0.003),
+        Waypoint(name="close", target_cube="cubeA", height=GRASP_HEIGHT, closed=True, tolerance=0.01, dwell=0.4),
+        Waypoint(name="up", target_cube="cubeA", height=0.12, closed=True, tolerance=0.01),
+        Waypoint(
+            name="across", target_cube="cubeB", height=put + 0.06, closed=True, tolerance=0.005, carried_cube="cubeA"
+        ),
+        Waypoint(
+            name="lower",
+            target_cube="cubeB",
+            height=put + 0.002,
+            closed=True,
+            tolerance=0.003,
+            dwell=0.2,
+            carried_cube="cubeA",
+            may_touch="cubeB",
+        ),
+        Waypoint(
+            name="open",
+            target_cube="cubeB",
+            height=put + 0.002,
+            closed=False,
+            tolerance=0.01,
+            dwell=0.5,
+            carried_cube="cubeA",
+            may_touch="cubeB",
+        ),
+        Waypoint(name="away", target_cube="cubeB", height=put + 0.10, closed=False, tolerance=0.01, dwell=0.3),
     )
 
 
@@ -158,7 +197,8 @@ class BangBangPolicy:
     """Every joint at full speed in a random direction, changed after 0.15 to 1 s, without a task, fingers open."""
 
     def __init__(self, max_speed: Array, cube: str, seed: int, duration_s: float) -> None:
-        self.done, self.waypoint = False, Waypoint("anywhere", cube, 0.0, False, 0.0)
+        self.done = False
+        self.waypoint = Waypoint(name="anywhere", target_cube=cube, height=0.0, closed=False, tolerance=0.0)
         self._rng, self._max_speed, self._duration = np.random.default_rng(seed), max_speed, duration_s
         self._until, self._u = 0.0, np.zeros(len(max_speed))
 

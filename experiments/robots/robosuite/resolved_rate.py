@@ -19,7 +19,7 @@ POSTURE_GAIN = 1.0
 """Gain of the return of the redundant joint [1/s]."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SpeedProfile:
     """Gains and bounds of the tool motion.
 
@@ -38,8 +38,8 @@ class SpeedProfile:
 
 
 CAREFUL = SpeedProfile(
-    5.0,
-    4.0,
+    position_gain=5.0,
+    rotation_gain=4.0,
     max_linear=0.25,
     max_angular=1.0,
     max_linear_acceleration=1.0,
@@ -47,7 +47,7 @@ CAREFUL = SpeedProfile(
     max_joint_speed_share=0.6,
 )
 """Within all limits of the arm."""
-HASTY = SpeedProfile(25.0, 25.0)
+HASTY = SpeedProfile(position_gain=25.0, rotation_gain=25.0)
 """Five times the gains and no bounds: the first nominal tool speed for a path of 20 cm is 5 m/s."""
 
 

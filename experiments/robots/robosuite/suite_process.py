@@ -31,7 +31,7 @@ STDERR_TAIL_CHARS = 600
 """Characters of stderr in the message about a suite process that has ended."""
 
 
-class State(msgspec.Struct, frozen=True, eq=False):
+class State(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     """The state after a step: time [s], q (7,) [rad], v (7,) [rad/s], finger opening [m], success check, cubes."""
 
     time: float
@@ -42,7 +42,7 @@ class State(msgspec.Struct, frozen=True, eq=False):
     cubes: dict[str, Pose]
 
 
-class SuiteObject(msgspec.Struct, frozen=True):
+class SuiteObject(msgspec.Struct, frozen=True, kw_only=True):
     """An object in the arm's base frame; `size`: half extents, radius and half length, or unused [m]."""
 
     name: str
@@ -52,7 +52,7 @@ class SuiteObject(msgspec.Struct, frozen=True):
     quaternion: tuple[float, float, float, float]
 
 
-class TaskSetup(msgspec.Struct, frozen=True, eq=False):
+class TaskSetup(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     """A task that the suite has set up: period [s], names of the cubes, objects, torque limits, first state."""
 
     period: float
@@ -117,7 +117,9 @@ class SuiteProcess:
             name: Pose((row[0], row[1], row[2]), (row[3], row[4], row[5], row[6]))
             for name, row in zip(self._cubes, rest, strict=True)
         }
-        return State(float(numbers[0]), q, v, float(numbers[15]), bool(numbers[16]), cubes)
+        return State(
+            time=float(numbers[0]), q=q, v=v, opening=float(numbers[15]), success=bool(numbers[16]), cubes=cubes
+        )
 
     def close(self) -> None:
         """End the process."""

@@ -47,7 +47,7 @@ class LimitCaps(SiteEntry, frozen=True):
     jerk: Positive | None = None
 
 
-class JointCaps(LimitCaps, frozen=True):
+class JointCaps(LimitCaps, frozen=True, kw_only=True):
     """[joint.NAME]: the limits of one joint, and its range [rad or m]."""
 
     lower: float | None = None
@@ -76,7 +76,7 @@ class Payload(SiteEntry, frozen=True):
     error: Length = 0.0
 
 
-class PlaneEntry(SiteEntry, frozen=True):
+class PlaneEntry(SiteEntry, frozen=True, kw_only=True):
     """[[plane]]: the `parts` of the robot stay on the side to which `inward` points, `margin` [m] from the plane."""
 
     name: EntryName
@@ -86,7 +86,7 @@ class PlaneEntry(SiteEntry, frozen=True):
     margin: Length = 0.0
 
 
-class KeepOut(SiteEntry, frozen=True):
+class KeepOut(SiteEntry, frozen=True, kw_only=True):
     """[[keep_out]]: a box that no part of the robot may enter: position [m], half extents [m], yaw about z [rad]."""
 
     name: EntryName
@@ -102,7 +102,7 @@ class Commander(SiteEntry, frozen=True):
     skills: tuple[str, ...]
 
 
-class Site(SiteEntry, frozen=True):
+class Site(SiteEntry, frozen=True, kw_only=True):
     """The content of a site file."""
 
     robot: RobotSettings = RobotSettings()

@@ -30,7 +30,7 @@ def test_packets_arrive_complete_and_in_order_and_receive_does_not_block(ends):
     assert there.is_open
 
 
-STATE = packets.StatePacket(0.0, 1, (), (), 0.0, (0.0, 0.0), drive_enabled=True)
+STATE = packets.StatePacket(stamp=0.0, sequence=1, q=(), v=(), opening=0.0, forces=(0.0, 0.0), drive_enabled=True)
 
 
 @pytest.mark.parametrize(

@@ -167,11 +167,13 @@ def test_bang_bang_is_seeded_and_at_full_speed():
 def test_fixed_objects_become_obstacles_and_cubes_do_not():
     level = (1.0, 0.0, 0.0, 0.0)
     objects = [
-        SuiteObject("floor", "plane", (3.0, 3.0, 0.1), (0.0, 0.0, -0.9), level),
-        SuiteObject("table", "box", (0.4, 0.4, 0.025), (0.56, 0.0, -0.137), level),
-        SuiteObject("mount", "box", (0.1, 0.2, 0.2), (-0.3, 0.0, -0.4), level),
-        SuiteObject("mount", "cylinder", (0.18, 0.31, 0.0), (0.0, 0.0, -0.3), level),
-        SuiteObject("cubeA", "box", (0.02, 0.02, 0.02), (0.5, 0.0, -0.09), level),
+        SuiteObject(name="floor", solid="plane", size=(3.0, 3.0, 0.1), position=(0.0, 0.0, -0.9), quaternion=level),
+        SuiteObject(name="table", solid="box", size=(0.4, 0.4, 0.025), position=(0.56, 0.0, -0.137), quaternion=level),
+        SuiteObject(name="mount", solid="box", size=(0.1, 0.2, 0.2), position=(-0.3, 0.0, -0.4), quaternion=level),
+        SuiteObject(
+            name="mount", solid="cylinder", size=(0.18, 0.31, 0.0), position=(0.0, 0.0, -0.3), quaternion=level
+        ),
+        SuiteObject(name="cubeA", solid="box", size=(0.02, 0.02, 0.02), position=(0.5, 0.0, -0.09), quaternion=level),
     ]
     found = static_obstacles(objects)
     assert [type(one.shape) for one in found] == [HalfSpace, Box, Box, Box]

@@ -86,7 +86,7 @@ class EstopAnswer(ChecklistEntry, frozen=True):
     reset_in_two_steps: bool = False
 
 
-class Checklist(ChecklistEntry, frozen=True):
+class Checklist(ChecklistEntry, frozen=True, kw_only=True):
     """The whole checklist: the person who answered (`by`), the date (`on`), and the answers."""
 
     by: str

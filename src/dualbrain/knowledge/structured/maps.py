@@ -35,7 +35,7 @@ class MapFrame(_MapElement, frozen=True):
     about: ShortText = ""
 
 
-class MapPlace(_MapElement, frozen=True):
+class MapPlace(_MapElement, frozen=True, kw_only=True):
     """A named place in `frame`: `position` [m] on its support, `yaw` [rad] of a base at the place, and its `region`."""
 
     name: str
@@ -46,7 +46,7 @@ class MapPlace(_MapElement, frozen=True):
     about: ShortText = ""
 
 
-class Region(_MapElement, frozen=True):
+class Region(_MapElement, frozen=True, kw_only=True):
     """A floor polygon with `corners` (x, y) [m]; a base stays inside traversable and outside keep_out regions."""
 
     name: str
@@ -64,7 +64,7 @@ class PlacePose(msgspec.Struct, frozen=True):
     yaw: float
 
 
-class RoomMap(_MapElement, frozen=True):
+class RoomMap(_MapElement, frozen=True, kw_only=True):
     """A map in the frame `frame`, in which all other frames are given; raises `ValueError` if it is invalid."""
 
     kind: Literal["map"]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Callable
 from math import inf, isfinite
-from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -28,7 +27,7 @@ REFUSED_REASONS = int(
 """Reasons for which the kernel computes no distances, so that `h_min` is undefined."""
 
 
-class ShadowTick(NamedTuple):
+class ShadowTick(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     """Result of one tick at `now` [s]; `h_min` [m] is None if the filter rejected the input.
 
     `nearest` names the pair with the smallest h. It is determined in changed ticks and at a new minimum of h, else "".
@@ -211,7 +210,13 @@ class ShadowFilter:
         changed = result.delta > self._dead_band or result.status > FilterStatus.MODIFIED
         deepest = not refused and result.h_min < self._h_min
         nearest = self._nearest_pair() if (changed or deepest) and not refused else ""
-        tick = ShadowTick(now, result.delta, result.status, None if refused else result.h_min, nearest)
+        tick = ShadowTick(
+            now=now,
+            delta=result.delta,
+            status=result.status,
+            h_min=None if refused else result.h_min,
+            nearest=nearest,
+        )
         self.recent.append(tick)
         self._ticks, self._changed, self._refused = self._ticks + 1, self._changed + changed, self._refused + refused
         self._sum += result.delta

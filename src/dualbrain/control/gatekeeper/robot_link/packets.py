@@ -48,7 +48,7 @@ class ShutdownPacket(Packet, frozen=True, tag=6):
     """Request to end the robot process."""
 
 
-class StatePacket(Packet, frozen=True, tag=7):
+class StatePacket(Packet, frozen=True, tag=7, kw_only=True):
     """A joint state; fields and units are those of `RobotState`."""
 
     stamp: float
@@ -63,7 +63,15 @@ class StatePacket(Packet, frozen=True, tag=7):
     def from_state(cls, state: RobotState) -> StatePacket:
         """The packet of a joint state."""
         q, v = tuple(state.q.tolist()), tuple(state.v.tolist())
-        return cls(state.stamp, state.sequence, q, v, state.opening, state.finger_forces, state.drive_enabled)
+        return cls(
+            stamp=state.stamp,
+            sequence=state.sequence,
+            q=q,
+            v=v,
+            opening=state.opening,
+            forces=state.finger_forces,
+            drive_enabled=state.drive_enabled,
+        )
 
 
 class ScenePacket(Packet, frozen=True, tag=8):
