@@ -100,7 +100,7 @@ class CommanderFailure:
             report = wait_for_report(folder / "one.json")
             fault, missing = check_ledger(folder / "ledger.sqlite", set(testbed.stored))
         if about["how"] == "gatekeeper":
-            found["took"] = report.off_at - found["at"] if report.off_at is not None else None
+            found["took"] = report.drive_off_at - found["at"] if report.drive_off_at is not None else None
         until_then = inf if about["how"] == "gatekeeper" else found["next_at"]
         violations = [one for one in report.judgement.violations if one.kind != "object_dropped"]
         unsafe = msgspec.to_builtins([one for one in violations if one.start < until_then])

@@ -218,7 +218,7 @@ def _run_gatekeeper(seed: int, seconds: float, clients: int) -> tuple[Any, Count
             scene=open_scene(SCENE),
             socket=str(folder / "s"),
             keys=str(folder / "keys"),
-            punctuality=str(folder / "p.json"),
+            tick_timing=str(folder / "p.json"),
             capability=Capability(skills, rate=1e6),
         )
         process = GatekeeperProcess(config)

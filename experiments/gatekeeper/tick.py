@@ -57,7 +57,7 @@ class TickTiming:
                 socket=str(folder / "s"),
                 keys=str(folder / "keys"),
                 recording=str(recording),
-                punctuality=str(timing),
+                tick_timing=str(timing),
                 report=str(robot_report),
             )
             process = GatekeeperProcess(config)
@@ -76,7 +76,7 @@ class TickTiming:
             "bins": {str(k): count for k, count in enumerate(found.bins) if count},
             **vars(summary),
             "planner": about["planner"],
-            "slips": report.slips,
+            "slips": report.resynchronizations,
             "robot_ticks": report.ticks,
             "violations": violations,
             "recording": recorded,

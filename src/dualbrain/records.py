@@ -201,10 +201,10 @@ OutcomeClass = Literal[
 OutcomeCheck = Literal["none", "agrees", "disagrees"]
 
 
-class Outcome(Record, frozen=True, kw_only=True):
+class Outcome(Record, frozen=True, kw_only=True, rename={"active_constraints": "hindrance"}):
     """The robot's own verdict on an episode (r and Δ of paper 5.1); simulator ground truth never enters it.
 
-    `Delta` is None when no control was executed (a rejected or declined contract). `taken_over` means that the local
+    `Delta` is None when no control was executed (a rejected or declined contract). `taken_over` means that the safety
     layer ended the contract, `aborted` that an operator ended it, `stopped` that a fault ended it. Operator
     interventions have separate classes, from which the memory does not learn: `paused` and `slowed` contracts were
     finished after a pause or below full speed, `handed_over` contracts ended because an operator took the robot, and
@@ -220,7 +220,7 @@ class Outcome(Record, frozen=True, kw_only=True):
     h_min: float | None = None
     duration: float = 0.0
     actions: tuple[ActionResult, ...] = ()
-    hindrance: str = ""
+    active_constraints: str = ""
     """Names of the constraint rows that were active last when an action did not succeed, in words."""
 
     @property
@@ -229,18 +229,20 @@ class Outcome(Record, frozen=True, kw_only=True):
         return int(self.kind == "succeeded")
 
 
-class FailureFeedback(Record, frozen=True, kw_only=True):
-    """Result of the previous contract, for replanning: actions `done`, the action `undone`, the reason, the hindrance.
+class FailureFeedback(
+    Record, frozen=True, kw_only=True, rename={"failed_action": "undone", "active_constraints": "hindrance"}
+):
+    """Result of the previous contract, for replanning: actions `done`, the `failed_action` and the reason.
 
-    `hindrance` names the pairs that were nearest, or whose rows conflicted, when the action was given up.
+    `active_constraints` names the pairs that were nearest, or whose rows conflicted, when the action was given up.
     """
 
     episode_id: str
     outcome: OutcomeClass
     done: tuple[str, ...]
-    undone: str
+    failed_action: str
     reason: str
-    hindrance: str = ""
+    active_constraints: str = ""
 
 
 class Violation(Record, frozen=True, kw_only=True):
@@ -262,7 +264,7 @@ class Judgement(Record, frozen=True):
     violations: tuple[Violation, ...] = ()
 
 
-class Episode(Record, frozen=True, kw_only=True):
+class Episode(Record, frozen=True, kw_only=True, rename={"failure_feedback": "setback"}):
     """The whole record of one instruction; written as `episode.json`."""
 
     id: str
@@ -286,5 +288,5 @@ class Episode(Record, frozen=True, kw_only=True):
     """Check of the outcome by a sensor that the executing skills do not use."""
     uses: tuple[MemoryUse, ...] = ()
     """Use of each exemplar in the prompt, if the planner was queried again without it."""
-    setback: FailureFeedback | None = None
+    failure_feedback: FailureFeedback | None = None
     """Result of the previous contract, if this contract was planned because the previous one did not succeed."""

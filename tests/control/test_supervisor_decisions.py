@@ -33,7 +33,7 @@ C = Condition
 class SupervisedCell:
     """A simulated arm in a bare scene; `conditions(t)` are the external `Condition` bits at the time `t` [s]."""
 
-    def __init__(self, conditions=lambda t: 0, speed_stage=1.0, robot=lambda plant: plant):
+    def __init__(self, conditions=lambda t: 0, speed_scale=1.0, robot=lambda plant: plant):
         spec = open_scene("bare:0")
         self.plant = Plant(spec, MODEL)
         self.world = SimulatedWorld(self.plant, NoisyPerception(spec, PerceptionNoise(), np.random.default_rng([0, 1])))
@@ -47,7 +47,7 @@ class SupervisedCell:
             robot=robot(self.plant),
         )
         self.executor, self.loop, self.trace = cell.executor, cell.loop, cell.log.trace
-        self.loop.safety_controller.speed_stage = speed_stage
+        self.loop.safety_controller.speed_scale = speed_scale
 
     def grasp(self):
         return self.executor.execute(Contract("c-1", Context("panda", ""), (Action("grasp", GRASP),)))
@@ -87,7 +87,7 @@ def test_a_pause_waits_and_the_contract_continues_after_it():
 
 
 def test_a_speed_stage_slows_the_whole_contract_and_patience_with_it():
-    usual, slow = SupervisedCell(), SupervisedCell(speed_stage=0.5)
+    usual, slow = SupervisedCell(), SupervisedCell(speed_scale=0.5)
     fast, outcome = usual.grasp(), slow.grasp()
     assert (fast.kind, outcome.kind) == ("succeeded", "slowed")
     assert np.abs(slow.trace["v"]).max() < 0.6 * np.abs(usual.trace["v"]).max()

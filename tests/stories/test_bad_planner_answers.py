@@ -149,8 +149,8 @@ def test_the_second_shot_gets_the_rejection_and_is_counted(tmp_path):
     first, second = story.episode.attempts
     assert isinstance(first.verdict, Rejected)
     assert isinstance(second.verdict, Accepted)
-    assert story.planner.requests[0].refusal is None
-    assert story.planner.requests[1].refusal == first.verdict
+    assert story.planner.requests[0].rejection is None
+    assert story.planner.requests[1].rejection == first.verdict
     assert story.planner.requests[1].contract_id == "c-0002"
     prompt = render(story.planner.requests[1])[-1]["content"]
     assert "/action_sequence/0/params/speed" in prompt.split("<refusal>")[1]

@@ -66,7 +66,7 @@ def run_in_contact(tmp_path_factory):
 def test_an_obstacle_inside_the_robot_ends_the_contract_safely(run_in_contact):
     episode, _, config = run_in_contact
     assert episode.outcome.kind in ("stopped", "taken_over", "failed")
-    assert "'wall'" in episode.outcome.hindrance  # the hindrance is named for replanning
+    assert "'wall'" in episode.outcome.active_constraints  # the constraint is named for replanning
     assert episode.outcome.reason
     assert exit_code(episode) in (ExitCode.FAILED_SAFELY, ExitCode.VIOLATION)  # the overlap itself may count as contact
     (remembered,) = ledger_episodes(config.ledger)

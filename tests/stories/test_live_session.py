@@ -30,8 +30,8 @@ def test_a_live_run_rejects_replans_moves_and_replays_bit_for_bit(tmp_path):
     assert len(ledger_episodes(config.ledger)) == 1
     assert len(finished.trace) > 500
     assert replay(config.out / "episode.mcap").identical
-    punctuality = json.loads((config.out / "punctuality.json").read_bytes())
-    assert punctuality["interval"][0] < 2e-3
+    timing = json.loads((config.out / "punctuality.json").read_bytes())
+    assert timing["interval"][0] < 2e-3
     assert not (config.out / ADDRESS_FILE).exists(), "the gatekeeper has removed its address"
     assert any(event.kind == "action" for event in events)
 

@@ -77,7 +77,7 @@ def gatekeeper(
         socket=str(where),
         keys=str(secrets),
         seed=seed,
-        stage=parse_fraction(speed),
+        speed_scale=parse_fraction(speed),
         recording=str(record) if record else "",
         site=str(site or ""),
         driver=driver,

@@ -59,7 +59,7 @@ class TickSnapshot:
     result: FilterResult
     action: int
     skill: str
-    order: SupervisorDecision = NO_ACTION
+    decision: SupervisorDecision = NO_ACTION
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -255,7 +255,7 @@ class ControlLoop:
                 result=result,
                 action=action,
                 skill=self._skill,
-                order=decision,
+                decision=decision,
             )
             self.observer.on_tick(snapshot)
             self._mark_part("show")

@@ -8,13 +8,13 @@ from dualbrain.contracts.verdict import Rejected
 from dualbrain.records import FailureFeedback, Record, RetrievedContext
 
 
-class PlanRequest(Record, frozen=True, kw_only=True):
+class PlanRequest(Record, frozen=True, kw_only=True, rename={"rejection": "refusal", "failure_feedback": "setback"}):
     """One request to a planner.
 
     `instruction`, `scene` (the summary in symbols) and `recall` are untrusted text. `skills_text` is the registry in
-    short form and `schema` its decoding schema for the names in this scene. `refusal` is the gate's rejection of the
-    first proposal if this is the second attempt; `setback` describes the failure of an earlier contract for the same
-    instruction, which the new contract is to complete. `contract_id` is the required id of the contract.
+    short form and `schema` its decoding schema for the names in this scene. `rejection` is the gate's rejection of the
+    first proposal if this is the second attempt; `failure_feedback` describes the failure of an earlier contract for
+    the same instruction, which the new contract is to complete. `contract_id` is the required id of the contract.
     """
 
     instruction: str
@@ -25,5 +25,5 @@ class PlanRequest(Record, frozen=True, kw_only=True):
     skills_text: str
     schema: dict[str, Any]
     contract_id: str
-    refusal: Rejected | None = None
-    setback: FailureFeedback | None = None
+    rejection: Rejected | None = None
+    failure_feedback: FailureFeedback | None = None

@@ -44,9 +44,9 @@ class EpisodeRequest:
 
     `started` is its date (ISO 8601), `now` [s, 1970 UTC] the time under which memory stores it. The planner has
     `max_shots` proposals and is shown at most `max_exemplars` memories (0: neither exemplars nor warnings, as for a
-    given contract). `tries_left` contracts may still be executed for the instruction, this one included; `setback` is
-    the feedback on the one before. `grants` defines which principal may call which skills; by default the planner may
-    call all of them.
+    given contract). `tries_left` contracts may still be executed for the instruction, this one included;
+    `failure_feedback` is the feedback on the one before. `grants` defines which principal may call which skills; by
+    default the planner may call all of them.
     """
 
     id: str
@@ -57,7 +57,7 @@ class EpisodeRequest:
     max_shots: int = 2
     max_exemplars: int = MAX_RECALLED
     tries_left: int = 1
-    setback: FailureFeedback | None = None
+    failure_feedback: FailureFeedback | None = None
     grants: Grants | None = None
 
 
@@ -95,7 +95,7 @@ def run_episode(
         lambda: retrieve(request.instruction, context, agent.memory, request.max_exemplars, agent.retrieve_passages)
     )
     binding_before = executor.log.binding.copy()
-    plan_request = build_request(request.instruction, context, recall, request.setback)
+    plan_request = build_request(request.instruction, context, recall, request.failure_feedback)
     attempts, verdict = _propose(request, agent, executor, clock, plan_request, scene.version)
     contract = verdict.contract if isinstance(verdict, Accepted) else None
     if contract:
@@ -119,7 +119,7 @@ def run_episode(
         versions=ground_truth.versions,
         binding=dict(executor.log.binding - binding_before),
         second_opinion=check_outcome(executor.scene, contract, outcome),
-        setback=request.setback,
+        failure_feedback=request.failure_feedback,
     )
     return episode, agent.memory.store(episode, posture, now=request.now, image=context.image)
 
@@ -161,7 +161,7 @@ def _propose(
         if isinstance(verdict, Accepted) or not has_answer(proposal):
             break
         contract_id = f"c-{shot + 1:04d}"
-        plan_request = msgspec.structs.replace(plan_request, refusal=verdict, contract_id=contract_id)
+        plan_request = msgspec.structs.replace(plan_request, rejection=verdict, contract_id=contract_id)
     return attempts, verdict
 
 

@@ -86,9 +86,12 @@ def retrieve(
 
 
 def build_request(
-    instruction: str, context: PlanningContext, recall: RetrievedContext, setback: FailureFeedback | None = None
+    instruction: str,
+    context: PlanningContext,
+    recall: RetrievedContext,
+    failure_feedback: FailureFeedback | None = None,
 ) -> PlanRequest:
-    """The first request for `instruction`; `setback` is the feedback on the contract before, if there was one."""
+    """The first request for `instruction`; `failure_feedback` is on the contract before, if there was one."""
     registry, names = context.registry, scene_names(context.scene)
     return PlanRequest(
         instruction=instruction,
@@ -99,7 +102,7 @@ def build_request(
         skills_text=describe_skills(registry, names),
         schema=decoding_schema(registry, names),
         contract_id="c-0001",
-        setback=setback,
+        failure_feedback=failure_feedback,
     )
 
 

@@ -23,7 +23,7 @@ class Try:
 
     name: str
     tries_left: int
-    setback: FailureFeedback | None = None
+    failure_feedback: FailureFeedback | None = None
 
 
 def should_retry(outcome: Outcome, tries_left: int) -> bool:
@@ -43,19 +43,19 @@ def successive_tries(name: str, tries: int, finished: Sequence[Episode]) -> Iter
 
 
 def failure_feedback_of(episode: Episode) -> FailureFeedback:
-    """Feedback on `episode` for the next prompt: actions done, the action that failed, its reason and its hindrance."""
+    """Feedback on `episode` for the next prompt: completed actions, failed action, reason, constraints."""
     actions: list[dict[str, Any]] = (episode.contract or {}).get("action_sequence", [])
     pairs = list(zip(map(format_action, actions), episode.outcome.actions, strict=False))
     done = tuple(action for action, result in pairs if result.status == "done")
-    undone = next((action for action, result in pairs if result.status not in ("done", "not_run")), "")
+    failed_action = next((action for action, result in pairs if result.status not in ("done", "not_run")), "")
     outcome = episode.outcome
     return FailureFeedback(
         episode_id=episode.id,
         outcome=outcome.kind,
         done=done,
-        undone=undone,
+        failed_action=failed_action,
         reason=outcome.reason,
-        hindrance=outcome.hindrance,
+        active_constraints=outcome.active_constraints,
     )
 
 

@@ -189,9 +189,9 @@ class Session:
         results: list[TryResult] = []
         episodes: list[Episode] = []
         for one in successive_tries(self.config.out.name, 1 if self.config.contract else self.config.tries, episodes):
-            if one.setback:
-                reason = f"{one.setback.outcome.replace('_', ' ')}: {one.setback.undone}: {one.setback.reason}"
-                details = msgspec.structs.asdict(one.setback)
+            if feedback := one.failure_feedback:
+                reason = f"{feedback.outcome.replace('_', ' ')}: {feedback.failed_action}: {feedback.reason}"
+                details = msgspec.to_builtins(feedback)
                 log.note(executor.state.stamp, "planner", f"planning again: {reason}", **details)
             result = run_episode(self._episode_request(one), agent, executor, robot.clock, robot.ground_truth)
             _log_weight_changes(log, executor.state.stamp, result[1])
@@ -211,7 +211,7 @@ class Session:
             max_shots=1 if given else config.shots,
             max_exemplars=0 if given else MAX_RECALLED,
             tries_left=one.tries_left,
-            setback=one.setback,
+            failure_feedback=one.failure_feedback,
             grants=self.grants,
         )
 

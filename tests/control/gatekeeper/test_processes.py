@@ -306,9 +306,9 @@ def test_the_watchdog_of_the_robot_switches_it_off_when_the_gatekeeper_is_killed
         commander.close()
         wait_until(lambda: read_report(tmp_path / "robot.json"), 10.0)
     report = read_report(tmp_path / "robot.json")
-    assert report.off_by == "watchdog"
-    assert report.off_at - killed < WATCHDOG_TIMEOUT + 0.05
-    assert report.off_at - report.silent_at < WATCHDOG_TIMEOUT + 0.05
+    assert report.drive_off_cause == "watchdog"
+    assert report.drive_off_at - killed < WATCHDOG_TIMEOUT + 0.05
+    assert report.drive_off_at - report.last_command_at < WATCHDOG_TIMEOUT + 0.05
     assert report.speed < 0.01
     assert report.travel < 0.2
     assert report.judgement.violations == ()

@@ -85,7 +85,7 @@ def wait_for_report(path):
 
 def is_harmless(report):
     """Whether the robot is at rest with the drive off, without any forbidden contact."""
-    assert report.off_at is not None
+    assert report.drive_off_at is not None
     assert report.speed < 0.05
     return [one for one in report.judgement.violations if one.kind != "object_dropped"] == []
 
@@ -172,7 +172,7 @@ def test_a_site_an_emergency_stop_and_a_killed_gatekeeper(tmp_path: Path) -> Non
     for one in (commander, operator):
         one.close()
     assert is_harmless(report)
-    assert report.off_by in ("watchdog", "order"), "a decision of the supervisor, on a machine under load"
+    assert report.drive_off_cause in ("watchdog", "order"), "a decision of the supervisor, on a machine under load"
 
 
 def propose(commander, text):

@@ -90,7 +90,7 @@ def test_a_refusal_is_in_the_second_request() -> None:
         allowed=[0.05, 0.4],
         hint="choose a slower speed",
     )
-    first, second = render(plan_request()), render(plan_request(refusal=rejected))
+    first, second = render(plan_request()), render(plan_request(rejection=rejected))
     assert first[:-1] == second[:-1]
     assert "choose a slower speed" in second[-1]["content"]
     assert "/action_sequence/0/params/speed" in second[-1]["content"]
@@ -150,9 +150,9 @@ def test_untrusted_text_stays_in_its_blocks(instruction: str, scene: str, retrie
     )
     rejected = Rejected(stage="syntax", pointer=reason, got=reason, allowed=[reason], hint=reason)
     recall = RetrievedContext(exemplars=(memory,), warnings=(memory,))
-    request = plan_request(instruction, scene=scene, recall=recall, refusal=rejected, skills_text="")
+    request = plan_request(instruction, scene=scene, recall=recall, rejection=rejected, skills_text="")
     plain = plan_request(
-        "a", scene="b", recall=RetrievedContext((exemplar("c"),), (exemplar("d"),)), refusal=rejected, skills_text=""
+        "a", scene="b", recall=RetrievedContext((exemplar("c"),), (exemplar("d"),)), rejection=rejected, skills_text=""
     )
     got, expected = render(request), render(plain)
     assert [message["role"] for message in got] == [message["role"] for message in expected]
@@ -185,7 +185,7 @@ def test_prompts_of_single_goals_have_their_recorded_bytes():
     requests = [
         *map(plan_request, words),
         plan_request(recall=full),
-        plan_request(recall=full, refusal=rejected),
+        plan_request(recall=full, rejection=rejected),
         driving,
     ]
     prompts = json.dumps([render(one) for one in requests])

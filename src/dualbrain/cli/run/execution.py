@@ -55,7 +55,7 @@ class RunView:
     """How a run is shown, and whether it runs in real time.
 
     `live_view`: open the live view on `port`; `keep_open`: keep it open at the end. `as_json`: print one JSON object on
-    stdout. `real_time`: run behind a gatekeeper process, beginning at the speed scale `speed_stage`.
+    stdout. `real_time`: run behind a gatekeeper process, beginning at the speed scale `speed_scale`.
     """
 
     live_view: bool = True
@@ -63,7 +63,7 @@ class RunView:
     port: int = 8080
     as_json: bool = False
     real_time: bool = False
-    speed_stage: float = 1.0
+    speed_scale: float = 1.0
 
 
 def default_config(instruction: str, *, out: Path | None = None, ledger: Path | None = None) -> RunConfig:
@@ -84,7 +84,7 @@ def execute_run(config: RunConfig, view: RunView) -> ExitCode:
     console = StderrConsole()
     pace = _RealTimePacer() if view.live_view else None
     clocks = Clocks(time.monotonic, datetime.now(UTC).isoformat(timespec="seconds"), time.time, pace)
-    backend = GatekeeperBackend(view.speed_stage) if view.real_time else None
+    backend = GatekeeperBackend(view.speed_scale) if view.real_time else None
     with _open_session(config, clocks, backend, console) as session:
         title = escape(storable_text(config.instruction, 400)) or "a given contract"
         console.print(f"[bold]{title}[/]  [dim]{config.robot}, scene {config.scene}, {config.out}[/]")

@@ -141,6 +141,6 @@ def run(
         port=port,
         as_json=json,
         real_time=live,
-        speed_stage=parse_fraction(speed),
+        speed_scale=parse_fraction(speed),
     )
     return execute_run(config, view)

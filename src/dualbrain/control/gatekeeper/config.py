@@ -8,10 +8,12 @@ from dualbrain.control.gatekeeper.capability import Capability
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
 
 
-class GatekeeperConfig(msgspec.Struct, frozen=True, kw_only=True):
+class GatekeeperConfig(
+    msgspec.Struct, frozen=True, kw_only=True, rename={"speed_scale": "stage", "tick_timing": "punctuality"}
+):
     """Configuration of a gatekeeper: robot, scene, socket, keys, and files to write ("" for none).
 
-    `capability` narrows the planner's authority; `stage` is the initial speed scale, (0, 1]. `report` and `punctuality`
+    `capability` narrows the planner's authority; `speed_scale` is the initial one, (0, 1]. `report` and `tick_timing`
     are files that the robot process and the gatekeeper write at their end. `site` is a site file. With a `driver`, the
     gatekeeper moves a real arm at `address` (or its fake) instead of the simulated one; hardware requires the
     commissioning record `commissioned`.
@@ -23,12 +25,12 @@ class GatekeeperConfig(msgspec.Struct, frozen=True, kw_only=True):
     keys: str
     seed: int = 0
     goal: str = ""
-    stage: float = 1.0
+    speed_scale: float = 1.0
     capability: Capability | None = None
     recording: str = ""
     instruction: str = ""
     report: str = ""
-    punctuality: str = ""
+    tick_timing: str = ""
     site: str = ""
     driver: str = ""
     address: str = ""

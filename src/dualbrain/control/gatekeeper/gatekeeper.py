@@ -70,13 +70,13 @@ MAX_CONTRACT_LIFETIME = 660.0
 class GatekeeperSettings:
     """Settings of a gatekeeper that do not change while it runs.
 
-    `timing`: limits on delays of the robot's interface. `speed_stage`: initial speed scale, (0, 1]. `fixed_obstacles`:
+    `timing`: limits on delays of the robot's interface. `speed_scale`: initial speed scale, (0, 1]. `fixed_obstacles`:
     obstacles of the site. `filter_config`: settings of the filter for this robot. `drive_initially_off`: the drive has
     to be switched on first.
     """
 
     timing: Timing
-    speed_stage: float = 1.0
+    speed_scale: float = 1.0
     fixed_obstacles: tuple[Obstacle, ...] = ()
     filter_config: FilterConfig | None = None
     drive_initially_off: bool = False
@@ -105,7 +105,7 @@ class Gatekeeper:
         Connections are timed by `monotonic` [s]. `on_outcome` gets every outcome, `mark_part` the name of the part of a
         tick that has just ended.
         """
-        self.robot, self.server, self.operator_commands = robot, server, OperatorCommands(settings.speed_stage)
+        self.robot, self.server, self.operator_commands = robot, server, OperatorCommands(settings.speed_scale)
         self._keys, self._capabilities = keys, dict(capabilities)
         self._gate_worker = GateWorker(robot_model, capabilities, settings.fixed_obstacles)
         self._trace = Trace(robot_model.n) if trace is None else trace
@@ -134,7 +134,7 @@ class Gatekeeper:
             LoopInputs(external_conditions=self._service_connections, clock=robot.clock),
         )
         self.executor = ContractExecutor(self.loop)
-        self.loop.safety_controller.speed_stage = settings.speed_stage
+        self.loop.safety_controller.speed_scale = settings.speed_scale
 
     def run(self) -> None:
         """Tick until a shutdown is requested. No garbage is collected while a contract runs."""
@@ -195,7 +195,7 @@ class Gatekeeper:
             self._apply_gate_reply(reply)
         if self._ticks % self._status_period_ticks == 0:
             self._send_status(now)
-        self.loop.safety_controller.speed_stage = self.operator_commands.speed_stage
+        self.loop.safety_controller.speed_scale = self.operator_commands.speed_scale
         return self._conditions(now)
 
     def _conditions(self, now: float) -> int:
@@ -396,7 +396,7 @@ class Gatekeeper:
                 skill=snapshot.skill,
                 phase=snapshot.nominal.phase,
                 in_contract=snapshot.action >= 0,
-                order=snapshot.order.action.name,
-                check=snapshot.order.check,
+                order=snapshot.decision.action.name,
+                check=snapshot.decision.check,
             )
         )

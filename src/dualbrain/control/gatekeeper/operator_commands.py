@@ -18,11 +18,11 @@ MOMENTARY_CONDITIONS = {"resume": Condition.RESUME, "reset": Condition.RESET, "a
 
 
 class OperatorCommands:
-    """Translates operator commands to `Condition` bits; `speed_stage` is the chosen speed scale, (0, 1]."""
+    """Translates operator commands to `Condition` bits; `speed_scale` is the chosen speed scale, (0, 1]."""
 
-    def __init__(self, speed_stage: float = 1.0) -> None:
+    def __init__(self, speed_scale: float = 1.0) -> None:
         """Start without conditions."""
-        self.speed_stage = speed_stage
+        self.speed_scale = speed_scale
         self._latched = 0
         self._momentary = 0
 
@@ -34,7 +34,7 @@ class OperatorCommands:
         if command.act == "speed":
             if not MIN_SPEED <= command.speed <= 1.0:
                 return f"speed: got {command.speed}, allowed {MIN_SPEED} to 1"
-            self.speed_stage = command.speed
+            self.speed_scale = command.speed
         return ""
 
     def conditions(self) -> int:

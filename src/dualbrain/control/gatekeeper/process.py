@@ -55,7 +55,7 @@ def run_gatekeeper(config: GatekeeperConfig, on_ready: Callable[[], None] = lamb
             recorder.episode(0.0, deployment.recording_metadata(config))
         settings = GatekeeperSettings(
             timing=deployment.timing,
-            speed_stage=config.stage,
+            speed_scale=config.speed_scale,
             fixed_obstacles=deployment.fixed_obstacles,
             filter_config=deployment.filter_config,
             drive_initially_off=deployment.driver is not None,
@@ -80,10 +80,10 @@ def run_gatekeeper(config: GatekeeperConfig, on_ready: Callable[[], None] = lamb
             signal.signal(number, stop)
         on_ready()
         gatekeeper.run()
-        punctuality = msgspec.structs.replace(robot.tick_timer.summary(), parts=profile.summary())
-        if config.punctuality:
-            Path(config.punctuality).write_bytes(msgspec.json.encode(punctuality))
-        return punctuality
+        timing = msgspec.structs.replace(robot.tick_timer.summary(), parts=profile.summary())
+        if config.tick_timing:
+            Path(config.tick_timing).write_bytes(msgspec.json.encode(timing))
+        return timing
     finally:
         if robot is not None:
             robot.close()

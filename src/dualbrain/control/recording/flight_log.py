@@ -19,8 +19,8 @@ from dualbrain.safety.cbf.rows import ConstraintRow
 Array = NDArray[np.float64]
 
 
-RECENT_TIME, MAX_HINDRANCES = 3.0, 2
-"""A hindrance is a row that was active within this time [s] before the end of an action; at most so many are named."""
+RECENT_TIME, MAX_CONSTRAINTS = 3.0, 2
+"""Constraint rows that were active within this time [s] before the end of an action are named; at most so many."""
 
 
 class FlightLog:
@@ -115,10 +115,10 @@ class FlightLog:
             h_min=float(h.min()) if len(h) else None,
             duration=float(t[-1] - t[0]),
             actions=actions,
-            hindrance=self._hindrance(float(t[-1]), actions),
+            active_constraints=self._active_constraints(float(t[-1]), actions),
         )
 
-    def _hindrance(self, end: float, actions: tuple[ActionResult, ...]) -> str:
+    def _active_constraints(self, end: float, actions: tuple[ActionResult, ...]) -> str:
         """The rows that were active within `RECENT_TIME` of `end` [s], strongest first; "" if every action was done."""
         if (
             self._last_binding is None
@@ -127,4 +127,4 @@ class FlightLog:
         ):
             return ""
         rows = sorted(self._last_binding[1].active_rows, key=lambda row: -row[2])
-        return " and ".join(dict.fromkeys(name for name, _, _ in rows[:MAX_HINDRANCES]))
+        return " and ".join(dict.fromkeys(name for name, _, _ in rows[:MAX_CONSTRAINTS]))

@@ -1,8 +1,8 @@
 """Feedback to a planner that plans again after its contract failed or an operator took over.
 
-The feedback is not part of the fixed template: it is only in requests with a `setback`, and has its own version and
-hash (`full_prompt.conditional_text_hash`). All external text (names, reasons) is in a block that the rules declare as
-data.
+The feedback is not part of the fixed template: it is only in requests with a `failure_feedback`, and has its own
+version and hash (`full_prompt.conditional_text_hash`). All external text (names, reasons) is in a block that the
+rules declare as data.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ MAX_FEEDBACK_CHARACTERS = 900
 """Largest length of the feedback in JSON."""
 
 
-def format_failure_feedback(setback: FailureFeedback) -> str:
+def format_failure_feedback(feedback: FailureFeedback) -> str:
     """The executed actions, the failed action, the reason, and the obstacle in the way."""
     facts = {
-        "done": list(setback.done),
-        "not_done": setback.undone,
-        "outcome": setback.outcome.replace("_", " "),
-        "reason": setback.reason,
-        "in_the_way": setback.hindrance,
+        "done": list(feedback.done),
+        "not_done": feedback.failed_action,
+        "outcome": feedback.outcome.replace("_", " "),
+        "reason": feedback.reason,
+        "in_the_way": feedback.active_constraints,
     }
     known = {name: value for name, value in facts.items() if value}
     text = compact_json(known, limit=MAX_FEEDBACK_CHARACTERS) or compact_json(

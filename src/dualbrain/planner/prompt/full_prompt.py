@@ -14,6 +14,7 @@ from typing import Any, TypedDict
 
 import msgspec
 
+from dualbrain.contracts.verdict import Rejected
 from dualbrain.planner.prompt import mobile_base_examples, mobile_manipulator_examples, multi_goal
 from dualbrain.planner.prompt.arm_examples import DECLINE_EXAMPLE, WORKED_EXAMPLES, WorkedExample, select_examples
 from dualbrain.planner.prompt.failure_feedback import FAILURE_FEEDBACK_VERSION, FEEDBACK_INTRO, format_failure_feedback
@@ -207,10 +208,10 @@ def _last_question(request: PlanRequest, names: str) -> str:
     parts.append(_question(scene, request.instruction, request.contract_id))
     if needs := multi_goal.detect_needs(request):
         parts.insert(-1, multi_goal.format_rules(needs))
-    if request.setback is not None:
-        parts.insert(-1, format_failure_feedback(request.setback))
-    if request.refusal is not None:
-        parts.insert(-1, _refusal(request))
+    if request.failure_feedback is not None:
+        parts.insert(-1, format_failure_feedback(request.failure_feedback))
+    if request.rejection is not None:
+        parts.insert(-1, _format_rejection(request.rejection))
     return "\n".join(parts)
 
 
@@ -229,9 +230,7 @@ def _warning(exemplar: Exemplar) -> str:
     return f"Do not answer like this, it failed:\n<warning>\n{instruction}: {actions}\n</warning>" if actions else ""
 
 
-def _refusal(request: PlanRequest) -> str:
-    rejected = request.refusal
-    assert rejected is not None
+def _format_rejection(rejected: Rejected) -> str:
     facts = {
         "stage": rejected.stage,
         "at": rejected.pointer,

@@ -27,7 +27,7 @@ class PromptFormat:
     """One format of prompts and answers.
 
     `answer_prefix` is the given beginning of the answer, `grammar` converts the decoding schema to the grammar of the
-    rest (None: no constraint). With `includes_refusals`, the next prompt describes the failure of an earlier answer.
+    rest (None: no constraint). With `includes_rejections`, the next prompt describes the failure of an earlier answer.
     Without it, the next answer is sampled (temperature 1; see `sampling_seed`), because the most probable answer has
     failed. With `has_fixed_prefix`, all prompts begin with the same text, so that a server can cache its state.
     """
@@ -36,7 +36,7 @@ class PromptFormat:
     answer_prefix: Callable[[PlanRequest], str]
     grammar: Callable[[dict[str, Any]], str] | None
     template_hash: Callable[[], str]
-    includes_refusals: bool
+    includes_rejections: bool
     has_fixed_prefix: bool
 
     def sampling_seed(self, request: PlanRequest) -> int | None:
@@ -45,8 +45,8 @@ class PromptFormat:
         The seed is derived from the attempt and the failure, so that every attempt is sampled differently and can be
         reproduced.
         """
-        failed = [request.refusal, request.setback]
-        if self.includes_refusals or failed == [None, None]:
+        failed = [request.rejection, request.failure_feedback]
+        if self.includes_rejections or failed == [None, None]:
             return None
         attempt = msgspec.json.encode([request.contract_id, *failed], order="deterministic")
         return zlib.crc32(attempt) >> 1  # 31 bits, because llama.cpp reads the largest 32-bit value as "any seed"
@@ -78,7 +78,7 @@ FULL_PROMPT = PromptFormat(
     answer_prefix=answer_header,
     grammar=actions_grammar,
     template_hash=template_hash,
-    includes_refusals=True,
+    includes_rejections=True,
     has_fixed_prefix=True,
 )
 """Format with rules, skills and examples in the prompt, for a model without an adapter."""
@@ -87,7 +87,7 @@ SHORT_PROMPT = PromptFormat(
     answer_prefix=short_header,
     grammar=tail_grammar,
     template_hash=short_template_hash,
-    includes_refusals=False,
+    includes_rejections=False,
     has_fixed_prefix=False,
 )
 """Format for an adapted model."""

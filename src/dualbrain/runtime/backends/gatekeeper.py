@@ -37,9 +37,9 @@ ADDRESS_FILE = "gatekeeper.address"
 class GatekeeperBackend:
     """Starts a gatekeeper for a run. The filter cannot be switched off, and the plant of this process does not move."""
 
-    def __init__(self, speed_stage: float = 1.0, on_tick_report: Callable[[TickReport], None] | None = None) -> None:
-        """Begin at the speed scale `speed_stage`, (0, 1]; `on_tick_report` gets the gatekeeper's tick reports."""
-        self.speed_stage, self.on_tick_report = speed_stage, on_tick_report
+    def __init__(self, speed_scale: float = 1.0, on_tick_report: Callable[[TickReport], None] | None = None) -> None:
+        """Begin at the speed scale `speed_scale`, (0, 1]; `on_tick_report` gets the gatekeeper's tick reports."""
+        self.speed_scale, self.on_tick_report = speed_scale, on_tick_report
         self._operator: GatekeeperClient | None = None
 
     def operate(self, action: OperatorAction, speed: float = 1.0) -> str:
@@ -58,7 +58,7 @@ class GatekeeperBackend:
         out = context.config.out
         with ExitStack() as stack:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="dualbrain-")))
-            config = _gatekeeper_config(context, folder, self.speed_stage)
+            config = _gatekeeper_config(context, folder, self.speed_scale)
             process = GatekeeperProcess(config)
             stack.callback(process.stop)
             address = out / ADDRESS_FILE
@@ -100,7 +100,7 @@ class GatekeeperBackend:
         return read_trace(context.config.out / "episode.mcap") or Trace(context.robot_model.n)
 
 
-def _gatekeeper_config(context: RunContext, folder: Path, speed_stage: float) -> GatekeeperConfig:
+def _gatekeeper_config(context: RunContext, folder: Path, speed_scale: float) -> GatekeeperConfig:
     config, out = context.config, context.config.out
     return GatekeeperConfig(
         robot=config.robot,
@@ -109,10 +109,10 @@ def _gatekeeper_config(context: RunContext, folder: Path, speed_stage: float) ->
         keys=str(folder / "keys"),
         seed=config.seed,
         goal=config.goal,
-        stage=speed_stage,
+        speed_scale=speed_scale,
         recording=str(out / "episode.mcap"),
         instruction=config.instruction,
         report=str(out / ROBOT_REPORT_FILE),
-        punctuality=str(out / TICK_TIMING_FILE),
+        tick_timing=str(out / TICK_TIMING_FILE),
         site=str(config.site or ""),
     )

@@ -73,7 +73,7 @@ class CounterfactualQueries:
             skills_text=describe_skills(self._registry, names),
             schema=decoding_schema(self._registry, names),
             contract_id="c-0001",
-            setback=episode.setback,
+            failure_feedback=episode.failure_feedback,
         )
 
     def _propose_cached(self, request: PlanRequest) -> str | None:

@@ -113,7 +113,7 @@ def plan(
         taken.append(Shot(prompt, Attempt(stored, verdict, gate_s)))
         if not isinstance(verdict, Rejected) or not has_answer(proposal):
             break
-        request = msgspec.structs.replace(request, refusal=verdict, contract_id=f"c-{len(taken) + 1:04d}")
+        request = msgspec.structs.replace(request, rejection=verdict, contract_id=f"c-{len(taken) + 1:04d}")
     return DryRunResult(
         summary=context.summary,
         recall=recall,

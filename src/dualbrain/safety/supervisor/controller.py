@@ -34,7 +34,7 @@ UNUSABLE_STATE_CONDITIONS = int(Condition.STATE_IMPLAUSIBLE | Condition.STATE_RE
 
 
 class SafetyController:
-    """Supervisor, state monitor, enforcement and filter of one robot; the operator sets `speed_stage` in (0, 1]."""
+    """Supervisor, state monitor, enforcement and filter of one robot; the operator sets `speed_scale` in (0, 1]."""
 
     def __init__(
         self,
@@ -45,7 +45,7 @@ class SafetyController:
         standstill_limits: StandstillLimits | None = None,
     ) -> None:
         """Start without conditions and with the drive on."""
-        self.safety, self.speed_stage = safety, 1.0
+        self.safety, self.speed_scale = safety, 1.0
         self.supervisor = Supervisor()
         self.monitor = StateMonitor(safety.robot_model, timing, monitor_limits)
         self.enforcement = Enforcement(standstill_limits)
@@ -87,7 +87,7 @@ class SafetyController:
     def decide(self, state: RobotState, now: float, external_conditions: int = 0) -> SupervisorDecision:
         """Decision for this tick from all conditions since the last one and from `external_conditions` of this tick."""
         external_conditions |= self._tick_gap_conditions(now) | self._loop_delay_conditions(now, state.stamp)
-        if self.speed_stage < 1.0:
+        if self.speed_scale < 1.0:
             external_conditions |= Condition.SPEED_STAGE
         flags, self._pending = self._pending | external_conditions, 0
         if not self._drive_came_on and now - self._drive_request_time < self.monitor.timing.drive_on_silence:
@@ -137,7 +137,7 @@ class SafetyController:
         `u_nom` (n,) [rad/s] is the nominal control at `now` [s]. With `guard=False` the filter runs without effect, for
         experiments without a filter.
         """
-        scale = self.enforcement.scale(self.decision, self.speed_stage)
+        scale = self.enforcement.scale(self.decision, self.speed_scale)
         scaled = u_nom if scale == 1.0 else scale * u_nom
         result = self.safety.filter(state, scaled, now)
         self._pending |= result_conditions(result)

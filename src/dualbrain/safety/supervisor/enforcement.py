@@ -52,13 +52,13 @@ class Enforcement:
         self._drive_off_stamp: float | None = None
         self._drive_off_q = self._coast_limit = np.zeros(0)
 
-    def scale(self, decision: SupervisorDecision, speed_stage: float) -> float:
-        """Scale in [0, 1] of the nominal control; `speed_stage` is the speed that the operator has chosen."""
+    def scale(self, decision: SupervisorDecision, speed_scale: float) -> float:
+        """Scale in [0, 1] of the nominal control; `speed_scale` is the speed that the operator has chosen."""
         if decision.action >= SafetyAction.HOVER:
             return 0.0
         if decision.action < SafetyAction.SLOW:
             return 1.0
-        return speed_stage if decision.check == "speed_stage" else min(speed_stage, self.limits.slow_scale)
+        return speed_scale if decision.check == "speed_stage" else min(speed_scale, self.limits.slow_scale)
 
     @property
     def at_standstill(self) -> bool:

@@ -209,12 +209,13 @@ def _decision_table(episode: Episode) -> Html:
 
 def _previous_failure(episode: Episode) -> Sequence[Html]:
     """Result of the contract before this one, if there was one."""
-    before = episode.setback
+    before = episode.failure_feedback
     if before is None:
         return ()
     done = ", ".join(before.done) or "nothing"
-    text = f"Planned again after {before.episode_id}: {before.outcome.replace('_', ' ')} at “{before.undone}” "
-    text += f"({before.reason}{'; ' + before.hindrance if before.hindrance else ''}); done before: {done}."
+    text = f"Planned again after {before.episode_id}: {before.outcome.replace('_', ' ')} at “{before.failed_action}” "
+    constraints = f"; {before.active_constraints}" if before.active_constraints else ""
+    text += f"({before.reason}{constraints}); done before: {done}."
     return (element("p", text),)
 
 

@@ -51,20 +51,30 @@ class SimulatedRobotSettings(msgspec.Struct, frozen=True, kw_only=True):
     robot_model: RobotModel | None = None
 
 
-class RobotReport(msgspec.Struct, frozen=True, kw_only=True):
+class RobotReport(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    rename={
+        "last_command_at": "silent_at",
+        "drive_off_at": "off_at",
+        "drive_off_cause": "off_by",
+        "resynchronizations": "slips",
+    },
+):
     """Final report of the robot process; times in [s] of CLOCK_MONOTONIC.
 
-    `silent_at`: arrival of the last command. `off_at`, `off_by`: time and cause of the drive's switching off.
-    `travel` [rad]: largest joint motion since then. `speed` [rad/s]: largest joint speed at the end. `slips`: number of
-    resynchronizations with the clock. `judgement`: result on ground truth.
+    `last_command_at`: arrival of the last command. `drive_off_at`, `drive_off_cause`: time at which the drive was
+    switched off, and its cause. `travel` [rad]: largest joint motion since then. `speed` [rad/s]: largest joint speed
+    at the end. `resynchronizations`: number of resynchronizations with the clock. `judgement`: result on ground truth.
     """
 
-    silent_at: float
-    off_at: float | None
-    off_by: str
+    last_command_at: float
+    drive_off_at: float | None
+    drive_off_cause: str
     travel: float
     speed: float
-    slips: int
+    resynchronizations: int
     ticks: int
     judgement: Judgement
 
@@ -83,8 +93,8 @@ class RobotProcess:
         self._scene_period_ticks = perception_period_ticks(robot_model.period)
         self._last_command_at, self._armed = time.monotonic(), False
         self._off_at: float | None = None
-        self._off_by, self._off_q = "", self.plant.read().q
-        self._slips = self._ticks = 0
+        self._off_cause, self._off_q = "", self.plant.read().q
+        self._resynchronizations = self._ticks = 0
 
     def serve(self) -> None:
         """Run until shutdown or, without a link, until `AFTERMATH_TIME` is over."""
@@ -100,7 +110,7 @@ class RobotProcess:
             if ahead > 0.0:
                 self._wait(ahead, due)
             elif ahead < -MAX_LAG:
-                due, self._slips = time.monotonic(), self._slips + 1
+                due, self._resynchronizations = time.monotonic(), self._resynchronizations + 1
         self._write_report()
 
     def _tick(self) -> None:
@@ -124,10 +134,10 @@ class RobotProcess:
         if self._off_at is None and (silent or not self._packet_socket.is_open):
             self._stop_drive("watchdog")
 
-    def _stop_drive(self, by: str) -> None:
+    def _stop_drive(self, cause: str) -> None:
         self.plant.stop()
         if self._off_at is None:
-            self._off_at, self._off_by, self._off_q = time.monotonic(), by, self.plant.read().q
+            self._off_at, self._off_cause, self._off_q = time.monotonic(), cause, self.plant.read().q
 
     def _receive(self) -> None:
         while (packet := self._packet_socket.receive()) is not None:
@@ -159,12 +169,12 @@ class RobotProcess:
             return
         state = self.plant.read()
         report = RobotReport(
-            silent_at=self._last_command_at,
-            off_at=self._off_at,
-            off_by=self._off_by,
+            last_command_at=self._last_command_at,
+            drive_off_at=self._off_at,
+            drive_off_cause=self._off_cause,
             travel=float(np.abs(state.q - self._off_q).max()),
             speed=float(np.abs(state.v).max()),
-            slips=self._slips,
+            resynchronizations=self._resynchronizations,
             ticks=self._ticks,
             judgement=self.world.judgement(),
         )
