@@ -18,6 +18,7 @@ from dualbrain.contracts.registry import is_narrower
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.trace import Trace
 from dualbrain.core import weights
+from dualbrain.core.storage.atomic_files import atomic_file
 from dualbrain.core.text import storable_text
 from dualbrain.errors import ConfigurationError
 from dualbrain.grounding.document_retrieval import retrieve_passages
@@ -255,7 +256,8 @@ class Session:
             if self._saved_ids:
                 path.replace(self.config.out / f"episode-{len(self._saved_ids)}.json")
             self._saved_ids.append(episode.id)
-        path.write_bytes(msgspec.json.format(msgspec.json.encode(episode), indent=2))
+        with atomic_file(path) as temporary:
+            temporary.write_bytes(msgspec.json.format(msgspec.json.encode(episode), indent=2))
 
     def _versions(self) -> dict[str, str]:
         return {

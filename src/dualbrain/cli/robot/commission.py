@@ -45,6 +45,7 @@ def commission(
     check
         Only check whether the record is valid for this robot model and site file.
     """
+    from dualbrain.core.storage.atomic_files import atomic_file
     from dualbrain.drivers.catalogue import DRIVER_KINDS, find_driver_kind
     from dualbrain.drivers.commissioning.checklist import TEMPLATE, find_flaws, read_checklist
     from dualbrain.drivers.commissioning.record import make_record, require_record
@@ -60,7 +61,8 @@ def commission(
         print(f"{record_file}: valid; answered by {answered.answers.by}, {answered.answers.on}", file=sys.stderr)
         return ExitCode.SUCCESS
     if not checklist.exists():
-        checklist.write_text(TEMPLATE.format(robot=robot, driver=driver), encoding="utf-8")
+        with atomic_file(checklist) as temporary:
+            temporary.write_text(TEMPLATE.format(robot=robot, driver=driver), encoding="utf-8")
         print(f"{checklist}: written. Fill it in at the arm, then run this command again.", file=sys.stderr)
         return ExitCode.FAILED_SAFELY
     answers = read_checklist(checklist)
@@ -71,6 +73,7 @@ def commission(
     import msgspec
 
     whole = make_record(answers, robot_model, site, kind)
-    record_file.write_bytes(msgspec.json.format(msgspec.json.encode(whole), indent=2) + b"\n")
+    with atomic_file(record_file) as temporary:
+        temporary.write_bytes(msgspec.json.format(msgspec.json.encode(whole), indent=2) + b"\n")
     print(f"commissioned: {record_file} ({whole.seal[:16]})", file=sys.stderr)
     return ExitCode.SUCCESS

@@ -15,6 +15,7 @@ from rich.table import Table
 
 from dualbrain import __version__
 from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.core.storage.atomic_files import atomic_file
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError
 from dualbrain.robots.loader import encode_robot, load_robot
 from dualbrain.robots.model import RobotModel, TrackingErrorModel
@@ -75,7 +76,9 @@ def identify(
             found = identify_plant(robot_model, kind, **options)
             entry = found.to_error_model(drive, provenance)
     if write is not None:
-        write.write_bytes(encode_robot(msgspec.structs.replace(target.with_tracking(entry), base_lag=base_lag)))
+        data = encode_robot(msgspec.structs.replace(target.with_tracking(entry), base_lag=base_lag))
+        with atomic_file(write) as temporary:
+            temporary.write_bytes(data)
         print(f"{write}: tracking model of the {drive} drive replaced", file=sys.stderr)
     if json:
         print(msgspec.json.format(msgspec.json.encode({"entry": entry, "found": found}), indent=1).decode())

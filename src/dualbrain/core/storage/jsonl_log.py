@@ -12,6 +12,8 @@ import os
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from dualbrain.core.storage.atomic_files import atomic_file
+
 JsonlLine = dict[str, Any]
 
 XZ_PRESET = 9
@@ -56,15 +58,21 @@ class JsonlLog:
             os.fsync(file.fileno())
 
     def pack_to(self, archive: Path) -> None:
-        """Write the last line of each key to `archive`, compressed by xz; replaces an existing archive."""
+        """Write the last line of each key to `archive`, compressed by xz; replaces an existing archive.
+
+        Raises `FileWriteError` if the archive cannot be written; the previous archive is then unchanged.
+        """
         archive.parent.mkdir(parents=True, exist_ok=True)
-        archive.write_bytes(lzma.compress(b"".join(map(_encode, self.latest())), preset=XZ_PRESET))
+        data = lzma.compress(b"".join(map(_encode, self.latest())), preset=XZ_PRESET)
+        with atomic_file(archive) as temporary:
+            temporary.write_bytes(data)
 
     def restore_from(self, archive: Path) -> None:
         """Start from the lines in `archive`, if it exists and this log does not."""
         if archive.exists() and not self.path.exists():
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            self.path.write_bytes(lzma.decompress(archive.read_bytes()))
+            with atomic_file(self.path) as temporary:
+                temporary.write_bytes(lzma.decompress(archive.read_bytes()))
 
 
 def _parse(data: bytes) -> JsonlLine | None:

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import hashlib
 import shutil
-import tempfile
 from collections.abc import Generator
 from contextlib import contextmanager
 from importlib import metadata
@@ -20,7 +19,7 @@ from transformers import AutoModelForCausalLM, AutoTokenizer
 from transformers.utils import logging
 
 from dualbrain.adaptation.adapters.base_models import BaseModel
-from dualbrain.core.storage.atomic_files import FileWriteError, fsync_folder
+from dualbrain.core.storage.atomic_files import FileWriteError, atomic_folder
 from dualbrain.core.storage.file_lock import file_lock
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError, MissingDependencyError
 
@@ -68,20 +67,15 @@ def _is_intact(folder: Path, base: BaseModel) -> bool:
 def _convert(base: BaseModel, folder: Path) -> None:
     """Write the model as safetensors with its tokenizer to `folder`, complete or not at all."""
     model, tokenizer = _load_gguf(base.gguf)
-    for leftover in folder.parent.glob(f".{folder.name}-*"):  # of a process that was killed
+    for leftover in folder.parent.glob(f".{folder.name}.????????"):  # of a process that was killed
         shutil.rmtree(leftover, ignore_errors=True)
-    temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}-"))
-    try:
-        model.save_pretrained(temporary / "new", safe_serialization=True)
-        tokenizer.save_pretrained(temporary / "new")
-        stamp = ConversionStamp(base.gguf_sha256, _versions(), _file_hashes(temporary / "new"))
-        (temporary / "new" / STAMP_FILE).write_bytes(msgspec.json.encode(stamp))
-        if folder.is_dir():
-            folder.rename(temporary / "old")
-        (temporary / "new").rename(folder)
-        fsync_folder(folder.parent)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+    with atomic_folder(folder) as temporary:
+        model.save_pretrained(temporary, safe_serialization=True)
+        tokenizer.save_pretrained(temporary)
+        stamp = ConversionStamp(base.gguf_sha256, _versions(), _file_hashes(temporary))
+        (temporary / STAMP_FILE).write_bytes(msgspec.json.encode(stamp))
+        if folder.is_dir():  # changed, or of other versions: the rename needs its place
+            shutil.rmtree(folder)
 
 
 @torch.no_grad()
