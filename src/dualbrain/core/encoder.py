@@ -12,18 +12,22 @@ Float32Array = NDArray[np.float32]
 
 
 class Encoder(Protocol):
-    """Maps texts to unit vectors whose cosine is their semantic similarity."""
+    """Maps texts to vectors whose cosine measures the similarity of their meaning.
+
+    `id` names model and version: vectors of different ids are never compared. The vector of a text depends on this text
+    alone, not on the texts that are encoded together with it.
+    """
 
     @property
     def id(self) -> str:
-        """Name and version of the model."""
+        """Name and version, e.g. "minilm-l6-v2-int8@8199be6f"."""
         ...
 
     @property
     def dim(self) -> int:
-        """Number of components of each vector."""
+        """Length of each vector."""
         ...
 
     def encode(self, texts: Sequence[str]) -> Float32Array:
-        """One unit vector per text, (n_texts, dim), float32."""
+        """Unit rows of shape (n_texts, dim), float32."""
         ...

@@ -6,12 +6,12 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from dualbrain.core.encoder import Encoder
 from dualbrain.errors import ConfigurationError
 from dualbrain.memory.config import MemoryConfig
 from dualbrain.memory.embedding.image_features import ImageFeatures
 from dualbrain.memory.embedding.joint_embedding import Alpha, EpisodeEmbedding, JointEmbedding
 from dualbrain.memory.embedding.posture_features import Posture
-from dualbrain.memory.embedding.text_encoder import Encoder
 from dualbrain.memory.index.filters import Filter
 from dualbrain.memory.index.index import Index, RankingOptions
 from dualbrain.memory.learning.consolidation import Consolidation

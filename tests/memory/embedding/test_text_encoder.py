@@ -8,10 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dualbrain.core.encoder import Encoder
 from dualbrain.core.weights import default_cache_folder
 from dualbrain.errors import MissingDependencyError
 from dualbrain.memory.embedding.hashing_encoder import HashingEncoder
-from dualbrain.memory.embedding.text_encoder import Encoder, MiniLmEncoder
+from dualbrain.memory.embedding.text_encoder import MiniLmEncoder
 
 AWKWARD = ("", " ", "\x00", "a" * 5000, "红色方块放进碗里", "💥" * 300, "\u202e\u200b", "[MASK] [SEP] [PAD]")
 

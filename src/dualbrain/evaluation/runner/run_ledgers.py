@@ -9,12 +9,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from dualbrain.core.encoder import Encoder
 from dualbrain.core.storage.resumable_steps import exclusive_folder
 from dualbrain.evaluation.episodes.case_runner import load_cached_robot
 from dualbrain.evaluation.protocol.method import Method
 from dualbrain.memory.config import MemoryConfig
 from dualbrain.memory.embedding.posture_features import PostureLimits
-from dualbrain.memory.embedding.text_encoder import Encoder
 from dualbrain.memory.ledger.ledger import Ledger
 from dualbrain.memory.memory import Memory
 from dualbrain.memory.plasticity.hebbian_update import Penalty, Plasticity

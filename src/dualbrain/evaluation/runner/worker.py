@@ -10,6 +10,7 @@ from typing import Any
 
 import msgspec
 
+from dualbrain.core.encoder import Encoder
 from dualbrain.evaluation.episodes.case_runner import Clock, EpisodeResources, EpisodeRun, run_case
 from dualbrain.evaluation.episodes.episode_cache import EpisodeCache
 from dualbrain.evaluation.episodes.intervention_time import seconds_lost
@@ -23,7 +24,7 @@ from dualbrain.evaluation.results.episode_row import EpisodeRow
 from dualbrain.evaluation.runner.run_ledgers import RunFolder, episode_time, folder_name, open_memory, plasticity_rule
 from dualbrain.evaluation.runner.work_units import WorkUnit
 from dualbrain.grounding.vocabulary import load_skill_registry
-from dualbrain.memory.embedding.text_encoder import Encoder, MiniLmEncoder
+from dualbrain.memory.embedding.text_encoder import MiniLmEncoder
 from dualbrain.memory.memory import Memory
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal

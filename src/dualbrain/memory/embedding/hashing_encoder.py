@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.memory.embedding.text_encoder import Float32Array
+from dualbrain.core.encoder import Float32Array
 
 
 class HashingEncoder:

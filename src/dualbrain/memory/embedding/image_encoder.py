@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from dualbrain.core.encoder import Float32Array
 from dualbrain.errors import ConfigurationError, MissingDependencyError
 from dualbrain.memory.embedding.image_features import IMAGE_FEATURES_DIM, ImageFeatures
 from dualbrain.memory.embedding.onnx_session import open_session
 from dualbrain.memory.embedding.posture_features import orthogonal_rows
-from dualbrain.memory.embedding.text_encoder import Float32Array
 
 IMAGE_WEIGHTS = "efficientnet-lite0"
 """Name of the weights in the manifest."""

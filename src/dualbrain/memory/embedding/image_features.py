@@ -7,8 +7,8 @@ from base64 import b64decode, b64encode
 import msgspec
 import numpy as np
 
+from dualbrain.core.encoder import Float32Array
 from dualbrain.errors import ConfigurationError
-from dualbrain.memory.embedding.text_encoder import Float32Array
 
 IMAGE_FEATURES_DIM = 128
 """Length of the features."""

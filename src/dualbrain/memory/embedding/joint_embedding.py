@@ -8,12 +8,12 @@ from dataclasses import astuple, dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from dualbrain.core.encoder import Encoder, Float32Array
 from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.memory.embedding.image_encoder import IMAGE_ENCODER_ID
 from dualbrain.memory.embedding.image_features import IMAGE_FEATURES_DIM, ImageFeatures
 from dualbrain.memory.embedding.posture_features import Posture, PostureLimits, fourier_features
 from dualbrain.memory.embedding.symbol_features import SYMBOLS_DIM, SYMBOLS_VERSION, symbol_features
-from dualbrain.memory.embedding.text_encoder import Encoder, Float32Array
 
 BLOCKS = ("instruction", "summary", "symbols", "image", "state")
 """The blocks in their order; bit b of a mask is set if block b is present."""

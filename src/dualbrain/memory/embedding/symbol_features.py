@@ -11,8 +11,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from dualbrain.core.encoder import Float32Array
 from dualbrain.memory.embedding.hashing_encoder import hash_bin
-from dualbrain.memory.embedding.text_encoder import Float32Array
 
 SYMBOLS_DIM = 128
 """Number of hash bins."""

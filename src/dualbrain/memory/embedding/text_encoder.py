@@ -1,4 +1,4 @@
-"""Offline sentence encoders: the encoder protocol, and MiniLM-L6-v2 in int8 through ONNX Runtime."""
+"""Offline sentence encoder: MiniLM-L6-v2 in int8 through ONNX Runtime."""
 
 from __future__ import annotations
 
@@ -6,16 +6,15 @@ import hashlib
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dualbrain.core.encoder import Float32Array
 from dualbrain.core.weights import locate_weights
 from dualbrain.errors import MissingDependencyError
 from dualbrain.memory.embedding.onnx_session import open_session
-
-Float32Array = NDArray[np.float32]
 
 MAX_TOKENS = 256
 """Longer texts are cut at this length, which is that of the sentence-transformers configuration of the model."""
@@ -25,28 +24,6 @@ ENCODER_WEIGHTS, TOKENIZER_WEIGHTS = "minilm-l6-v2-int8", "minilm-l6-v2-tokenize
 
 _FETCH = f"Fetch it with `dualbrain models fetch {ENCODER_WEIGHTS}` and `dualbrain models fetch {TOKENIZER_WEIGHTS}`."
 _INSTALL = "Install it with `pip install 'dualbrain[memory]'`."
-
-
-class Encoder(Protocol):
-    """Maps texts to vectors whose cosine measures the similarity of their meaning.
-
-    `id` names model and version: vectors of different ids are never compared. The vector of a text depends on this text
-    alone, not on the texts that are encoded together with it.
-    """
-
-    @property
-    def id(self) -> str:
-        """Name and version, e.g. "minilm-l6-v2-int8@8199be6f"."""
-        ...
-
-    @property
-    def dim(self) -> int:
-        """Length of each vector."""
-        ...
-
-    def encode(self, texts: Sequence[str]) -> Float32Array:
-        """Unit rows of shape (n_texts, dim), float32."""
-        ...
 
 
 class MiniLmEncoder:

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dualbrain.core.encoder import Float32Array
 from dualbrain.errors import ConfigurationError
-from dualbrain.memory.embedding.text_encoder import Float32Array
 from dualbrain.memory.plasticity.hebbian_update import W0
 
 Mask = NDArray[np.bool_]

@@ -17,9 +17,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from dualbrain.core.encoder import Float32Array
 from dualbrain.core.storage.atomic_files import atomic_file
 from dualbrain.errors import DECODE_ERRORS
-from dualbrain.memory.embedding.text_encoder import Float32Array
 from dualbrain.memory.ledger.events import SNAPSHOT, SnapshotRecord
 from dualbrain.memory.ledger.hash_chain import Head
 from dualbrain.memory.ledger.ledger import Ledger, LedgerReader, PendingEvent
