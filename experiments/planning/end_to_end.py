@@ -15,9 +15,8 @@ from dualbrain.adaptation.serving.open_planner import open_planner
 from dualbrain.cli.common import paths
 from dualbrain.core.storage.jsonl_log import JsonlLog
 from dualbrain.planner.protocol import Planner
-from dualbrain.planner.request import PlanRequest
-from dualbrain.planner.scripted import FixedContractPlanner
-from dualbrain.records import Episode, Proposal
+from dualbrain.planner.scripted import FixedContractPlanner, RecordedAnswers
+from dualbrain.records import Episode
 from dualbrain.runtime.session import Clocks, RunConfig, RunObserver, Session
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from experiments.engine.experiment import Options, Row, WorkUnit
@@ -41,26 +40,6 @@ INSTRUCTIONS = (
 OUTCOME_CLASSES = tuple(f"{success}, {safe}" for success in ("success", "no success") for safe in ("safe", "unsafe"))
 GOAL = "put red_cube in blue_bowl"
 MIN_SUCCESSES = 45
-
-
-class ReplayedPlanner:
-    """Repeats recorded answers attempt by attempt, so that the contracts are the same."""
-
-    def __init__(self, answers: list[list[str]]) -> None:
-        """`answers` are pairs (text, finish reason)."""
-        self._answers = iter(answers)
-        self.name = "as answered before"
-
-    def propose(self, request: PlanRequest) -> Proposal:
-        """The next answer."""
-        del request
-        text, finish = next(self._answers)
-        return Proposal(
-            text=text, finish_reason=finish, planner=self.name, constrained_by="nobody", timings={"total": 0.0}
-        )
-
-    def close(self) -> None:
-        """Nothing is open."""
 
 
 @cache
@@ -177,7 +156,8 @@ class FilterAblation:
     def run(self, about: dict[str, Any]) -> Row:
         """Repeat the same answers attempt by attempt, so that people and noise occur at the same times."""
         instruction = INSTRUCTIONS[about["wording"]]
-        episode = run_episode(about["scene"], instruction, ReplayedPlanner(about["answers"]), guard=False)
+        planner = RecordedAnswers(about["answers"], name="as answered before")
+        episode = run_episode(about["scene"], instruction, planner, guard=False)
         return {
             **_scene_fields(about),
             "on": about["on"],

@@ -1,8 +1,8 @@
-"""Planners with given answers: a script for tests, from which no result may be reported, and a fixed contract."""
+"""Planners with given answers: a script for tests, from which no result may be reported, fixed and recorded answers."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from dualbrain.planner import protocol
 from dualbrain.planner.protocol import STOP
@@ -51,6 +51,26 @@ class FixedContractPlanner:
         del request
         return Proposal(
             text=self._text, finish_reason=STOP, planner=self.name, constrained_by="nobody", timings={"total": 0.0}
+        )
+
+    def close(self) -> None:
+        """Do nothing: no resource is open."""
+
+
+class RecordedAnswers:
+    """Repeats recorded answers, attempt by attempt, so that a run has the same contracts again."""
+
+    def __init__(self, answers: Iterable[Sequence[str]], *, name: str = "recorded answers") -> None:
+        """`answers` are pairs (text, finish reason); `name` is recorded as the author."""
+        self._answers = iter(answers)
+        self.name = name
+
+    def propose(self, request: PlanRequest) -> Proposal:
+        """The next answer."""
+        del request
+        text, finish = next(self._answers)
+        return Proposal(
+            text=text, finish_reason=finish, planner=self.name, constrained_by="nobody", timings={"total": 0.0}
         )
 
     def close(self) -> None:

@@ -2,11 +2,12 @@
 
 import pytest
 
+from dualbrain.planner.scripted import RecordedAnswers
 from dualbrain.simulation.scenes.generators.tabletop import make_scene
 from experiments.engine.catalogue import EXPERIMENTS
 from experiments.engine.experiment import Options
 from experiments.planning.contract_sensitivity import FAMILIES
-from experiments.planning.end_to_end import EndToEnd, FilterAblation, ReplayedPlanner
+from experiments.planning.end_to_end import EndToEnd, FilterAblation
 from experiments.planning.sensitivity_sweep import SensitivitySweep
 from experiments.robots.grasping import Grasping, grasp_candidates
 from experiments.safety.closed_loop import count_violations, succeeded
@@ -69,6 +70,6 @@ def test_the_filter_does_not_change_a_fast_contract_of_each_grid(tmp_path):
 
 
 def test_replayed_answers_keep_their_order():
-    planner = ReplayedPlanner([["a", "length"], ["b", "stop"]])
+    planner = RecordedAnswers([["a", "length"], ["b", "stop"]])
     answers = [planner.propose(None) for _ in range(2)]
     assert [(answer.text, answer.finish_reason) for answer in answers] == [("a", "length"), ("b", "stop")]

@@ -12,30 +12,8 @@ from dualbrain.evaluation.protocol.method import find_method
 from dualbrain.evaluation.protocol.suite import Suite
 from dualbrain.evaluation.results.episode_row import EpisodeRow
 from dualbrain.memory.embedding.image_features import ImageFeatures
-from dualbrain.planner.request import PlanRequest
-from dualbrain.records import Proposal
+from dualbrain.planner.scripted import RecordedAnswers
 from dualbrain.simulation.plant.plant import Plant
-
-
-class RecordedAnswers:
-    """A planner that repeats recorded answers, shot by shot."""
-
-    name = "recorded answers"
-
-    def __init__(self, answers: list[list[str]]) -> None:
-        """`answers` are pairs (text, finish reason)."""
-        self._answers = iter(answers)
-
-    def propose(self, request: PlanRequest) -> Proposal:
-        """The next answer."""
-        del request
-        text, finish = next(self._answers)
-        return Proposal(
-            text=text, finish_reason=finish, planner=self.name, constrained_by="nobody", timings={"total": 0.0}
-        )
-
-    def close(self) -> None:
-        """Nothing to release."""
 
 
 @dataclass(frozen=True, slots=True)
