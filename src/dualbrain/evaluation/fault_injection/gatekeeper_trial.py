@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import msgspec
 
@@ -32,6 +32,18 @@ MAX_EPISODE_TIME = 60.0
 """Simulated time [s] after which an episode is ended."""
 FORBIDDEN_SPEED = 3.0
 """A speed [m/s] that every gate rejects."""
+
+
+class MotionObserver(Protocol):
+    """Observes the true motion of a trial."""
+
+    def observe(self, plant: Plant) -> None:
+        """Receive the plant, before its first period."""
+        ...
+
+    def __call__(self, now: float) -> None:
+        """Observe the true state at `now` [s], the end of a period."""
+        ...
 
 
 @dataclass(kw_only=True)
@@ -106,15 +118,15 @@ def run_gatekeeper_trial(
     contract_actions: list[dict[str, Any]],
     seed: int,
     aftermath: float,
-    on_world_created: Callable[[Plant, SimulatedWorld], None],
+    observer: MotionObserver,
 ) -> GatekeeperTrialResult:
     """Propose a contract to a gatekeeper, inject `fault`, and continue for `aftermath` [s] after the contract.
 
-    `on_world_created` may observe the ground truth of the world from the start.
+    `observer` receives the plant, and after every period the simulated time.
     """
-    world = make_world(spec, robot_model, seed=seed)
+    world = make_world(spec, robot_model, seed=seed, pace=observer)
     plant = world.plant
-    on_world_created(plant, world)
+    observer.observe(plant)
     injector = FaultInjector(fault, lambda: plant.now)
     robot = LockstepRobot(robot=FaultyRobot(plant, injector, robot_model), world=world, plant=plant, injector=injector)
     trace = Trace(robot_model.n, robot_model.nq)

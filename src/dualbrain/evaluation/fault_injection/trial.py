@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
@@ -22,7 +22,7 @@ from dualbrain.evaluation.fault_injection.faults import (
     inject_filter_fault,
 )
 from dualbrain.evaluation.fault_injection.gatekeeper_trial import run_gatekeeper_trial
-from dualbrain.records import Violation
+from dualbrain.records import Outcome, Violation
 from dualbrain.robots.loader import load_robot
 from dualbrain.robots.model import RobotModel
 from dualbrain.runtime.assembly import SimulatedCell
@@ -31,7 +31,7 @@ from dualbrain.safety.supervisor.actions import SafetyAction
 from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
-from dualbrain.simulation.world import SimulatedWorld, make_world
+from dualbrain.simulation.world import make_world
 
 GRASP_PARAMS = {
     "object": "red_cube",
@@ -103,15 +103,15 @@ def run_fault_trial(fault: Fault, *, robot: str = "panda", scene: str = "tableto
     robot_model, spec = load_robot(robot), open_scene(scene, robot)
     if fault.source in COMMANDER_SOURCES:
         return _trial_through_gatekeeper(fault, robot_model, spec, scene, seed)
-    world = make_world(spec, robot_model, seed=seed)
+    motion = _MotionRecorder()
+    world = make_world(spec, robot_model, seed=seed, pace=motion)
     plant = world.plant
+    motion.observe(plant)
     injector = FaultInjector(fault, lambda: plant.now)
     safety = SafetyFilter(robot_model)
     inject_filter_fault(safety, injector)
     events: list[tuple[float, Event]] = []  # with true times: the robot's own stamps may be faulty
     log = FlightLog(Trace(robot_model.n, robot_model.nq), None, lambda event: events.append((plant.now, event)))
-    motion = _MotionRecorder(plant)
-    setattr(world, "advance", motion.wrap(world.advance))  # noqa: B010  (an observer of ground truth, for this world)
     cell = SimulatedCell(
         robot_model,
         world,
@@ -127,27 +127,18 @@ def run_fault_trial(fault: Fault, *, robot: str = "panda", scene: str = "tableto
     outcome = cell.executor.execute(contract)
     for _ in range(round(AFTERMATH_TIME / robot_model.period)):  # physics continues after the contract
         world.advance()
-    struck = injector.triggered_at
-    violations = world.judgement().violations
-    unsafe = tuple(one for one in violations if one.kind in UNSAFE_VIOLATIONS and motion.was_moving_at(one.start))
-    expected = fault.expected_action(scene_moves=spec.mover is not None)
-    decisions = [(t, SafetyAction[e.data["action"]]) for t, e in events if "action" in e.data and e.kind == "order"]
-    since = [(t, action) for t, action in decisions if struck is not None and t >= struck - robot_model.period]
-    reached = max([cell.loop.safety_controller.decision.action, *(action for _, action in since)])
-    reacted_at = next((t for t, action in since if action >= expected), None) if expected else None
-    return FaultReport(
-        fault=f"{fault.source} {fault.kind} {fault.moment}",
+    return _fault_report(
+        fault,
+        spec,
+        robot_model,
         scene=scene,
-        struck=struck,
-        expected=expected.name,
-        reached=reached.name,
-        checks=tuple(dict.fromkeys(str(e.data["check"]) for e in log.trace.events if e.data.get("check"))),
-        reaction=max(0.0, reacted_at - struck) if reacted_at is not None and struck is not None else None,
-        rest=motion.time_to_rest(struck),
-        outcome=outcome.kind,
-        reason=outcome.reason,
-        unsafe=unsafe,
-        other=tuple(one for one in violations if one not in unsafe),
+        struck=injector.triggered_at,
+        orders=[(t, event) for t, event in events if event.kind == "order"],
+        final_action=cell.loop.safety_controller.decision.action,
+        trace=log.trace,
+        outcome=outcome,
+        violations=world.judgement().violations,
+        motion=motion,
     )
 
 
@@ -163,33 +154,54 @@ def _trial_through_gatekeeper(
 ) -> FaultReport:
     """The same trial through a gatekeeper; the stamps are true, because the robot has no fault."""
     actions = [{"skill": skill, "params": params} for skill, params in trial_actions(robot_model)]
-    recorders: list[_MotionRecorder] = []
+    motion = _MotionRecorder()
+    result = run_gatekeeper_trial(fault, robot_model, spec, actions, seed, AFTERMATH_TIME, motion)
+    return _fault_report(
+        fault,
+        spec,
+        robot_model,
+        scene=scene,
+        struck=result.injector.triggered_at,
+        orders=[(event.t, event) for event in result.trace.events if event.kind == "order"],
+        final_action=SafetyAction[result.final_action],
+        trace=result.trace,
+        outcome=result.outcome,
+        violations=result.world.judgement().violations,
+        motion=motion,
+    )
 
-    def on_world_created(plant: Plant, world: SimulatedWorld) -> None:
-        recorders.append(_MotionRecorder(plant))
-        setattr(world, "advance", recorders[0].wrap(world.advance))  # noqa: B010  (as above)
 
-    result = run_gatekeeper_trial(fault, robot_model, spec, actions, seed, AFTERMATH_TIME, on_world_created)
-    motion = recorders[0]
-    struck, expected = result.injector.triggered_at, fault.expected_action(scene_moves=spec.mover is not None)
-    decisions = [
-        (e.t, SafetyAction[e.data["action"]]) for e in result.trace.events if e.kind == "order" and "action" in e.data
-    ]
+def _fault_report(
+    fault: Fault,
+    spec: SceneSpec,
+    robot_model: RobotModel,
+    *,
+    scene: str,
+    struck: float | None,
+    orders: Sequence[tuple[float, Event]],
+    final_action: SafetyAction,
+    trace: Trace,
+    outcome: Outcome,
+    violations: Sequence[Violation],
+    motion: _MotionRecorder,
+) -> FaultReport:
+    """The report of a trial; `orders` are the supervisor's decisions with their true times [s]."""
+    expected = fault.expected_action(scene_moves=spec.mover is not None)
+    decisions = [(t, SafetyAction[event.data["action"]]) for t, event in orders if "action" in event.data]
     since = [(t, action) for t, action in decisions if struck is not None and t >= struck - robot_model.period]
     reacted_at = next((t for t, action in since if action >= expected), None) if expected else None
-    violations = result.world.judgement().violations
     unsafe = tuple(one for one in violations if one.kind in UNSAFE_VIOLATIONS and motion.was_moving_at(one.start))
     return FaultReport(
         fault=f"{fault.source} {fault.kind} {fault.moment}",
         scene=scene,
         struck=struck,
         expected=expected.name,
-        reached=max([SafetyAction[result.final_action], *(action for _, action in since)]).name,
-        checks=tuple(dict.fromkeys(str(e.data["check"]) for e in result.trace.events if e.data.get("check"))),
+        reached=max([final_action, *(action for _, action in since)]).name,
+        checks=tuple(dict.fromkeys(str(event.data["check"]) for event in trace.events if event.data.get("check"))),
         reaction=max(0.0, reacted_at - struck) if reacted_at is not None and struck is not None else None,
         rest=motion.time_to_rest(struck),
-        outcome=result.outcome.kind,
-        reason=result.outcome.reason,
+        outcome=outcome.kind,
+        reason=outcome.reason,
         unsafe=unsafe,
         other=tuple(one for one in violations if one not in unsafe),
     )
@@ -198,21 +210,19 @@ def _trial_through_gatekeeper(
 class _MotionRecorder:
     """Records the true time [s] and the largest joint speed [rad/s] of every period."""
 
-    def __init__(self, plant: Plant) -> None:
-        self._plant = plant
-        self._v: NDArray[np.float64] = plant.data.qvel[plant.arm_slices[1]]  # pyright: ignore[reportUnknownMemberType]
+    def __init__(self) -> None:
         self.times: list[float] = []
         self._speeds: list[float] = []
+        self._v: NDArray[np.float64] = np.zeros(0)
 
-    def wrap(self, advance: Callable[[], None]) -> Callable[[], None]:
-        """`advance`, followed by a measurement of the true state."""
+    def observe(self, plant: Plant) -> None:
+        """Record the motion of `plant`, before its first period."""
+        self._v = plant.data.qvel[plant.arm_slices[1]]  # pyright: ignore[reportUnknownMemberType]
 
-        def advance_and_record() -> None:
-            advance()
-            self.times.append(self._plant.now)
-            self._speeds.append(float(np.abs(self._v).max()))
-
-        return advance_and_record
+    def __call__(self, now: float) -> None:
+        """Record the true state at `now` [s], the end of a period."""
+        self.times.append(now)
+        self._speeds.append(float(np.abs(self._v).max()))
 
     def was_moving_at(self, when: float) -> bool:
         """Whether the arm moved within the tenth of a second before `when`."""
