@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
 # Sets up dualbrain on a bare Debian machine: system packages, a virtual environment, the compiled kernel.
+# PACKAGES_ONLY=1 installs the system packages only (as root); SKIP_BROWSER=1 leaves out the browser of the tests.
 set -euo pipefail
 PYTHON=${PYTHON:-python3}
 VENV=${VENV:-.venv}
@@ -32,6 +33,8 @@ if [ ${#missing[@]} -gt 0 ]; then
     fail "These Debian packages are missing: ${missing[*]}. Install them as root: apt-get install ${missing[*]}"
   fi
 fi
+
+if [ "${PACKAGES_ONLY:-}" != "" ]; then exit 0; fi
 
 # --- Python environment ----------------------------------------------------------------------------------------------
 [ -x "$VENV/bin/python" ] || { log "creating $VENV"; "$PYTHON" -m venv "$VENV"; }
