@@ -23,8 +23,8 @@ from dualbrain.control.gatekeeper.protocol.client import GatekeeperClient  # noq
 from dualbrain.memory.embedding.hashing_encoder import HashingEncoder  # noqa: E402
 from dualbrain.memory.ledger.ledger import Ledger  # noqa: E402
 from dualbrain.memory.memory import Memory  # noqa: E402
+from experiments.gatekeeper.commander_messages import contract_bytes, send_flood, send_malformed_bytes  # noqa: E402
 from experiments.memory.synthetic_episodes import CONFIG, REGISTRY, REST_POSTURE, ROBOT, START_TIME, synthetic_episode  # noqa: E402
-from tests.control.gatekeeper.commander_process import contract_bytes, send_flood, send_malformed_bytes  # noqa: E402
 
 EPISODE_INTERVAL_S = 0.03
 """Wait between two stored episodes [s]."""

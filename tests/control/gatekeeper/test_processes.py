@@ -23,7 +23,7 @@ from dualbrain.control.gatekeeper.protocol.frames import encode
 from dualbrain.control.gatekeeper.protocol.messages import Heartbeat, Propose, RequestRefused, encode_body, kind_code
 from dualbrain.control.gatekeeper.robot_link.simulated_robot import WATCHDOG_TIMEOUT, RobotReport
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
-from tests.control.gatekeeper.commander_process import GRASP, PICK_AND_PLACE, contract_bytes
+from experiments.gatekeeper.commander_messages import GRASP, PICK_AND_PLACE, contract_bytes
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 """Three processes in real time, with limits of 50 ms: these tests need a machine without other load."""
