@@ -27,6 +27,7 @@ from benchmarks.peers.problems.scenes import PRIMITIVE_COUNTS, ROW_COUNTS
 from benchmarks.peers.report import write_report
 from benchmarks.peers.setup_environments import ENVIRONMENTS
 from benchmarks.peers.targets import evaluate_targets
+from dualbrain.core.storage.jsonl_log import JsonlLog
 from dualbrain.evaluation.runner.provenance import git_revision, machine_description
 from dualbrain.safety.cbf.kernel import kernel_hash
 
@@ -58,10 +59,7 @@ def units(*, quick: bool) -> dict[str, Callable[[], dict[str, Any]]]:
 
 def finished_units() -> dict[str, dict[str, Any]]:
     """Return the latest finished unit of each name for the present kernel."""
-    if not RESULTS_FILE.exists():
-        return {}
-    lines = [json.loads(line) for line in RESULTS_FILE.read_text().splitlines() if line.strip()]
-    return {line["unit"]: line for line in lines if line["kernel"] == kernel_hash()}
+    return {line["unit"]: line for line in JsonlLog(RESULTS_FILE).read() if line["kernel"] == kernel_hash()}
 
 
 def run_units(names: list[str], *, quick: bool, fresh: bool) -> dict[str, dict[str, Any]]:
@@ -85,9 +83,7 @@ def run_units(names: list[str], *, quick: bool, fresh: bool) -> dict[str, dict[s
             "wall_s": time.monotonic() - start,
         }
         if not quick:
-            RESULTS_FILE.parent.mkdir(parents=True, exist_ok=True)
-            with RESULTS_FILE.open("a") as file:
-                file.write(json.dumps(finished[name]) + "\n")
+            JsonlLog(RESULTS_FILE).append(finished[name])
     return {name: finished[name] for name in every if name in finished}
 
 
