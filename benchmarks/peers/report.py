@@ -7,6 +7,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from dualbrain.core.markdown import markdown_table
+
 INTRODUCTION_FILE = Path(__file__).with_name("report_introduction.md")
 
 
@@ -31,10 +33,8 @@ def write_report(whole: dict[str, Any], path: Path) -> None:
     path.write_text("\n\n".join(part.strip() for part in parts if part) + "\n")
 
 
-def _markdown_table(head: Iterable[str], lines: Iterable[Iterable[object]]) -> str:
-    head = list(head)
-    body = ["| " + " | ".join(str(cell) for cell in line) + " |" for line in lines]
-    return "\n".join(["| " + " | ".join(head) + " |", "|" + " --- |" * len(head), *body])
+def _markdown_table(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
+    return "\n".join(markdown_table(list(head), map(list, rows)))
 
 
 def _provenance(whole: dict[str, Any]) -> str:

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from math import sqrt
 
-Z = 1.959964
-"""Standard normal quantile of a two-sided 95 % interval."""
+from statsmodels.stats.proportion import proportion_confint
+
+from dualbrain.core import markdown
 
 
 def wilson_interval(successes: int, n: int) -> tuple[float, float]:
     """The Wilson score interval (95 %) of a proportion; (0, 1) without trials."""
     if n == 0:
         return 0.0, 1.0
-    share, scale = successes / n, 1.0 + Z * Z / n
-    middle = (share + Z * Z / (2 * n)) / scale
-    half = Z / scale * sqrt(share * (1 - share) / n + Z * Z / (4 * n * n))
-    return max(0.0, middle - half), min(1.0, middle + half)
+    low, high = proportion_confint(successes, n, alpha=0.05, method="wilson")
+    return float(low), float(high)
 
 
 def format_proportion(successes: int, n: int) -> str:
@@ -26,6 +24,5 @@ def format_proportion(successes: int, n: int) -> str:
 
 
 def markdown_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
-    """A Markdown table as lines."""
-    lines = [head, ["---"] * len(head), *rows]
-    return ["| " + " | ".join(str(cell).replace("|", "/") for cell in line) + " |" for line in lines] + [""]
+    """A Markdown table as lines, with an empty line after it."""
+    return [*markdown.markdown_table(head, rows), ""]

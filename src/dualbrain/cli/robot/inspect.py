@@ -106,8 +106,9 @@ def _serve_view(robot_model: RobotModel, folder: Path, port: int) -> None:
 def _load_meshes(folder: Path) -> tuple[dict[str, Mesh], str]:
     """The meshes that the spheres were fitted to, and the reason if there are none."""
     from dualbrain.cli.robot.read_description import read_description
+    from dualbrain.core.storage.checksum import file_sha256
     from dualbrain.errors import DualbrainError
-    from dualbrain.robots.importer.output.robot_folder import file_sha256, read_import_files
+    from dualbrain.robots.importer.output.robot_folder import read_import_files
     from dualbrain.robots.importer.output.source_meshes import load_source_meshes
 
     _, record = read_import_files(folder) if folder.is_dir() else (None, None)

@@ -29,6 +29,7 @@ from dualbrain.cli.common.spinner import Spinner
 from dualbrain.cli.run.live_feed import LiveFeed
 from dualbrain.cli.run.snapshots import PhaseCamera
 from dualbrain.control.recording.trace import Event
+from dualbrain.core.real_time_pacer import RealTimePacer
 from dualbrain.core.text import storable_text
 from dualbrain.memory.maintenance.projection import project_memories
 from dualbrain.memory.plasticity.retrieval_utility import summarize_uses
@@ -48,6 +49,9 @@ EVENT_STYLES = {
     "order": "yellow",
     "operator": "magenta",
 }
+
+PACE_TOLERANCE_S, MIN_SLEEP_S = 0.2, 0.004
+"""Deviation from real time after which the live view starts again from the present, and the shortest pause [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,7 +86,7 @@ def default_config(instruction: str, *, out: Path | None = None, ledger: Path | 
 def execute_run(config: RunConfig, view: RunView) -> ExitCode:
     """Run the configured instruction, print its progress, and write the report; returns the exit code."""
     console = StderrConsole()
-    pace = _RealTimePacer() if view.live_view else None
+    pace = RealTimePacer(tolerance=PACE_TOLERANCE_S, min_sleep=MIN_SLEEP_S) if view.live_view else None
     clocks = Clocks(time.monotonic, datetime.now(UTC).isoformat(timespec="seconds"), time.time, pace)
     backend = GatekeeperBackend(view.speed_scale) if view.real_time else None
     with _open_session(config, clocks, backend, console) as session:
@@ -206,18 +210,3 @@ def _print_result(console: Console, result: RunResult) -> None:
     if episode.uses:
         console.print(f"retrieval utility: {summarize_uses(episode.uses)}")
     console.print(f"[dim]{result.store_report}[/]")
-
-
-class _RealTimePacer:
-    """Prevents simulated time from running ahead of the wall clock."""
-
-    def __init__(self) -> None:
-        self._start: float | None = None
-
-    def __call__(self, now: float) -> None:
-        """Sleep until the wall clock reaches `now` [s of simulation]."""
-        wall = time.monotonic()
-        if self._start is None or wall - self._start > now + 0.2:
-            self._start = wall - now
-        elif (early := now - (wall - self._start)) > 0.004:
-            time.sleep(early)

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import msgspec
 
+from dualbrain.core.storage.checksum import file_sha256
 from dualbrain.drivers.catalogue import DriverKind
 from dualbrain.drivers.commissioning.checklist import Checklist, find_limit_flaws
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError
@@ -110,7 +111,7 @@ def _checksum(record: CommissioningRecord) -> str:
 
 def _file_hash(path: Path) -> str:
     try:
-        return sha256(path.read_bytes()).hexdigest()
+        return file_sha256(path)
     except OSError as error:
         raise NotCommissionedError.stating(
             f"The site file {path} cannot be read: {error.strerror}.", fix="Give the site file of the commissioning."

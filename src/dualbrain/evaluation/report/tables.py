@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from math import ceil, isfinite, isnan
 from statistics import fmean, median
 
+from dualbrain.core import markdown
 from dualbrain.evaluation.analysis.failure_taxonomy import FAILURE_CLASSES, failure_class_of
 from dualbrain.evaluation.analysis.hypotheses import Claim, HypothesisResult
 from dualbrain.evaluation.analysis.metrics import MAIN_METRICS, METRIC_BY_NAME, Metric
@@ -266,7 +267,7 @@ def markdown_table(table: Table) -> list[str]:
     if not table.rows:
         return [*lines, "None.", ""]
     for header, rows in table.split_columns():
-        lines += [_markdown_row(header), _markdown_row(["---"] * len(header)), *map(_markdown_row, rows), ""]
+        lines += [*markdown.markdown_table(header, rows, pipe="\\|"), ""]
     return lines
 
 
@@ -276,7 +277,3 @@ def markdown_page(title: str, header_lines: Sequence[str], tables: Iterable[Tabl
     for table in tables:
         lines += markdown_table(table)
     return "\n".join(lines)
-
-
-def _markdown_row(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cell.replace("|", "\\|").replace("\n", " ") for cell in cells) + " |"

@@ -18,6 +18,7 @@ from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 
+from dualbrain.core.storage.checksum import file_sha256
 from dualbrain.core.weights import verified_hash
 from dualbrain.planner.backends.http_chat import post
 from dualbrain.planner.backends.llama_process import LoadedAdapter
@@ -136,7 +137,7 @@ def _has_checksum(path: Path) -> bool:
 def _write_checksum(path: Path) -> bool:
     """Write the SHA-256 of the state at `path` beside it; on failure the state is removed, and the result is False."""
     try:
-        _checksum_path(path).write_text(_file_hash(path))
+        _checksum_path(path).write_text(file_sha256(path))
     except OSError:
         _remove(path)
         return False
@@ -148,16 +149,10 @@ def _is_intact(path: Path) -> bool:
     if not _has_checksum(path):
         return False
     with suppress(OSError, ValueError):
-        if _checksum_path(path).read_text() == _file_hash(path):
+        if _checksum_path(path).read_text() == file_sha256(path):
             return True
     _remove(path)
     return False
-
-
-def _file_hash(path: Path) -> str:
-    """SHA-256 of a file; takes about 50 ms for 50 MB."""
-    with path.open("rb") as data:
-        return hashlib.file_digest(data, "sha256").hexdigest()
 
 
 def _remove(path: Path) -> None:

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import shutil
 from collections.abc import Generator
 from contextlib import contextmanager
@@ -20,6 +19,7 @@ from transformers.utils import logging
 
 from dualbrain.adaptation.adapters.base_models import BaseModel
 from dualbrain.core.storage.atomic_files import FileWriteError, atomic_folder
+from dualbrain.core.storage.checksum import file_sha256
 from dualbrain.core.storage.file_lock import file_lock
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError, MissingDependencyError
 
@@ -111,8 +111,7 @@ def _file_hashes(folder: Path) -> dict[str, str]:
     found: dict[str, str] = {}
     for path in sorted(folder.iterdir()):
         if path.name != STAMP_FILE:
-            with path.open("rb") as data:
-                found[path.name] = hashlib.file_digest(data, "sha256").hexdigest()
+            found[path.name] = file_sha256(path)
     return found
 
 

@@ -21,6 +21,7 @@ from dualbrain.control.gatekeeper.robot_link import packets
 from dualbrain.control.gatekeeper.robot_link.packet_socket import MalformedPacket, PacketSocket
 from dualbrain.control.gatekeeper.robot_link.simulated_robot import WATCHDOG_TIMEOUT, perception_period_ticks
 from dualbrain.core.geometry.shapes import Pose
+from dualbrain.core.real_time_pacer import RealTimePacer
 from dualbrain.drivers.catalogue import find_driver_kind
 from dualbrain.drivers.driver import Driver
 from dualbrain.errors import ConfigurationError
@@ -132,29 +133,14 @@ def surveyed_scene(spec: SceneSpec) -> Scene:
     return Scene(robot=spec.robot, stamp=0.0, version=1, objects=(TABLE_OBJECT, *objects), places=spec.places)
 
 
-class RealTimePacer:
-    """Delays a fake arm to real time; a fake that is late does not catch up."""
-
-    def __init__(self) -> None:
-        """Start with the first call."""
-        self._clock_offset = 0.0
-
-    def __call__(self, now: float) -> None:
-        """Wait until the fake's time `now` [s]."""
-        early = self._clock_offset + now - time.monotonic()
-        if abs(early) > WATCHDOG_TIMEOUT:
-            self._clock_offset, early = time.monotonic() - now, 0.0
-        if early > 0.0:
-            time.sleep(early)
-
-
 def main(arguments: list[str]) -> None:
     """Serve on the inherited socket."""
     link = socket.socket(fileno=int(arguments[0]))
     settings = msgspec.json.decode(sys.stdin.buffer.readline(), type=DriverSettings)
     kind = find_driver_kind(settings.driver, settings.robot_model.name)
     scene = surveyed_scene(settings.scene)
-    DriverProcess(kind.open(settings.address, settings.robot_model, RealTimePacer()), scene, link).serve()
+    pace = RealTimePacer(tolerance=WATCHDOG_TIMEOUT)  # of a fake arm
+    DriverProcess(kind.open(settings.address, settings.robot_model, pace), scene, link).serve()
 
 
 if __name__ == "__main__":

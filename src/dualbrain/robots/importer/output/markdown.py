@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+from dualbrain.core.markdown import markdown_table
 from dualbrain.robots.importer.build_arm import is_identified
 from dualbrain.robots.importer.output.diff import ModelChange
 from dualbrain.robots.importer.report import ImportReport
@@ -51,10 +52,8 @@ def missing_information(robot_model: RobotModel, report: ImportReport | None) ->
     return found
 
 
-def markdown_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A markdown table."""
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join("| " + " | ".join(str(cell).replace("|", "/") for cell in line) + " |" for line in lines)
+def _table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    return "\n".join(markdown_table(head, rows))
 
 
 def _section(title: str, lines: list[str]) -> list[str]:
@@ -91,7 +90,7 @@ def _format_bound(bound: Bound) -> str:
 
 
 def _bounds_table(robot_model: RobotModel) -> str:
-    return markdown_table(("joint", "bound", "value", "provenance"), bound_rows(robot_model))
+    return _table(("joint", "bound", "value", "provenance"), bound_rows(robot_model))
 
 
 def _cover_table(report: ImportReport) -> str:
@@ -108,14 +107,14 @@ def _cover_table(report: ImportReport) -> str:
     ]
     head = ("link", "group", "spheres", "convex parts", "surface covered", "excess mean [mm]", "95 %", "worst")
     text = f"Effort: {report.effort}. The excess is the distance of the spheres from the shapes of the description."
-    return f"{text}\n\n{markdown_table(head, rows)}"
+    return f"{text}\n\n{_table(head, rows)}"
 
 
 def _pairs_section(robot_model: RobotModel) -> str:
     kept = ", ".join(f"{a}–{b}" for a, b in robot_model.self_pairs.kept) or "none"
     rows = [pair for pair in robot_model.self_pairs.allowed if pair[2] not in ("adjacent", "rigidly connected")]
     excluded = (
-        markdown_table(("link", "link", "reason for the exclusion"), rows)
+        _table(("link", "link", "reason for the exclusion"), rows)
         if rows
         else "No pair is excluded except adjacent links."
     )

@@ -6,7 +6,6 @@ import reports its own changes and the edits, and applies the edits again; a los
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -113,11 +112,6 @@ def find_edits(folder: Path) -> list[ModelChange]:
     """The changes that a user made in `folder` since the model was generated."""
     generated = folder / GENERATED_FILE
     return find_changes(read_robot(generated), read_robot(folder)) if generated.is_file() else []
-
-
-def file_sha256(file: Path) -> str:
-    """SHA-256 of the content of `file`, as a hexadecimal string."""
-    return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
 def encode_json(value: msgspec.Struct) -> bytes:
