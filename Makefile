@@ -8,7 +8,7 @@ INSTRUCTION ?= put the red cube in the bowl
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-KERNEL_SOURCES := CMakeLists.txt $(shell find kernel src/dualbrain/safety -name '*.c' -o -name '*.h' -o -name '*.cpp' 2>/dev/null)
+KERNEL_SOURCES := CMakeLists.txt $(shell find kernel -name '*.c' -o -name '*.h' -o -name '*.cpp')
 
 .PHONY: help demo test setup format check kernel pytest smoke docs wheel experiments bench clean
 

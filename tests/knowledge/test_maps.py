@@ -82,12 +82,6 @@ def test_a_place_in_a_frame_matches_a_calculation_by_hand() -> None:
     assert one.scene_places("dock")[0].position == pytest.approx((1.0, 0.0, 0.0))
 
 
-def test_places_containing_a_point_are_found() -> None:
-    assert room_map().places_containing((2.0, 1.0), "room") == ("spot",)
-    assert room_map().places_containing((0.1, 0.1), "room") == ()
-    assert room_map().places_containing((-1.0, -1.0), "dock") == ("spot",)  # (2, 1) of the room
-
-
 def borders(corners, points):
     """Signed distance [m] of points (..., 2) to the nearest edge of a convex polygon, positive inside."""
     corners = np.array(corners)

@@ -1,6 +1,5 @@
 """Headless Chromium, controlled through the protocol of ChromeDriver: JSON over HTTP, without further packages."""
 
-import base64
 import json
 import shutil
 import subprocess
@@ -78,10 +77,6 @@ class Browser:
     def console_messages(self) -> list[str]:
         """Messages of the browser console."""
         return [line["message"] for line in self._call("POST", "/se/log", {"type": "browser"})]
-
-    def save_screenshot(self, path: Path) -> None:
-        """Save a screenshot."""
-        path.write_bytes(base64.b64decode(self._call("GET", "/screenshot")))
 
     def __enter__(self) -> Self:
         return self

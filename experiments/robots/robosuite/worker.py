@@ -31,7 +31,6 @@ Array = NDArray[np.float64]
 
 LAG = 0.002
 """Lag of the velocity controller [s]."""
-ARM = "robot0_link"
 SHAPE_NAMES = {0: "plane", 5: "cylinder", 6: "box"}
 """MuJoCo's shape types in robosuite's tables, mounts and cubes."""
 HORIZON = 1_000_000

@@ -11,7 +11,6 @@ from collections.abc import Mapping
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from dualbrain.errors import ConfigurationError
 from dualbrain.robots.collision_model.coverage import SphereSet
@@ -21,8 +20,6 @@ from dualbrain.robots.collision_model.self_collision import (
     random_configurations,
 )
 from dualbrain.robots.model import Joint, Link, RobotModel, SelfCollisionPairs, TrackingErrorModel, Vector
-
-Array = NDArray[np.float64]
 
 BASE_JOINTS = 2
 """Number of controls of a base: v and ω."""

@@ -9,7 +9,7 @@ from dualbrain.safety.cbf.compiled import _kernel, _kernel64
 from tests.safety.kernel_step import random_cases
 from tests.safety.kernel_step.reference_obstacles import ReferenceObstacle
 
-POSITION, MARGIN, ERROR, REACTION, BRAKE, APPROACH, ALPHA, RANK, SHAPE, RADIUS = 5, 24, 25, 26, 27, 28, 4, 2, 0, 20
+MARGIN, ERROR, REACTION, BRAKE, APPROACH, ALPHA, RANK, SHAPE, RADIUS = 24, 25, 26, 27, 28, 4, 2, 0, 20
 STATUS_STOPPED, OVERFLOW, BAD_SCENE, INFEASIBLE, JERK = 3, 16, 256, 128, 2048
 NO_GRADIENT, UNAVOIDABLE = 32, 1024
 VELOCITY, ACCELERATION, JERKED, AT_LIMIT = range(4)

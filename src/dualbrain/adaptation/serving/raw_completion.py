@@ -29,11 +29,6 @@ class RawCompletion:
     tokens: tuple[int, ...]
     margins: tuple[float, ...]
 
-    @property
-    def min_margin(self) -> float:
-        """The smallest margin [nats]; infinite without tokens."""
-        return min(self.margins, default=math.inf)
-
 
 def complete(planner: LlamaPlanner, turns: ChatTurns, *, max_tokens: int) -> RawCompletion | ChatResponse:
     """The greedy unconstrained answer to the chat `turns` in at most `max_tokens` tokens, or why there is none."""

@@ -15,9 +15,6 @@ from dualbrain.robots.interface import RobotState
 
 Array = NDArray[np.float64]
 
-STATUSES = ("SAFE", "MODIFIED", "RELAXED", "STOPPED", "FAULT")
-"""Names of the filter's status codes 0..4."""
-
 FULL_INTERVENTION = 2.0
 """δ of a tick in which nothing remains of the nominal control, or whose δ could not be computed."""
 DEAD_BAND = 1e-4
@@ -61,7 +58,7 @@ class LoggedResult(Protocol):
 
     @property
     def status(self) -> int:
-        """Code of the filter's status, an index of `STATUSES`."""
+        """Code of the filter's status, a value of `FilterStatus`."""
         ...
 
     @property

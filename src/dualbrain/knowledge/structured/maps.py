@@ -114,15 +114,6 @@ class RoomMap(_MapElement, frozen=True, kw_only=True):
             if one.use == use
         )
 
-    def places_containing(self, point: Point, frame: str) -> tuple[str, ...]:
-        """Names of the places whose region contains `point` (x, y) [m] in `frame`; raises `UnknownNameError`."""
-        names: list[str] = []
-        for place in self.places:
-            (x, y, _), _ = self._transform(frame, place.frame, (*point, 0.0))
-            if place.region and is_inside_polygon((x, y), place.region):
-                names.append(place.name)
-        return tuple(names)
-
     def _transform(
         self, source: str, target: str, position: tuple[float, float, float], yaw: float = 0.0
     ) -> tuple[tuple[float, float, float], float]:

@@ -58,7 +58,6 @@ class LinkFit:
 
     spheres: SphereSet
     n_parts: int
-    share_inside_spheres: float
     coverage: float
     mean: float
     p95: float
@@ -165,9 +164,7 @@ def _finish_link(
 ) -> LinkFit:
     """Refine the centres, inflate the spheres until the cover is verified, and measure the result."""
     if not parts:
-        return LinkFit(
-            spheres=NO_SPHERES, n_parts=0, share_inside_spheres=1.0, coverage=1.0, mean=0.0, p95=0.0, worst=0.0
-        )
+        return LinkFit(spheres=NO_SPHERES, n_parts=0, coverage=1.0, mean=0.0, p95=0.0, worst=0.0)
     made: list[SphereSet] = []
     for part, initial in zip(parts, centres, strict=True):
         refined = refine_centres(part.problem, initial, effort.n_rounds) if effort.n_rounds else initial
@@ -211,7 +208,6 @@ def _measure_fit(
         return LinkFit(
             spheres=spheres,
             n_parts=len(parts),
-            share_inside_spheres=float(inside.mean()),
             coverage=float(enclosed.mean()),
             mean=0.0,
             p95=0.0,
@@ -222,7 +218,6 @@ def _measure_fit(
     return LinkFit(
         spheres=spheres,
         n_parts=len(parts),
-        share_inside_spheres=float(inside.mean()),
         coverage=float(enclosed.mean()),
         mean=float(distance.mean()),
         p95=float(np.quantile(distance, 0.95)),

@@ -7,12 +7,10 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from dualbrain.errors import ConfigurationError, MissingDependencyError
 from dualbrain.safety.cbf.rows import Rank
 
-Array = NDArray[np.float64]
 Expression = Any
 """A CasADi expression (SX or MX)."""
 ClassK = float | Callable[[Expression], Expression]

@@ -52,7 +52,6 @@ class Condition(IntFlag):
     CONTINUE = auto()
 
 
-NO_CONDITIONS = Condition(0)
 BUTTONS = int(Condition.RESET | Condition.RESUME | Condition.CONTINUE)
 """Operator buttons. They count in the tick in which they are pressed, not while they are held. A person presses reset
 and resume; continue comes with a new contract and clears checks that need no person."""

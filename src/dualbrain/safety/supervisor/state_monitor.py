@@ -149,11 +149,6 @@ class StateMonitor:
         self._u = values
         return 0
 
-    @property
-    def largest_gaps(self) -> tuple[float, float]:
-        """The current largest integral [rad]: between measured sources, and against the commands."""
-        return max_abs(self._source_gap), max_abs(self._tracking_gap)
-
 
 def all_in_range(values: list[float], ranges: list[tuple[float, float]]) -> bool:
     """Whether every value is in its range; NaN is not."""

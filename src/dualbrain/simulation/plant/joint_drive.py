@@ -23,7 +23,7 @@ so that the integral does not wind up.
 from __future__ import annotations
 
 from math import cos, log, sqrt
-from typing import Literal, Protocol
+from typing import Literal
 
 import mujoco
 import numpy as np
@@ -41,18 +41,6 @@ TORQUE_LAG = 0.002
 """Velocity lag of the computed-torque drive [s]; its gain is k = 1/(TORQUE_LAG + dt) = 333 1/s."""
 MAX_LOAD_SHARE = 0.5
 """Share of each motor's torque limit that the integral may use; the rest is reserved for motion and braking."""
-
-
-class Drive(Protocol):
-    """Turns joint velocity commands into motor torques; call it once per physics step, after `compute_dynamics`."""
-
-    def apply(self, u: Array) -> None:
-        """Set the motors for this step so that the joints approach the velocity u (n,) [rad/s]."""
-        ...
-
-    def reset(self) -> None:
-        """Clear the internal state, after the arm was moved elsewhere or was held by its brakes."""
-        ...
 
 
 class VelocityDrive:
