@@ -29,7 +29,7 @@ from dualbrain.adaptation.adapters.base_models import find_base_model
 from dualbrain.adaptation.config import AdaptConfig, FitConfig, ObjectiveConfig
 from dualbrain.adaptation.curation.dataset import Dataset
 from dualbrain.adaptation.synthetic.dataset import SYNTHETIC_ADAPT_CONFIG, build_synthetic_dataset, make_language_judge
-from dualbrain.cli.common import paths
+from dualbrain.core import paths
 
 VARIANTS = ("dualbrain, plain loss", "dualbrain, whole objective", "TRL SFTTrainer")
 BASE, WARM_UP_STEPS = "smollm2-135m-instruct", 2

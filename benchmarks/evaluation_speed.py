@@ -18,7 +18,7 @@ from typing import Any
 
 import msgspec
 
-from dualbrain.cli.common import paths
+from dualbrain.core import paths
 from dualbrain.evaluation.episodes.case_runner import WALL_TIME_PARTS
 from dualbrain.evaluation.planners.factory import PlannerSources
 from dualbrain.evaluation.protocol.suite import Suite, load_suite

@@ -20,7 +20,7 @@ import msgspec
 from dualbrain.adaptation.curation.sample import Sample
 from dualbrain.adaptation.serving import speculative_decoding
 from dualbrain.adaptation.serving.open_planner import open_planner
-from dualbrain.cli.common.paths import cache_folder, dualbrain_home
+from dualbrain.core.paths import cache_folder, dualbrain_home
 from dualbrain.grounding.vocabulary import load_skill_registry
 from dualbrain.planner.protocol import Planner
 from dualbrain.planner.request import PlanRequest

@@ -29,7 +29,7 @@ from dualbrain.adaptation.serving.raw_completion import RawCompletion, complete
 from dualbrain.adaptation.training.model.base_model import load_base_model
 from dualbrain.adaptation.training.model.batching import tokenize_prompt
 from dualbrain.adaptation.training.model.lora_model import load_peft_adapter
-from dualbrain.cli.common.paths import cache_folder, dualbrain_home
+from dualbrain.core.paths import cache_folder, dualbrain_home
 from dualbrain.core.weights import find_weight_file
 from dualbrain.planner.backends.llama_cpp import LlamaConfig
 from dualbrain.planner.prompt.prompt_format import UNCONSTRAINED_SHORT_PROMPT

@@ -27,7 +27,7 @@ from dualbrain.adaptation.curation.dataset import Dataset, assemble_dataset
 from dualbrain.adaptation.curation.sample import Sample
 from dualbrain.adaptation.curation.selection import CleanRules
 from dualbrain.adaptation.synthetic.split import HELD_OUT_CATEGORIES, HELD_OUT_FAMILY
-from dualbrain.cli.common import paths
+from dualbrain.core import paths
 from dualbrain.evaluation.planners.few_shot import with_example
 from dualbrain.grounding.vocabulary import load_skill_registry
 from dualbrain.memory.ledger.ledger import LedgerReader

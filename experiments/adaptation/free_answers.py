@@ -13,8 +13,8 @@ from typing import Any
 
 from dualbrain.adaptation.adapters.stacking import AdapterStack
 from dualbrain.adaptation.curation.sample import Sample
-from dualbrain.cli.common import paths
 from dualbrain.contracts.schema import decoding_schema
+from dualbrain.core import paths
 from dualbrain.planner.decoding.llguidance_grammar import contract_grammar
 from dualbrain.runtime.data_collection.synthetic_scenes import scene_context_by_name
 

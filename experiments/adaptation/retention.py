@@ -17,7 +17,7 @@ from dualbrain.adaptation.adapters.stacking import AdapterStack, load_stack
 from dualbrain.adaptation.serving.open_planner import N_CTX, start_llama
 from dualbrain.adaptation.serving.perplexity import perplexity, retention_text
 from dualbrain.adaptation.serving.raw_completion import RawCompletion, complete
-from dualbrain.cli.common import paths
+from dualbrain.core import paths
 from dualbrain.core.weights import find_weight_file, locate_weights
 from dualbrain.planner.backends.http_chat import ChatResponse
 from dualbrain.planner.backends.llama_cpp import LlamaConfig

@@ -29,8 +29,8 @@ from dualbrain.adaptation.curation.sample import Sample, assistant_turn
 from dualbrain.adaptation.curation.selection import CleanRules
 from dualbrain.adaptation.serving.open_planner import proposal_author
 from dualbrain.adaptation.synthetic.scoring import score_answer
-from dualbrain.cli.common import paths
 from dualbrain.contracts.contract import Contract
+from dualbrain.core import paths
 from dualbrain.core.storage.resumable_steps import exclusive_folder, run_steps
 from dualbrain.core.text import storable_text
 from dualbrain.evaluation.runner.run_ledgers import MAX_DELTA

@@ -14,7 +14,7 @@ from typing import Any
 
 from dualbrain.adaptation.adapters.packaged import packaged_names
 from dualbrain.adaptation.curation.sample import Sample
-from dualbrain.cli.common import paths
+from dualbrain.core import paths
 from dualbrain.evaluation.analysis.statistics import compare, difference
 from dualbrain.evaluation.planners.factory import PlannerSources
 from dualbrain.planner.protocol import Planner, has_answer

@@ -23,7 +23,6 @@ from typing import Any
 import msgspec
 from rich.console import Console
 
-from dualbrain.cli.common.paths import cache_folder
 from dualbrain.cli.run.live_feed import LiveFeed
 from dualbrain.contracts.gate.authorization import PLANNER
 from dualbrain.contracts.schema import decoding_schema, describe_skills
@@ -32,6 +31,7 @@ from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_
 from dualbrain.control.gatekeeper.protocol.client import GatekeeperClient
 from dualbrain.control.gatekeeper.protocol.messages import EventReport, Message, RequestRefused, TickReport
 from dualbrain.control.recording.trace import Event
+from dualbrain.core.paths import cache_folder
 from dualbrain.grounding.scene_summary import summarise_scene
 from dualbrain.grounding.vocabulary import scene_names
 from dualbrain.planner.request import PlanRequest

@@ -19,7 +19,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from dualbrain.cli.common import paths
+from dualbrain.core import paths
 from dualbrain.core.storage.resumable_steps import run_steps
 from dualbrain.grounding.vocabulary import load_skill_registry
 from dualbrain.memory.ledger.ledger import LedgerReader

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from dualbrain.adaptation.serving.open_planner import open_planner
-from dualbrain.cli.common import paths
+from dualbrain.core import paths
 from dualbrain.core.storage.jsonl_log import JsonlLog
 from dualbrain.planner.protocol import Planner
 from dualbrain.planner.scripted import FixedContractPlanner, RecordedAnswers

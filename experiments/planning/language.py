@@ -21,8 +21,8 @@ from dualbrain.adaptation.curation.sample import Sample
 from dualbrain.adaptation.synthetic.example import free_parameters
 from dualbrain.adaptation.synthetic.scoring import INSTRUCTED_NUMBERS, AnswerScore, score_answer
 from dualbrain.adaptation.synthetic.split import HELD_OUT_CATEGORIES, HELD_OUT_FAMILY
-from dualbrain.cli.common import paths
 from dualbrain.contracts.contract import Action, Contract
+from dualbrain.core import paths
 from dualbrain.core.weights import find_weight_file, locate_weights
 from dualbrain.runtime.data_collection.synthetic_scenes import generate_examples, scene_context_by_name
 from experiments.adaptation.free_answers import FreeAnswerModel

@@ -150,7 +150,7 @@ def _run_planned(spec: SceneSpec, about: dict[str, Any]) -> Row:
     """A complete run as by `dualbrain run`, with an empty memory, judged by the instruction."""
     import time  # noqa: PLC0415
 
-    from dualbrain.cli.common.paths import cache_folder  # noqa: PLC0415
+    from dualbrain.core.paths import cache_folder  # noqa: PLC0415
     from dualbrain.runtime.session import Clocks, RunConfig, RunObserver, Session  # noqa: PLC0415
     from experiments.safety.closed_loop import outcome_fields  # noqa: PLC0415
 
@@ -187,7 +187,7 @@ _OPEN_PLANNERS: dict[str, Planner] = {}
 def _cached_planner(name: str) -> Planner:
     """The planner called `name`, opened once per process."""
     if name not in _OPEN_PLANNERS:
-        from dualbrain.cli.common.paths import cache_folder  # noqa: PLC0415
+        from dualbrain.core.paths import cache_folder  # noqa: PLC0415
 
         prefixes = cache_folder() / "prefixes"
         prefixes.mkdir(parents=True, exist_ok=True)

@@ -8,17 +8,20 @@ from __future__ import annotations
 
 import os
 import time
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from secrets import token_hex
 from typing import TYPE_CHECKING
 
-from dualbrain.cli.common.paths import cache_folder, dualbrain_home
-from dualbrain.runtime.config import Clocks, RunConfig, RunObserver, RunResult
+from dualbrain.core.paths import cache_folder, dualbrain_home
+from dualbrain.errors import ConfigurationError
+from dualbrain.planner.registry import PACKAGED_PLANNER
+from dualbrain.runtime.config import Clocks, RunObserver, RunResult, default_config
 from dualbrain.runtime.session import Session
 
 if TYPE_CHECKING:
     from dualbrain.planner.protocol import Planner
+    from dualbrain.runtime.agent import Agent
 
 
 def run(
@@ -26,7 +29,8 @@ def run(
     *,
     robot: str = "panda",
     scene: str = "0",
-    planner: str | Planner = "base-135m",
+    planner: str | Planner = PACKAGED_PLANNER,
+    agent: Agent | None = None,
     contract: Path | None = None,
     goal: str = "",
     guard: bool = True,
@@ -38,21 +42,31 @@ def run(
     """Run one instruction on a simulated robot, in lockstep, and return the episode with its trace.
 
     `robot` is a name or the folder of an imported robot, `scene` a number, FAMILY:SEED or a scene file, `planner` a
-    name as for `dualbrain run --planner` or a planner object. With a `contract` file no planner is asked. `goal` is the
-    criterion of success on ground truth, by default the goal of the contract. `guard` False writes nominal controls
-    unfiltered, for comparison in simulation only. The run folder `out` (a new folder in `runs/` by default) holds the
-    configuration, the scene, the recording and the episode. The memory is the file `ledger`, by default a new one in
-    the run folder. Raises `ConfigurationError`, `UnknownNameError` and `MissingDependencyError` before any motion.
+    name as for `dualbrain run --planner` or a planner object. An `agent` replaces `planner` and the memory; its planner
+    and memory stay open. With a `contract` file no planner is asked. `goal` is the criterion of success on ground
+    truth, by default the goal of the contract. `guard` False writes nominal controls unfiltered, for comparison in
+    simulation only. The run folder `out` (a new folder in `runs/` by default) holds the configuration, the scene, the
+    recording and the episode. The memory is the file `ledger`, by default a new one in the run folder; with an `agent`
+    this file records only the start and the end of the run, and must not be the ledger of the agent's memory.
+
+    Raises:
+        ConfigurationError: an argument has no valid value, `out` holds a run already, or both `agent` and `contract`
+            are given.
+        UnknownNameError: there is no such robot, scene or planner.
+        MissingDependencyError: model weights or an optional package are missing.
     """
-    started = datetime.now(UTC)
-    folder = out or Path("runs") / f"{started:%Y%m%dT%H%M%SZ}-{token_hex(3)}"
-    name = planner if isinstance(planner, str) else planner.name
-    config = RunConfig(
-        instruction=instruction,
-        out=folder,
-        ledger=ledger or folder / "ledger.sqlite",
-        cache=cache_folder(),
-        adapters=dualbrain_home() / "adapters",
+    if agent is not None and contract is not None:
+        raise ConfigurationError.stating(
+            "Both an agent and a contract are given, but a run with a contract asks no planner.",
+            fix="Name only one of them.",
+        )
+    asked = planner if agent is None else agent.planner
+    name, given = (asked, None) if isinstance(asked, str) else (asked.name, asked)
+    config = default_config(instruction, out=out)
+    config = replace(
+        config,
+        ledger=ledger or config.out / "ledger.sqlite",
+        knowledge=None,
         robot=robot,
         scene=scene,
         planner=name,
@@ -62,9 +76,9 @@ def run(
         seed=seed,
         visuals=False,
     )
-    clocks = Clocks(time.monotonic, started.isoformat(timespec="seconds"), time.time)
-    given = None if isinstance(planner, str) else planner
-    with Session(config, clocks, os.environ, given) as session:
+    started = datetime.now(UTC).isoformat(timespec="seconds")
+    clocks = Clocks(time.monotonic, started, time.time)
+    with Session(config, clocks, os.environ, None if contract else given, agent=agent) as session:
         return session.run(observer)
 
 

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import msgspec
 import pytest
 
-from dualbrain.cli.common.paths import cache_folder
+from dualbrain.core.paths import cache_folder
 from dualbrain.errors import ConfigurationError, MissingDependencyError
 from dualbrain.evaluation.analysis.failure_taxonomy import TIME_LIMIT_REASON
 from dualbrain.evaluation.analysis.metrics import METRIC_BY_NAME

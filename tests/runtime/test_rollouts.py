@@ -7,7 +7,7 @@ import msgspec
 import pytest
 
 from dualbrain.adaptation.curation.sample import assistant_turn
-from dualbrain.cli.common import paths
+from dualbrain.core import paths
 from dualbrain.memory.ledger.ledger import LedgerReader
 from dualbrain.memory.state.derivation import derive_state
 from dualbrain.runtime.data_collection import rollouts

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import msgspec
 
-from dualbrain.cli.common.paths import cache_folder
+from dualbrain.core.paths import cache_folder
 from dualbrain.grounding.vocabulary import load_skill_registry
 from dualbrain.memory.ledger.ledger import LedgerReader
 from dualbrain.planner.scripted import ScriptedPlanner

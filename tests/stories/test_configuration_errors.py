@@ -11,9 +11,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from dualbrain.cli.common.paths import cache_folder
 from dualbrain.cli.main import run_command_line
 from dualbrain.core import weights
+from dualbrain.core.paths import cache_folder
 from dualbrain.errors import ConfigurationError
 from dualbrain.memory.embedding.text_encoder import ENCODER_WEIGHTS, TOKENIZER_WEIGHTS
 from dualbrain.memory.ledger.ledger import Ledger

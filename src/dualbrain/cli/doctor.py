@@ -16,8 +16,8 @@ from dualbrain import __version__
 from dualbrain.cli.common.console import print_table
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.common.graphics import choose_graphics
-from dualbrain.cli.common.paths import cache_folder, dualbrain_home
 from dualbrain.core import weights
+from dualbrain.core.paths import cache_folder, dualbrain_home
 from dualbrain.errors import DualbrainError
 
 State = Literal["ok", "optional", "problem"]

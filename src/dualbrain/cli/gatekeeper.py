@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 from dualbrain.cli.common.arguments import parse_fraction
 from dualbrain.cli.common.exit_codes import ExitCode
-from dualbrain.cli.common.paths import dualbrain_home
+from dualbrain.core.paths import dualbrain_home
 
 OperatorAction = Literal[
     "pause", "resume", "abort", "takeover", "hand_back", "speed", "estop", "release_estop", "reset", "shut_down"

@@ -15,7 +15,7 @@ from rich.markup import escape
 
 from dualbrain.cli.common.console import print_result, print_table
 from dualbrain.cli.common.exit_codes import ExitCode
-from dualbrain.cli.common.paths import cache_folder, dualbrain_home
+from dualbrain.core.paths import cache_folder, dualbrain_home
 from dualbrain.errors import UsageError
 from dualbrain.knowledge.document import DOCUMENT_KINDS, ChunkHit, Document, DocumentKind, TrustLevel, parse_citation
 from dualbrain.knowledge.library import Addition, Library, SearchMode, Submission

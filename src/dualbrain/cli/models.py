@@ -9,9 +9,9 @@ from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeR
 
 from dualbrain.cli.common.console import print_table
 from dualbrain.cli.common.exit_codes import ExitCode
-from dualbrain.cli.common.paths import cache_folder
 from dualbrain.cli.common.planner_choice import base_model, is_downloaded
 from dualbrain.core import weights
+from dualbrain.core.paths import cache_folder
 
 
 def list_models() -> int:

@@ -12,6 +12,11 @@ from dualbrain.planner.backends.openai_server import ServerConfig, ServerPlanner
 from dualbrain.planner.protocol import Planner
 
 DEFAULT_PLANNER = "qwen2.5-coder-1.5b-instruct"
+PACKAGED_PLANNER = "base-135m"
+"""The planner of `dualbrain demo` and `dualbrain.run`: an adapter in the package, on a base model of 98 MB.
+
+The experiment `starter` chooses it among all packaged planners by one rule.
+"""
 SMALL_PLANNER = "smollm2-135m-instruct"
 """A small model for tests; without an adapter it does not plan usefully."""
 

@@ -29,7 +29,11 @@ def no_passages(instruction: str, summary: str) -> tuple[Passage, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Agent:
-    """A `planner` with its `memory`; `retrieve_passages` returns the document passages for an instruction and scene."""
+    """A `planner` with its `memory`: the part of a run that proposes contracts and learns; see `dualbrain.run`.
+
+    `memory` is a `Memory`, or any object with its methods `retrieve` and `store`. `retrieve_passages` maps the
+    instruction and the scene summary, two texts, to a tuple of document passages; by default there are none.
+    """
 
     planner: Planner
     memory: EpisodicMemory

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
+from secrets import token_hex
 
 import msgspec
 
 from dualbrain.control.control_loop import TickSnapshot
 from dualbrain.control.recording.trace import Event, Trace
+from dualbrain.core.paths import cache_folder, dualbrain_home
 from dualbrain.memory.memory import StoreReport
 from dualbrain.memory.plasticity.hebbian_update import EPSILON
 from dualbrain.planner.registry import DEFAULT_PLANNER
@@ -60,6 +63,19 @@ class RunConfig:
         fields = msgspec.to_builtins(self, enc_hook=str)
         stored = {STORED_NAMES.get(name, name): value for name, value in fields.items()}
         return msgspec.json.format(msgspec.json.encode(stored), indent=2)
+
+
+def default_config(instruction: str, *, out: Path | None = None, ledger: Path | None = None) -> RunConfig:
+    """The configuration of a run in the user's own folders; by default in a new run folder."""
+    started = datetime.now(UTC)
+    return RunConfig(
+        instruction=instruction,
+        out=out or Path("runs") / f"{started:%Y%m%dT%H%M%SZ}-{token_hex(3)}",
+        ledger=ledger or dualbrain_home() / "ledger.sqlite",
+        cache=cache_folder(),
+        knowledge=dualbrain_home() / "knowledge.sqlite",
+        adapters=dualbrain_home() / "adapters",
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -41,7 +41,7 @@ from dualbrain.planner.scripted import FixedContractPlanner
 from dualbrain.records import Episode, Passage
 from dualbrain.robots.loader import load_robot
 from dualbrain.robots.site_config import read_site
-from dualbrain.runtime.agent import Agent
+from dualbrain.runtime.agent import Agent, EpisodicMemory
 from dualbrain.runtime.backends.backend import Backend, RunContext, RunningRobot
 from dualbrain.runtime.backends.simulated import SimulatedBackend
 from dualbrain.runtime.config import Clocks, RunConfig, RunObserver, RunResult
@@ -73,16 +73,20 @@ class Session:
         environ: Mapping[str, str],
         planner: Planner | None = None,
         backend: Backend | None = None,
+        *,
+        agent: Agent | None = None,
     ) -> None:
         """Open everything that a run needs, before any motion.
 
         A `planner` that is passed in stays open; otherwise the configured planner is opened and closed. `backend` moves
-        the robot, by default the simulator of this process.
+        the robot, by default the simulator of this process. An `agent` is used instead of the configured memory and
+        documents; its planner must be `planner`, and uses of its memory are not measured (`RunConfig.utility`).
         Raises `MissingDependencyError`, `ConfigurationError` and `UnknownNameError`.
         """
         self.backend = backend or SimulatedBackend()
         out = config.out if config.out.name not in ("", "..") else config.out.resolve()  # a run needs a name
         self.config, self.clocks = replace(config, instruction=storable_text(config.instruction), out=out), clocks
+        self._agent = agent
         self._stack = ExitStack()
         self._stop_requested = False
         self._saved_ids: list[str] = []
@@ -185,7 +189,8 @@ class Session:
 
     def _run_tries(self, robot: RunningRobot) -> list[TryResult]:
         """Run every try of the instruction; a given contract is tried once."""
-        agent = Agent(self.planner, _SavingMemory(self.memory, self._save_episode), self._retrieve_passages)
+        given = self._agent or Agent(self.planner, self.memory, self._retrieve_passages)
+        agent = replace(given, memory=_SavingMemory(given.memory, self._save_episode))
         log, executor = robot.executor.log, robot.executor
         results: list[TryResult] = []
         episodes: list[Episode] = []
@@ -225,7 +230,7 @@ class Session:
 
     def _with_memory_uses(self, episode: Episode) -> Episode:
         """The episode with the use of each memory in its prompt, if that was requested; the episode is saved again."""
-        if not self.config.utility or self.config.contract is not None:
+        if not self.config.utility or self.config.contract is not None or self._agent is not None:
             return episode
         folder = self.config.ledger.with_name("counterfactuals")
         queries = CounterfactualQueries(self.planner, skill_registry(self.robot_model), folder)
@@ -284,7 +289,7 @@ class Session:
 class _SavingMemory:
     """A memory whose episodes are saved before they are stored, so that an error of the ledger loses no episode."""
 
-    def __init__(self, memory: Memory, save: Callable[[Episode], None]) -> None:
+    def __init__(self, memory: EpisodicMemory, save: Callable[[Episode], None]) -> None:
         self._memory, self._save = memory, save
         self.retrieve = memory.retrieve
 

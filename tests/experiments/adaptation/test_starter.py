@@ -7,7 +7,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from dualbrain.cli.common.planner_choice import PACKAGED_PLANNER
+from dualbrain.planner.registry import PACKAGED_PLANNER
 from experiments.adaptation import starter
 from experiments.adaptation.starter import LARGE_PLANNER, Starter, best_packaged_planner, rule_verdict
 

@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from dualbrain.cli.common.paths import cache_folder
 from dualbrain.control.gatekeeper.timing.tick_profile import TICK_PARTS
+from dualbrain.core.paths import cache_folder
 from dualbrain.core.weights import locate_weights
 from dualbrain.planner.registry import SMALL_PLANNER
 from experiments.figures.plot_tick import plot_tick

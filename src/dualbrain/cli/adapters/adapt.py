@@ -15,8 +15,8 @@ from cyclopts import Parameter
 from dualbrain.cli.adapters.process_launcher import console_of, is_distributed, process_group
 from dualbrain.cli.common.console import StderrConsole, format_table
 from dualbrain.cli.common.exit_codes import ExitCode
-from dualbrain.cli.common.paths import cache_folder
 from dualbrain.cli.memory.open_memory import open_reader, print_json
+from dualbrain.core.paths import cache_folder
 from dualbrain.errors import ConfigurationError, DualbrainError, MissingDependencyError, UsageError
 
 if TYPE_CHECKING:

@@ -19,9 +19,9 @@ from dualbrain.adaptation.idle_scheduler import (
 )
 from dualbrain.cli.common.console import StderrConsole
 from dualbrain.cli.common.exit_codes import ExitCode
-from dualbrain.cli.common.paths import dualbrain_home
 from dualbrain.cli.common.signals import interrupt_handler
 from dualbrain.cli.memory.open_memory import ledger_path
+from dualbrain.core.paths import dualbrain_home
 
 
 def adapt_when_idle(

@@ -14,8 +14,8 @@ from cyclopts import Parameter
 from dualbrain.cli.adapters.process_launcher import console_of, process_group
 from dualbrain.cli.common.console import StderrConsole
 from dualbrain.cli.common.exit_codes import ExitCode
-from dualbrain.cli.common.paths import cache_folder
 from dualbrain.cli.memory.open_memory import print_json
+from dualbrain.core.paths import cache_folder
 from dualbrain.errors import ConfigurationError, UnknownNameError
 
 if TYPE_CHECKING:

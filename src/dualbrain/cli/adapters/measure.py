@@ -12,8 +12,8 @@ from cyclopts import Parameter
 from dualbrain.cli.adapters.registry import open_adapter_registry
 from dualbrain.cli.common.console import StderrConsole
 from dualbrain.cli.common.exit_codes import ExitCode
-from dualbrain.cli.common.paths import cache_folder
 from dualbrain.cli.memory.open_memory import ledger_path, open_reader, print_json
+from dualbrain.core.paths import cache_folder
 from dualbrain.errors import ConfigurationError, MissingDependencyError
 
 if TYPE_CHECKING:

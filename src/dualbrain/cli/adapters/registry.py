@@ -12,8 +12,8 @@ from cyclopts import Parameter, validators
 
 from dualbrain.cli.common.console import StderrConsole, print_result, print_table
 from dualbrain.cli.common.exit_codes import ExitCode
-from dualbrain.cli.common.paths import cache_folder, dualbrain_home
 from dualbrain.cli.memory.open_memory import print_json
+from dualbrain.core.paths import cache_folder, dualbrain_home
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError, DualbrainError
 from dualbrain.planner.registry import DEFAULT_PLANNER
 

@@ -4,13 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dualbrain.planner.registry import DEFAULT_PLANNER
-
-PACKAGED_PLANNER = "base-135m"
-"""The planner of `dualbrain demo`: an adapter that is part of the package, on a base model of 98 MB.
-
-The experiment `starter` chooses it among all packaged planners by one rule.
-"""
+from dualbrain.planner.registry import DEFAULT_PLANNER, PACKAGED_PLANNER
 
 
 def choose_planner(name: str, robot: str, cache: Path) -> tuple[str, str]:

@@ -14,9 +14,9 @@ from cyclopts import Parameter
 
 from dualbrain.cli.common.console import StderrConsole, print_result
 from dualbrain.cli.common.exit_codes import ExitCode
-from dualbrain.cli.common.paths import cache_folder, dualbrain_home
 from dualbrain.cli.evaluation.results import load_results, print_omission
 from dualbrain.cli.evaluation.suite_options import override_suite
+from dualbrain.core.paths import cache_folder, dualbrain_home
 from dualbrain.errors import ConfigurationError, MissingDependencyError, UsageError
 
 if TYPE_CHECKING:

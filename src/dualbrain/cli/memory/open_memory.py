@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from dualbrain.cli.common.console import print_result
-from dualbrain.cli.common.paths import cache_folder, dualbrain_home
+from dualbrain.core.paths import cache_folder, dualbrain_home
 from dualbrain.errors import UnknownNameError
 
 if TYPE_CHECKING:

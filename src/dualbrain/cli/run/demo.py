@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from dualbrain.cli.common.planner_choice import PACKAGED_PLANNER
 from dualbrain.cli.run.run import DEFAULT_TRIES
+from dualbrain.planner.registry import PACKAGED_PLANNER
 
 
 def demo(
@@ -29,7 +29,8 @@ def demo(
     scene
         A number, FAMILY:SEED or a scene file. In scene 8 a forearm crosses the path, and the filter changes the motion.
     """
-    from dualbrain.cli.run.execution import RunView, default_config, execute_run
+    from dualbrain.cli.run.execution import RunView, execute_run
+    from dualbrain.runtime.config import default_config
 
     shown = not headless
     config = default_config(instruction)

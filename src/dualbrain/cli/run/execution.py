@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from secrets import token_hex
 from typing import Any
 
 import msgspec
@@ -19,7 +18,6 @@ from rich.markup import escape
 from dualbrain.cli.common.console import StderrConsole, print_result
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.common.graphics import choose_graphics
-from dualbrain.cli.common.paths import cache_folder, dualbrain_home
 from dualbrain.cli.common.planner_choice import choose_planner
 
 NO_GRAPHICS_REASON = choose_graphics(os.environ)  # before MuJoCo is imported
@@ -68,19 +66,6 @@ class RunView:
     as_json: bool = False
     real_time: bool = False
     speed_scale: float = 1.0
-
-
-def default_config(instruction: str, *, out: Path | None = None, ledger: Path | None = None) -> RunConfig:
-    """The configuration of a run in the user's own folders; by default in a new run folder."""
-    started = datetime.now(UTC)
-    return RunConfig(
-        instruction=instruction,
-        out=out or Path("runs") / f"{started:%Y%m%dT%H%M%SZ}-{token_hex(3)}",
-        ledger=ledger or dualbrain_home() / "ledger.sqlite",
-        cache=cache_folder(),
-        knowledge=dualbrain_home() / "knowledge.sqlite",
-        adapters=dualbrain_home() / "adapters",
-    )
 
 
 def execute_run(config: RunConfig, view: RunView) -> ExitCode:

@@ -14,8 +14,8 @@ from cyclopts import Parameter
 
 from dualbrain.cli.common.console import StderrConsole, print_result, print_table, sanitize_line
 from dualbrain.cli.common.exit_codes import ExitCode
-from dualbrain.cli.common.paths import cache_folder, dualbrain_home
 from dualbrain.cli.common.planner_choice import choose_planner
+from dualbrain.core.paths import cache_folder, dualbrain_home
 from dualbrain.errors import UsageError
 
 if TYPE_CHECKING:

@@ -115,7 +115,8 @@ def run(
         raise UsageError("--epsilon", got=epsilon, allowed="a finite number, at least 0")
     if live and filter == "off":
         raise UsageError("--filter", got="off", allowed="on (a gatekeeper always filters)")
-    from dualbrain.cli.run.execution import RunView, default_config, execute_run
+    from dualbrain.cli.run.execution import RunView, execute_run
+    from dualbrain.runtime.config import default_config
 
     config = replace(
         default_config(instruction, out=out, ledger=ledger),
