@@ -104,10 +104,17 @@ class Memory:
     ) -> RetrievedContext:
         """The k best successes as exemplars and, separately, the best failures as warnings (paper 5.2).
 
-        Only memories of the same robot and the same registry hash are retrieved: a contract for other skills, units or
-        bounds is not a valid example. `alpha`, `lambda_s` and `diversity` override the configuration; `where` adds
-        conditions. The same ledger and query give the same result, including the order of ties. Raises
-        `UnknownNameError` for a robot without limits, and `ConfigurationError` for settings out of range.
+        The query is an `instruction` in words, the `summary` of the scene in symbols, the joint `state` (None: unknown,
+        its block is not compared), and an `image` of the scene. Only memories of the same `robot` and the same hash
+        `registry` of its skills are retrieved: a contract for other skills, units or bounds is not a valid example. At
+        most `k` exemplars and `MemoryConfig.max_warnings` warnings are returned, the best one first. `alpha`,
+        `lambda_s` and `diversity` (numbers without a unit) override the configuration; `where` adds conditions. The
+        same ledger and query give the same result, including the order of ties.
+
+        Raises:
+            UnknownNameError: the memory has no joint limits for `robot`.
+            ConfigurationError: a setting is out of range, `state` does not fit the robot, or `image` has the features
+                of another encoder.
         """
         query = self.embedding.embed(instruction, summary, state, robot, image)
         compared = self.index.compare(query, alpha or self.config.embedding.alpha)

@@ -66,9 +66,16 @@ class SimulatedCell:
         robot: RobotInterface | None = None,
         environment: WorldInterface | None = None,
     ) -> None:
-        """Connect the parts; `robot` and `environment` replace the plant and the world for the control loop.
+        """Connect the parts of a cell; `SimulatedCell.make` makes them from a robot and a scene.
 
-        The world follows the phases of the control loop in any case, before the callback of `observer`.
+        `safety` is the filter of `robot_model`, by default without a site file; `log` gets ticks and events. `config`,
+        `observer` and `inputs` are those of the control loop. A contract that `inputs` interrupts when the robot's
+        clock shows `time_limit` [s] or more has failed. `robot` and `environment` replace the plant and the world for
+        the control loop. The world follows the phases of the control loop in any case, before the callback of
+        `observer`.
+
+        Raises:
+            ConfigurationError: the filter cannot be made for `robot_model` (see `SafetyFilter`).
         """
         outer = observer or LoopObserver()
         self.robot_model, self.world, self.plant = robot_model, world, world.plant

@@ -94,7 +94,11 @@ class MotionModel(Protocol):
     """Functions that the local layer provides to skills: kinematics, and the projection onto rows known to φ."""
 
     def tool(self, q: Array) -> ToolState:
-        """Forward kinematics of the tool."""
+        """The tool frame in the world at configuration q, (n,) or for a mobile base (n + 1,) [rad, m].
+
+        Raises:
+            ConfigurationError: q does not have this shape, or does not consist of numbers.
+        """
         ...
 
     def spheres(self, q: Array, opening: float) -> tuple[Array, Array, tuple[str, ...]]:
@@ -107,7 +111,15 @@ class MotionModel(Protocol):
         ...
 
     def project(self, state: RobotState, u_desired: Array, u_nom_prev: Array, now: float) -> Array:
-        """The control closest to `u_desired` that respects known obstacles, limits, and the box around `u_nom_prev`."""
+        """The control (n,) closest to `u_desired` that respects known obstacles, limits, and a box around `u_nom_prev`.
+
+        `u_desired` (n,) is the control that the skill wants, `u_nom_prev` (n,) the nominal control of the previous
+        tick; the box around it holds the controls that the acceleration limits allow. Controls are in rad/s, for a
+        mobile base (v, ω) in m/s and rad/s before the joints. `now` [s] is on the clock of `state.stamp`.
+
+        Raises:
+            ConfigurationError: an array does not have its shape, or does not consist of numbers.
+        """
         ...
 
 

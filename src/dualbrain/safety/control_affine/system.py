@@ -85,7 +85,14 @@ class ControlAffine:
         self.compile_function("f and g", [ca.horzcat(self.f, self.g)])
 
     def to_expression(self, value: Any, what: str) -> Expression:
-        """A CasADi column expression of the type of the state, from an expression, numbers, or a list of them."""
+        """A CasADi column (k, 1) of the type of the state (SX or MX).
+
+        `value` is an expression (k, 1), a number, or a list of k scalar expressions and numbers; units are those of
+        the caller. `what` names the value in the error.
+
+        Raises:
+            ConfigurationError: `value` contains something else, or an expression of the other type.
+        """
         ca = import_casadi()
         try:
             return ca.vertcat(type(self.x)(0, 0), *(value if _is_sequence(value) else [value]))

@@ -44,7 +44,13 @@ class SafetyController:
         monitor_limits: MonitorLimits | None = None,
         standstill_limits: StandstillLimits | None = None,
     ) -> None:
-        """Start without conditions and with the drive on."""
+        """Start without conditions, with the drive on and at full speed (`speed_scale` 1).
+
+        `safety` filters every control of its robot with n joints. `timing` holds the control period and the limits on
+        delays [s], by default those of the simulator in lockstep. `monitor_limits` and `standstill_limits` decide when
+        a reading is implausible, and when the robot counts as at rest and stays there; None: the defaults of
+        `MonitorLimits` and `StandstillLimits`. No value of these limits raises an error.
+        """
         self.safety, self.speed_scale = safety, 1.0
         self.supervisor = Supervisor()
         self.monitor = StateMonitor(safety.robot_model, timing, monitor_limits)
