@@ -3,8 +3,8 @@
 Plans are typed contracts that a gate validates, and every joint velocity passes a CBF-QP safety filter. The names in
 `__all__` are the public API, with the sub-namespaces `dualbrain.safety`, `dualbrain.safety.barriers`,
 `dualbrain.safety.control_affine`, `dualbrain.safety.higher_order`, `dualbrain.skills`, `dualbrain.memory`,
-`dualbrain.evaluation` and `dualbrain.drivers`; all other modules are private. Names are imported on first use, so that
-`import dualbrain` is light.
+`dualbrain.evaluation`, `dualbrain.drivers` and `dualbrain.control`; all other modules are private. Names are imported
+on first use, so that `import dualbrain` is light.
 """
 
 from __future__ import annotations
@@ -27,11 +27,14 @@ if TYPE_CHECKING:
     from dualbrain.knowledge.library import Library
     from dualbrain.memory.memory import Memory
     from dualbrain.planner.protocol import Planner
+    from dualbrain.planner.request import PlanRequest
+    from dualbrain.records import Judgement, Outcome, Proposal
     from dualbrain.robots.interface import Command, RobotInterface, RobotState
     from dualbrain.robots.loader import load_robot
     from dualbrain.robots.model import RobotModel
     from dualbrain.runtime.agent import Agent
-    from dualbrain.runtime.assembly import SimulatedCell
+    from dualbrain.runtime.assembly import CellOptions, SimulatedCell
+    from dualbrain.runtime.config import RunObserver, RunResult
     from dualbrain.safety.cbf.config import FilterConfig
     from dualbrain.safety.cbf.filter import SafetyFilter
     from dualbrain.safety.cbf.obstacles import Contact, Obstacle
@@ -41,6 +44,7 @@ if TYPE_CHECKING:
     from dualbrain.safety.supervisor.actions import SafetyAction
     from dualbrain.safety.supervisor.controller import SafetyController
     from dualbrain.simulation.scenes.generators.tabletop import make_scene
+    from dualbrain.simulation.scenes.scene_spec import SceneSpec
     from dualbrain.skills.registry import skill_registry
 
 __version__ = "0.2.0"
@@ -59,11 +63,14 @@ _MODULES = {
     "knowledge.library": ("Library",),
     "memory.memory": ("Memory",),
     "planner.protocol": ("Planner",),
+    "planner.request": ("PlanRequest",),
+    "records": ("Judgement", "Outcome", "Proposal"),
     "robots.interface": ("Command", "RobotInterface", "RobotState"),
     "robots.loader": ("load_robot",),
     "robots.model": ("RobotModel",),
     "runtime.agent": ("Agent",),
-    "runtime.assembly": ("SimulatedCell",),
+    "runtime.assembly": ("CellOptions", "SimulatedCell"),
+    "runtime.config": ("RunObserver", "RunResult"),
     "safety.cbf.config": ("FilterConfig",),
     "safety.cbf.filter": ("SafetyFilter",),
     "safety.cbf.obstacles": ("Contact", "Obstacle"),
@@ -73,6 +80,7 @@ _MODULES = {
     "safety.supervisor.actions": ("SafetyAction",),
     "safety.supervisor.controller": ("SafetyController",),
     "simulation.scenes.generators.tabletop": ("make_scene",),
+    "simulation.scenes.scene_spec": ("SceneSpec",),
     "skills.registry": ("skill_registry",),
 }
 """Public names by the module that defines them."""
@@ -81,6 +89,7 @@ __all__ = [
     "Agent",
     "Box",
     "Capsule",
+    "CellOptions",
     "Command",
     "ConfigurationError",
     "Contact",
@@ -93,20 +102,27 @@ __all__ = [
     "FilteredEnv",
     "Gate",
     "HalfSpace",
+    "Judgement",
     "Library",
     "Memory",
     "MissingDependencyError",
     "Obstacle",
+    "Outcome",
+    "PlanRequest",
     "Planner",
     "Pose",
+    "Proposal",
     "Rejected",
     "RobotInterface",
     "RobotModel",
     "RobotState",
+    "RunObserver",
+    "RunResult",
     "SafetyAction",
     "SafetyController",
     "SafetyFilter",
     "SceneNames",
+    "SceneSpec",
     "ShadowFilter",
     "SimulatedCell",
     "SkillRegistry",

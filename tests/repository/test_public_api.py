@@ -24,11 +24,11 @@ SUB_NAMESPACES = (
     "dualbrain.memory",
     "dualbrain.evaluation",
     "dualbrain.drivers",
+    "dualbrain.control",
 )
 NAMESPACES = ("dualbrain", *SUB_NAMESPACES)
 SOURCES = [*sorted((ROOT / "examples").glob("*.py")), ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 DEVELOPER_PAGES = (
-    "docs/development/",
     "docs/reference/migration.md",
     "docs/results/",
     "docs/experiments/",

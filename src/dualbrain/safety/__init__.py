@@ -10,11 +10,12 @@ if TYPE_CHECKING:
     from dualbrain.core.geometry.distance import signed_distance
     from dualbrain.robots.site_config import SiteFile, read_site
     from dualbrain.safety.barriers.scenarios import EXACT_TRACKING
+    from dualbrain.safety.cbf.batch import BatchResult
     from dualbrain.safety.cbf.config import FilterConfig
     from dualbrain.safety.cbf.filter import SafetyFilter, ToolState
     from dualbrain.safety.cbf.obstacles import Contact, Obstacle, SpeedAndSeparation
     from dualbrain.safety.cbf.result import FilterResult, FilterStatus
-    from dualbrain.safety.cbf.rows import ConstraintRow, PythonBarrier, Rank
+    from dualbrain.safety.cbf.rows import BarrierRow, ConstraintRow, PythonBarrier, Rank
     from dualbrain.safety.integration.derating import derate
     from dualbrain.safety.integration.gym_env import FilteredEnv, TorqueDrive
     from dualbrain.safety.integration.intervention_log import (
@@ -42,6 +43,7 @@ _MODULES = {
         "read_site",
     ),
     "safety.barriers.scenarios": ("EXACT_TRACKING",),
+    "safety.cbf.batch": ("BatchResult",),
     "safety.cbf.config": ("FilterConfig",),
     "safety.cbf.filter": (
         "SafetyFilter",
@@ -57,6 +59,7 @@ _MODULES = {
         "FilterStatus",
     ),
     "safety.cbf.rows": (
+        "BarrierRow",
         "ConstraintRow",
         "PythonBarrier",
         "Rank",
@@ -94,6 +97,8 @@ _MODULES = {
 
 __all__ = [
     "EXACT_TRACKING",
+    "BarrierRow",
+    "BatchResult",
     "ConstraintRow",
     "Contact",
     "FilterConfig",
