@@ -429,7 +429,7 @@ def test_a_process_with_another_adapter_is_detected(home, own_registry, monkeypa
     path = prepare_adapters(stack, home / "cache")[0].path
     kept = path.read_bytes()
     shutil.copyfile(other, path)
-    monkeypatch.setattr("dualbrain.adaptation.serving.gguf_cache._file_hash", lambda path: "as it should be")
+    monkeypatch.setattr("dualbrain.adaptation.serving.gguf_cache.file_sha256", lambda path: "as it should be")
     path.with_suffix(".sha256").write_text("as it should be")
     with pytest.raises(AdapterMismatchError, match="canary"):
         open_one(home, f"adapter:{card.id}", adapters=own_home / "adapters")
