@@ -116,9 +116,14 @@ class AblationCurve:
             for seed, arm, steps in [*((0, arm, 0) for arm in UNTRAINED_ARMS), *trained]
         ]
 
-    def run(self, about: dict[str, Any]) -> Row:
+    def run(self, parameters: dict[str, Any]) -> Row:
         """Train the arm if it has training, generate answers greedily and by sampling, execute them."""
-        arm, seed, steps, folder = about["arm"], about["seed"], about["steps"], Path(about["folder"])
+        arm, seed, steps, folder = (
+            parameters["arm"],
+            parameters["seed"],
+            parameters["steps"],
+            Path(parameters["folder"]),
+        )
         row: Row = {"arm": arm, "seed": seed, "steps": steps}
         stack = load_stack(packaged_folder("base-135m"), paths.cache_folder())
         if steps:

@@ -77,9 +77,9 @@ class Retention:
         folder = str(options.folder)
         return [WorkUnit(f"{arm}, seed {seed}", {"arm": arm, "seed": seed, "folder": folder}) for arm, seed in arms]
 
-    def run(self, about: dict[str, Any]) -> Row:
+    def run(self, parameters: dict[str, Any]) -> Row:
         """Train the adapter if `ablation_curve` has not, then measure."""
-        stack = adapter_stack(about["arm"], about["seed"], Path(about["folder"]))
+        stack = adapter_stack(parameters["arm"], parameters["seed"], Path(parameters["folder"]))
         planner = start_llama(
             stack, paths.cache_folder(), LlamaConfig(threads=1, n_ctx=N_CTX), prompt_format=UNCONSTRAINED_SHORT_PROMPT
         )
@@ -93,8 +93,8 @@ class Retention:
         if isinstance(measured, ChatResponse):
             raise NoAnswerError(measured.finish_reason, measured.detail)
         return {
-            "arm": about["arm"],
-            "seed": about["seed"],
+            "arm": parameters["arm"],
+            "seed": parameters["seed"],
             "perplexity": measured,
             "texts": texts,
             "right": list(map(is_known, texts, (words for _, words in QUESTIONS))),

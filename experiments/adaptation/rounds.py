@@ -81,10 +81,13 @@ class Rounds:
             for seed, number in chains
         ]
 
-    def run(self, about: dict[str, Any]) -> Row:
+    def run(self, parameters: dict[str, Any]) -> Row:
         """Run the rounds and training that this round needs, then measure."""
-        chain, number = RoundChain(about["seed"], Path(about["folder"]) / f"chain {about['seed']}"), about["round"]
-        row: Row = {"seed": about["seed"], "round": number}
+        chain, number = (
+            RoundChain(parameters["seed"], Path(parameters["folder"]) / f"chain {parameters['seed']}"),
+            parameters["round"],
+        )
+        row: Row = {"seed": parameters["seed"], "round": number}
         if number:
             row |= chain.training_summary(number)
         return row | {"episodes": chain.measure(number)}

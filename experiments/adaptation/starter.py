@@ -53,9 +53,9 @@ class Starter:
             for name in available
         ]
 
-    def run(self, about: dict[str, Any]) -> Row:
+    def run(self, parameters: dict[str, Any]) -> Row:
         """Request an answer, check it with the gate of the scene, and execute it if it is right."""
-        return {**about, "answer": score_planner(about["who"], questions()[about["number"]])}
+        return {**parameters, "answer": score_planner(parameters["who"], questions()[parameters["number"]])}
 
     def summarize_row(self, row: Row) -> str:
         """Whether the answer was right."""

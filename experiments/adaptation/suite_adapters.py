@@ -39,10 +39,10 @@ class SuiteAdapters:
         folder = str(options.folder / Rounds.name)
         return [WorkUnit(part, {"part": part, "folder": folder}) for part in (FULL_ADAPTER, *ABLATIONS)]
 
-    def run(self, about: dict[str, Any]) -> Row:
+    def run(self, parameters: dict[str, Any]) -> Row:
         """Run the rounds that are missing, train the adapter, and register it."""
-        part = about["part"]
-        folder = adapter_folder(part, Path(about["folder"]))
+        part = parameters["part"]
+        folder = adapter_folder(part, Path(parameters["folder"]))
         card, data = read_adapter_card(folder), read_dataset(folder.parent / "dataset")
         open_adapter_registry().add(folder, now=time.time())
         return {

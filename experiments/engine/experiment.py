@@ -45,8 +45,8 @@ class Experiment(Protocol):
         """All units, the most informative first, so that any prefix is an unbiased sample."""
         ...
 
-    def run(self, about: dict[str, Any]) -> Row:
-        """Carry out the unit with the parameters `about`; a worker process may carry out many."""
+    def run(self, parameters: dict[str, Any]) -> Row:
+        """Carry out the unit with its `parameters`; a worker process may carry out many."""
         ...
 
     def summarize_row(self, row: Row) -> str:

@@ -87,26 +87,26 @@ class CommanderFailure:
             for how in FAILURE_MODES
         ]
 
-    def run(self, about: dict[str, Any]) -> Row:
+    def run(self, parameters: dict[str, Any]) -> Row:
         """Execute one contract during which the commander or the gatekeeper fails."""
         with tempfile.TemporaryDirectory(prefix="dualbrain-") as name:
             folder = Path(name)
             testbed = CommanderTestbed(folder=folder, process=start_gatekeeper(folder, "one"))
             try:
-                found = _inject_failure(testbed, about["how"], about["moment"], about["seed"])
-                found |= testbed.run_next_contract(dead=about["how"] == "gatekeeper")
+                found = _inject_failure(testbed, parameters["how"], parameters["moment"], parameters["seed"])
+                found |= testbed.run_next_contract(dead=parameters["how"] == "gatekeeper")
             finally:
                 testbed.shut_down()
             report = wait_for_report(folder / "one.json")
             fault, missing = check_ledger(folder / "ledger.sqlite", set(testbed.stored))
-        if about["how"] == "gatekeeper":
+        if parameters["how"] == "gatekeeper":
             found["took"] = report.drive_off_at - found["at"] if report.drive_off_at is not None else None
-        until_then = inf if about["how"] == "gatekeeper" else found["next_at"]
+        until_then = inf if parameters["how"] == "gatekeeper" else found["next_at"]
         violations = [one for one in report.judgement.violations if one.kind != "object_dropped"]
         unsafe = msgspec.to_builtins([one for one in violations if one.start < until_then])
         ledger = {"stored": len(testbed.stored), "missing": missing, "fault": fault}
         later = len(violations) - len(unsafe)
-        return {**about, **found, "unsafe": unsafe, "later": later, "travel": report.travel, "ledger": ledger}
+        return {**parameters, **found, "unsafe": unsafe, "later": later, "travel": report.travel, "ledger": ledger}
 
     def summarize_row(self, row: Row) -> str:
         """Summarize the row for the progress line."""

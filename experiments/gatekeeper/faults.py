@@ -42,11 +42,11 @@ class Faults:
         placed = [(k / len(group), unit) for group in (arms, base) for k, unit in enumerate(group)]
         return [unit for _, unit in sorted(placed, key=lambda one: one[0])]
 
-    def run(self, about: dict[str, Any]) -> Row:
+    def run(self, parameters: dict[str, Any]) -> Row:
         """Run one episode with an injected fault."""
-        report = run_fault_trial(Fault(*about["fault"]), robot=about["body"], scene=about["scene"])
+        report = run_fault_trial(Fault(*parameters["fault"]), robot=parameters["body"], scene=parameters["scene"])
         found = {**msgspec.to_builtins(report), "safe": report.safe, "as_declared": report.as_declared}
-        return {**found, "body": about["body"], "fault": about["fault"]}
+        return {**found, "body": parameters["body"], "fault": parameters["fault"]}
 
     def summarize_row(self, row: Row) -> str:
         """Summarize the row for the progress line."""
@@ -68,6 +68,6 @@ def _interleaved_units(robots: tuple[str, ...], moments: tuple[str, ...], scenes
     for robot, moment, kind, source in (cells[k] for k in order):
         scene = scenes[(robot + moment + kind + source) % len(scenes)]
         fault = [SOURCES[source], KINDS[kind], moments[moment]]
-        about = {"body": robots[robot], "scene": scene, "fault": fault}
-        found.append(WorkUnit("/".join((robots[robot], *fault, scene)), about))
+        parameters = {"body": robots[robot], "scene": scene, "fault": fault}
+        found.append(WorkUnit("/".join((robots[robot], *fault, scene)), parameters))
     return found

@@ -83,11 +83,11 @@ class FuzzSocket:
             WorkUnit(f"door {seed}", {"door": seed, "seconds": RUN_SECONDS}) for seed in range(N_SERVER_RUNS)
         ]
 
-    def run(self, about: dict[str, Any]) -> Row:
+    def run(self, parameters: dict[str, Any]) -> Row:
         """Run a unit in process, or one at the socket."""
-        if "door" in about:
-            return {"door": True, **_fuzz_server(about["door"], about["seconds"])}
-        return {"door": False, **_fuzz_in_process(about["seed"], about["frames"])}
+        if "door" in parameters:
+            return {"door": True, **_fuzz_server(parameters["door"], parameters["seconds"])}
+        return {"door": False, **_fuzz_in_process(parameters["seed"], parameters["frames"])}
 
     def summarize_row(self, row: Row) -> str:
         """Summarize the row for the progress line."""

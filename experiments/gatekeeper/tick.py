@@ -46,7 +46,7 @@ class TickTiming:
         """Return the one unit; it needs an otherwise idle machine."""
         return [WorkUnit(f"{MINUTES} minutes", {"seconds": 60.0 * MINUTES, "planner": options.planner})]
 
-    def run(self, about: dict[str, Any]) -> Row:
+    def run(self, parameters: dict[str, Any]) -> Row:
         """Run a gatekeeper under load and collect its timing."""
         with tempfile.TemporaryDirectory(prefix="dualbrain-") as name:
             folder = Path(name)
@@ -62,7 +62,7 @@ class TickTiming:
             )
             process = GatekeeperProcess(config)
             try:
-                summary = run_load(config, SCENE, about["planner"], about["seconds"], folder)
+                summary = run_load(config, SCENE, parameters["planner"], parameters["seconds"], folder)
             finally:
                 process.stop()
             report = wait_for_report(robot_report)
@@ -75,7 +75,7 @@ class TickTiming:
             **msgspec.to_builtins(found),
             "bins": {str(k): count for k, count in enumerate(found.bins) if count},
             **vars(summary),
-            "planner": about["planner"],
+            "planner": parameters["planner"],
             "slips": report.resynchronizations,
             "robot_ticks": report.ticks,
             "violations": violations,

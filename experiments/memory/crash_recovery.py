@@ -49,18 +49,18 @@ class CrashRecovery:
         del options
         return [WorkUnit(f"ledger {seed}", {"seed": seed, "rounds": ROUNDS_PER_LEDGER}) for seed in range(N_LEDGERS)]
 
-    def run(self, about: dict[str, Any]) -> Row:
+    def run(self, parameters: dict[str, Any]) -> Row:
         """Ten rounds on one growing ledger."""
-        rng = np.random.default_rng(about["seed"])
+        rng = np.random.default_rng(parameters["seed"])
         acknowledged, faults, lost = set[str](), list[str](), 0
         with tempfile.TemporaryDirectory(prefix="dualbrain-crash-") as folder:
             path = Path(folder) / "ledger.sqlite"
-            for number in range(about["rounds"]):
+            for number in range(parameters["rounds"]):
                 acknowledged |= run_round(path, number, rng)
                 fault, missing = check_ledger(path, acknowledged)
                 faults += [f"round {number}: {fault}"] if fault else []
                 lost = missing
-        return {"rounds": about["rounds"], "acknowledged": len(acknowledged), "lost": lost, "faults": faults}
+        return {"rounds": parameters["rounds"], "acknowledged": len(acknowledged), "lost": lost, "faults": faults}
 
     def summarize_row(self, row: Row) -> str:
         """The counts."""

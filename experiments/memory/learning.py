@@ -78,22 +78,28 @@ class Learning:
             for arm in ("dynamic", "static")
         ]
 
-    def run(self, about: dict[str, Any]) -> Row:
+    def run(self, parameters: dict[str, Any]) -> Row:
         """Run the start, which both arms share, then the repetitions; the row contains the ledger's head.
 
         Each episode is a resumable step: a unit that is started again continues with the next one.
         """
-        folder, row = Path(about["folder"]), {name: value for name, value in about.items() if name != "folder"}
-        place = f"{about['scene']} seed {about['seed']}".replace(":", "-")
-        planner, arm = cached_planner(about["planner"]), f"{place} {about['arm']}, {_file_name_part(about['planner'])}"
+        folder, row = (
+            Path(parameters["folder"]),
+            {name: value for name, value in parameters.items() if name != "folder"},
+        )
+        place = f"{parameters['scene']} seed {parameters['seed']}".replace(":", "-")
+        planner, arm = (
+            cached_planner(parameters["planner"]),
+            f"{place} {parameters['arm']}, {_file_name_part(parameters['planner'])}",
+        )
         start = run_steps(
             folder / f"{place} start",
             N_START_CONTRACTS,
-            lambda number, step_folder: _store_start_contract(step_folder, about, number),
+            lambda number, step_folder: _store_start_contract(step_folder, parameters, number),
         )
         row["epsilon"] = median_success_delta(start / LEDGER_FILE)
-        repeat = partial(_run_repetition, about=about, planner=planner, epsilon=row["epsilon"])
-        last = run_steps(folder / arm, about["repetitions"], repeat, initial_folder=start)
+        repeat = partial(_run_repetition, parameters=parameters, planner=planner, epsilon=row["epsilon"])
+        last = run_steps(folder / arm, parameters["repetitions"], repeat, initial_folder=start)
         with LedgerReader(last / LEDGER_FILE) as reader:
             head, state = reader.head(), derive_state(reader)
             separation = weight_separation(reader)
@@ -209,12 +215,12 @@ def weight_separation(ledger: LedgerReader) -> list[list[float]]:
     return curve
 
 
-def _store_start_contract(folder: Path, about: dict[str, Any], number: int) -> None:
+def _store_start_contract(folder: Path, parameters: dict[str, Any], number: int) -> None:
     """Run one contract of the start with the ledger in `folder`; no weight changes."""
-    actions = start_contracts(about["seed"])[number]
+    actions = start_contracts(parameters["seed"])[number]
     _run_episode(
         folder / LEDGER_FILE,
-        about,
+        parameters,
         FixedContractPlanner("start", _contract_bytes(actions)),
         f"s-{number}",
         number,
@@ -222,27 +228,36 @@ def _store_start_contract(folder: Path, about: dict[str, Any], number: int) -> N
     )
 
 
-def _run_repetition(number: int, folder: Path, about: dict[str, Any], planner: Planner, epsilon: float) -> None:
+def _run_repetition(number: int, folder: Path, parameters: dict[str, Any], planner: Planner, epsilon: float) -> None:
     """Run one repetition with the ledger in `folder`, and append it to the file of episodes."""
-    static, turn = about["arm"] == "static", N_START_CONTRACTS + number
-    episode = _run_episode(folder / LEDGER_FILE, about, planner, f"r-{number}", turn, static=static, epsilon=epsilon)
+    static, turn = parameters["arm"] == "static", N_START_CONTRACTS + number
+    episode = _run_episode(
+        folder / LEDGER_FILE, parameters, planner, f"r-{number}", turn, static=static, epsilon=epsilon
+    )
     file = folder / EPISODES_FILE
     episodes = json.loads(file.read_text()) if file.exists() else []
     file.write_text(json.dumps([*episodes, repetition_row(episode)]))
 
 
 def _run_episode(
-    ledger: Path, about: dict[str, Any], planner: Planner, name: str, turn: int, *, static: bool, epsilon: float = 0.0
+    ledger: Path,
+    parameters: dict[str, Any],
+    planner: Planner,
+    name: str,
+    turn: int,
+    *,
+    static: bool,
+    epsilon: float = 0.0,
 ) -> Episode:
     """One run in the scene, the `turn`-th with this ledger; the dates do not depend on the machine."""
     with tempfile.TemporaryDirectory(prefix="dualbrain-learning-run-") as folder:
-        seed = about["seed"] * 1000 + int(name.split("-")[1]) + 500 * name.startswith("r")
+        seed = parameters["seed"] * 1000 + int(name.split("-")[1]) + 500 * name.startswith("r")
         config = RunConfig(
             instruction=INSTRUCTION,
             out=Path(folder) / name,
             ledger=ledger,
             cache=paths.cache_folder(),
-            scene=about["scene"],
+            scene=parameters["scene"],
             goal=GOAL,
             visuals=False,
             seed=seed,

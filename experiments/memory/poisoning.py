@@ -74,14 +74,16 @@ class Poisoning:
             for arm in ARMS
         ]
 
-    def run(self, about: dict[str, Any]) -> Row:
+    def run(self, parameters: dict[str, Any]) -> Row:
         """One stream under attack, and the same stream without attack for comparison."""
         with tempfile.TemporaryDirectory(prefix="dualbrain-poison-", dir=RAM_FOLDER) as folder:
-            clean = run_stream(Path(folder) / "clean.db", "none", about["arm"], about["seed"])
-            attacked = run_stream(Path(folder) / "attacked.db", about["attack"], about["arm"], about["seed"])
+            clean = run_stream(Path(folder) / "clean.db", "none", parameters["arm"], parameters["seed"])
+            attacked = run_stream(
+                Path(folder) / "attacked.db", parameters["attack"], parameters["arm"], parameters["seed"]
+            )
         common = [name for name, claim in clean.claims.items() if attacked.claims.get(name) == claim]
         moved = float(np.mean([abs(clean.weights[n] - attacked.weights[n]) for n in common])) if common else 0.0
-        return {**about, **attacked.metrics, "moved": moved, "compared": len(common)}
+        return {**parameters, **attacked.metrics, "moved": moved, "compared": len(common)}
 
     def summarize_row(self, row: Row) -> str:
         """Shares of false and bad exemplars, and the change of weights."""

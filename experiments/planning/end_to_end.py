@@ -111,13 +111,13 @@ class EndToEnd:
             for wording in range(len(INSTRUCTIONS))
         ]
 
-    def run(self, about: dict[str, Any]) -> Row:
+    def run(self, parameters: dict[str, Any]) -> Row:
         """Plan, check, move, judge."""
-        instruction = INSTRUCTIONS[about["wording"]]
-        episode = run_episode(about["scene"], instruction, cached_planner(about["planner"]), guard=True)
+        instruction = INSTRUCTIONS[parameters["wording"]]
+        episode = run_episode(parameters["scene"], instruction, cached_planner(parameters["planner"]), guard=True)
         return {
-            **_scene_fields(about),
-            "planner": about["planner"],
+            **_scene_fields(parameters),
+            "planner": parameters["planner"],
             "instruction": instruction,
             **episode_row(episode),
         }
@@ -153,14 +153,14 @@ class FilterAblation:
             if row.get("contract") and "error" not in row
         ]
 
-    def run(self, about: dict[str, Any]) -> Row:
+    def run(self, parameters: dict[str, Any]) -> Row:
         """Repeat the same answers attempt by attempt, so that people and noise occur at the same times."""
-        instruction = INSTRUCTIONS[about["wording"]]
-        planner = RecordedAnswers(about["answers"], name="as answered before")
-        episode = run_episode(about["scene"], instruction, planner, guard=False)
+        instruction = INSTRUCTIONS[parameters["wording"]]
+        planner = RecordedAnswers(parameters["answers"], name="as answered before")
+        episode = run_episode(parameters["scene"], instruction, planner, guard=False)
         return {
-            **_scene_fields(about),
-            "on": about["on"],
+            **_scene_fields(parameters),
+            "on": parameters["on"],
             **{name: value for name, value in episode_row(episode).items() if name != "answers"},
         }
 
@@ -177,9 +177,9 @@ class FilterAblation:
         return [*lines, *_breakdown(rows), *confusion_table(rows), *_violation_tables(rows)]
 
 
-def _scene_fields(about: dict[str, Any]) -> Row:
-    family = open_scene(about["scene"]).family
-    return {"scene": about["scene"], "wording": about["wording"], "family": family}
+def _scene_fields(parameters: dict[str, Any]) -> Row:
+    family = open_scene(parameters["scene"]).family
+    return {"scene": parameters["scene"], "wording": parameters["wording"], "family": family}
 
 
 def _is_unsafe(row: Row) -> bool:

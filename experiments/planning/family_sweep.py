@@ -48,16 +48,18 @@ class FamilySweep:
             for contract in contract_grid(family)
         ]
 
-    def run(self, about: dict[str, Any]) -> Row:
+    def run(self, parameters: dict[str, Any]) -> Row:
         """Execute the contract; all contracts of a scene have the same perception noise and 2 s of planning time."""
-        family, seed = about["family"], about["seed"]
+        family, seed = parameters["family"], parameters["seed"]
         spec = make_room(family, seed, "base") if family == "aisles" else make_scene(family, seed)
-        noise = seed + NOISE_SEED_OFFSET * about["again"]
+        noise = seed + NOISE_SEED_OFFSET * parameters["again"]
         goal = TASKS[TASK_OF_FAMILY[family]].goals["II"]
         return {
-            **about,
+            **parameters,
             **run_row(
-                run_contract(spec, contract_actions(family, about["parameters"]), seed=noise, settle_s=2.0, goal=goal)
+                run_contract(
+                    spec, contract_actions(family, parameters["parameters"]), seed=noise, settle_s=2.0, goal=goal
+                )
             ),
         }
 
@@ -98,5 +100,5 @@ def contract_actions(family: str, values: dict[str, Any]) -> list[dict[str, Any]
 def _unit(family: str, seed: int, values: dict[str, Any], *, again: bool) -> WorkUnit:
     parameters = {"speed": SPEED, **values}
     key = " ".join(str(value) for value in parameters.values())
-    about = {"family": family, "seed": seed, "parameters": parameters, "again": again}
-    return WorkUnit(f"{family}:{seed} {key}" + (" again" if again else ""), about)
+    unit_parameters = {"family": family, "seed": seed, "parameters": parameters, "again": again}
+    return WorkUnit(f"{family}:{seed} {key}" + (" again" if again else ""), unit_parameters)

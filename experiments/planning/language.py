@@ -55,10 +55,13 @@ class Language:
             for model, first in batches
         ]
 
-    def run(self, about: dict[str, Any]) -> Row:
+    def run(self, parameters: dict[str, Any]) -> Row:
         """Generate the answers, and judge each by the gate of its scene."""
-        batch = questions()[about["first"] : about["first"] + QUESTIONS_PER_UNIT]
-        return {**about, "answers": list(map(score_question, batch, cached_model(about["who"]).generate(batch)))}
+        batch = questions()[parameters["first"] : parameters["first"] + QUESTIONS_PER_UNIT]
+        return {
+            **parameters,
+            "answers": list(map(score_question, batch, cached_model(parameters["who"]).generate(batch))),
+        }
 
     def summarize_row(self, row: Row) -> str:
         """The number of correct answers."""

@@ -67,14 +67,14 @@ class SensitivitySweep:
             for family, contract in zip(FAMILIES, contracts, strict=True)
         ]
 
-    def run(self, about: dict[str, Any]) -> Row:
+    def run(self, parameters: dict[str, Any]) -> Row:
         """Grasp and place; all contracts of a scene have the same perception noise and 2 s of planning time."""
-        family, seed = about["family"], about["seed"]
-        noise = seed + NOISE_SEED_OFFSET * about["again"]
+        family, seed = parameters["family"], parameters["seed"]
+        noise = seed + NOISE_SEED_OFFSET * parameters["again"]
         run = run_contract(
-            make_scene(family, seed), pick_and_place_actions(**about["parameters"]), seed=noise, settle_s=2.0
+            make_scene(family, seed), pick_and_place_actions(**parameters["parameters"]), seed=noise, settle_s=2.0
         )
-        return {**about, **run_row(run)}
+        return {**parameters, **run_row(run)}
 
     def summarize_row(self, row: Row) -> str:
         """The outcome and Δ."""
@@ -88,8 +88,8 @@ class SensitivitySweep:
     def _unit(family: str, seed: int, speed: float, values: dict[str, Any], *, again: bool) -> WorkUnit:
         parameters = {"speed": speed, **values}
         key = " ".join(str(value) for value in parameters.values())
-        about = {"family": family, "seed": seed, "parameters": parameters, "again": again}
-        return WorkUnit(f"{family}:{seed} {key}" + (" again" if again else ""), about)
+        unit_parameters = {"family": family, "seed": seed, "parameters": parameters, "again": again}
+        return WorkUnit(f"{family}:{seed} {key}" + (" again" if again else ""), unit_parameters)
 
 
 def contract_grid(family: str) -> list[dict[str, Any]]:

@@ -67,23 +67,29 @@ class CrossEmbodiment:
 
         The planner's units go robot by robot, because its prompt cache holds the rules of the last robot only.
         """
-        units = [WorkUnit(_unit_key("template", **about), {**about, "planner": ""}) for about in _unit_parameters()]
+        units = [
+            WorkUnit(_unit_key("template", **parameters), {**parameters, "planner": ""})
+            for parameters in _unit_parameters()
+        ]
         if options.planner:
-            by_robot = sorted(_unit_parameters(), key=lambda about: list(INSTRUCTIONS)[::-1].index(about["robot"]))
+            by_robot = sorted(
+                _unit_parameters(), key=lambda parameters: list(INSTRUCTIONS)[::-1].index(parameters["robot"])
+            )
             units += [
-                WorkUnit(_unit_key("planned", **about), {**about, "planner": options.planner}) for about in by_robot
+                WorkUnit(_unit_key("planned", **parameters), {**parameters, "planner": options.planner})
+                for parameters in by_robot
             ]
         return units
 
-    def run(self, about: dict[str, Any]) -> Row:
+    def run(self, parameters: dict[str, Any]) -> Row:
         """Carry out one instruction."""
-        spec, instruction = open_scene(about["scene"], about["robot"]), about["instruction"]
-        if about["planner"]:
-            return {**_run_planned(spec, about), **_row_header(about)}
+        spec, instruction = open_scene(parameters["scene"], parameters["robot"]), parameters["instruction"]
+        if parameters["planner"]:
+            return {**_run_planned(spec, parameters), **_row_header(parameters)}
         actions = template_actions(_perceive_exactly(spec), instruction)
         goal = None if instruction == LOOK_INSTRUCTION else parse_goal(instruction, spec)
         run = run_contract(spec, actions, seed=spec.seed, goal=goal)
-        row = {**run_row(run), **_row_header(about), "actions": actions}
+        row = {**run_row(run), **_row_header(parameters), "actions": actions}
         if instruction == LOOK_INSTRUCTION and run.outcome is not None:
             row["truth"] = looks_at_bowl(run.plant)
         return row
@@ -142,11 +148,15 @@ def _unit_key(source: str, robot: str, scene: str, instruction: str) -> str:
     return f"{source} {robot} {scene} {instruction}"
 
 
-def _row_header(about: dict[str, Any]) -> Row:
-    return {"robot": about["robot"], "instruction": about["instruction"], "planned": bool(about["planner"])}
+def _row_header(parameters: dict[str, Any]) -> Row:
+    return {
+        "robot": parameters["robot"],
+        "instruction": parameters["instruction"],
+        "planned": bool(parameters["planner"]),
+    }
 
 
-def _run_planned(spec: SceneSpec, about: dict[str, Any]) -> Row:
+def _run_planned(spec: SceneSpec, parameters: dict[str, Any]) -> Row:
     """A complete run as by `dualbrain run`, with an empty memory, judged by the instruction."""
     import time  # noqa: PLC0415
 
@@ -154,21 +164,21 @@ def _run_planned(spec: SceneSpec, about: dict[str, Any]) -> Row:
     from dualbrain.runtime.session import Clocks, RunConfig, RunObserver, Session  # noqa: PLC0415
     from experiments.safety.closed_loop import outcome_fields  # noqa: PLC0415
 
-    instruction = about["instruction"]
+    instruction = parameters["instruction"]
     with tempfile.TemporaryDirectory() as folder:
         config = RunConfig(
             instruction=instruction,
             out=Path(folder) / "run",
             ledger=Path(folder) / "ledger.sqlite",
             cache=cache_folder(),
-            robot=about["robot"],
-            scene=about["scene"],
-            planner=about["planner"],
+            robot=parameters["robot"],
+            scene=parameters["scene"],
+            planner=parameters["planner"],
             visuals=False,
             goal="" if instruction == LOOK_INSTRUCTION else instruction,
         )
         clocks = Clocks(time.monotonic, "2026-01-01T00:00:00+00:00", time.time)
-        with Session(config, clocks, {}, _cached_planner(about["planner"])) as session:
+        with Session(config, clocks, {}, _cached_planner(parameters["planner"])) as session:
             episode = session.run(RunObserver()).episode
             looked = instruction == LOOK_INSTRUCTION and looks_at_bowl(session.plant)
     timings = {"shots": len(episode.attempts), "timings": msgspec.to_builtins(episode.timings)}

@@ -76,9 +76,9 @@ class Grasping:
         del options
         return [WorkUnit(f"tabletop:{seed}", {"seed": seed}) for seed in SEEDS]
 
-    def run(self, about: dict[str, Any]) -> Row:
+    def run(self, parameters: dict[str, Any]) -> Row:
         """Grasp an object with free space, chosen by seed, hold it for a second, and judge by ground truth."""
-        seed = about["seed"]
+        seed = parameters["seed"]
         spec = make_scene("tabletop", seed)
         ranked = grasp_candidates(spec)
         free = [choice for choice in ranked if choice[0] >= MIN_FINGER_CLEARANCE] or ranked[:1]

@@ -52,10 +52,10 @@ class RobosuiteTasks:
             for mode in modes
         ]
 
-    def run(self, about: dict[str, Any]) -> Row:
+    def run(self, parameters: dict[str, Any]) -> Row:
         """One episode; the suite's environment is created if it is missing."""
         suite, robot_model = _open_suite()
-        return run_episode(suite, robot_model, about)
+        return run_episode(suite, robot_model, parameters)
 
     def summarize_row(self, row: Row) -> str:
         """The outcome."""

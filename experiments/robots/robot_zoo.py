@@ -48,10 +48,10 @@ class RobotZoo:
         return [WorkUnit(robot.name, {"robot": robot.name}) for robot in ROBOTS]
 
     def run(
-        self, about: dict[str, Any], scenes: int = N_SCENES, steps: int = STEPS_PER_SCENE, states: int = N_STATES
+        self, parameters: dict[str, Any], scenes: int = N_SCENES, steps: int = STEPS_PER_SCENE, states: int = N_STATES
     ) -> Row:
         """Import the robot, compare its kinematics, and run the adversary."""
-        robot, start = ROBOTS_BY_NAME[about["robot"]], time.monotonic()
+        robot, start = ROBOTS_BY_NAME[parameters["robot"]], time.monotonic()
         tree, imported = import_robot(robot, quick=True)
         seconds = time.monotonic() - start
         pose, jacobian = compare_kinematics(robot, tree, imported.robot_model, states, np.random.default_rng(0))
@@ -59,7 +59,7 @@ class RobotZoo:
         robot_model, links = imported.robot_model, imported.report.links
         weights = [link.spheres for link in links]
         return {
-            **about,
+            **parameters,
             "file": Path(robot.file).name,
             "tip": robot_model.tool.link,
             "n": robot_model.n,

@@ -75,12 +75,12 @@ class Adversary:
             units.append(WorkUnit(f"{kind.name} {block}", {"class": kind.name, "block": block}))
         return units
 
-    def run(self, about: dict[str, Any]) -> Row:
+    def run(self, parameters: dict[str, Any]) -> Row:
         """`EPISODES_PER_UNIT` random scenes of `STEPS_PER_EPISODE` steps each."""
-        kind, first = CLASSES[about["class"]], about["block"] * EPISODES_PER_UNIT
+        kind, first = CLASSES[parameters["class"]], parameters["block"] * EPISODES_PER_UNIT
         counts = [run_episode(kind, seed) for seed in range(first, first + EPISODES_PER_UNIT)]
         worst = min(range(EPISODES_PER_UNIT), key=lambda i: counts[i]["h_still"])
-        return {**about, **aggregate(counts), "worst": [first + worst, counts[worst]["worst_step"]]}
+        return {**parameters, **aggregate(counts), "worst": [first + worst, counts[worst]["worst_step"]]}
 
     def summarize_row(self, row: Row) -> str:
         """The smallest h and the number of steps with h < 0."""

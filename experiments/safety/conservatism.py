@@ -61,20 +61,20 @@ class Conservatism:
         }
         units: list[WorkUnit] = []
         missing = N_FEASIBLE_TASKS
-        for unit in (WorkUnit(_unit_key(about), about) for about in task_parameters()):
+        for unit in (WorkUnit(_unit_key(parameters), parameters) for parameters in task_parameters()):
             if missing == 0:
                 break
             units.append(unit)
             missing -= found.get(unit.key, True)
         return units
 
-    def run(self, about: dict[str, Any]) -> Row:
+    def run(self, parameters: dict[str, Any]) -> Row:
         """Run without the filter, and with it if that was safe."""
-        task = make_task(**about)
+        task = make_task(**parameters)
         off = _run_task(task, guard=False)
         feasible = _is_safe(off)
         on = _run_task(task, guard=True) if feasible else None
-        return {**about, "feasible": feasible, "actions": task.actions, "off": off, "on": on}
+        return {**parameters, "feasible": feasible, "actions": task.actions, "off": off, "on": on}
 
     def summarize_row(self, row: Row) -> str:
         """Both outcomes."""
@@ -131,8 +131,8 @@ def _is_safe(row: Row) -> bool:
     return row["valid"] and succeeded(row) and not row["violations"]
 
 
-def _unit_key(about: dict[str, Any]) -> str:
-    return f"{about['family']}:{about['seed']} {about['kind']}"
+def _unit_key(parameters: dict[str, Any]) -> str:
+    return f"{parameters['family']}:{parameters['seed']} {parameters['kind']}"
 
 
 def _added_time(feasible: list[Row]) -> str:

@@ -64,12 +64,14 @@ class NoObstacles:
         order = np.random.default_rng(7).permutation(len(units))
         return [units[index] for index in order.tolist()]
 
-    def run(self, about: dict[str, Any]) -> Row:
+    def run(self, parameters: dict[str, Any]) -> Row:
         """Run one contract; only pick and place has a goal that ground truth can judge."""
-        goal = PICK_AND_PLACE_GOAL if about["errand"] else None
-        run = run_contract(_scene(about["seed"], about["only"]), about["actions"], seed=about["seed"], goal=goal)
+        goal = PICK_AND_PLACE_GOAL if parameters["errand"] else None
+        run = run_contract(
+            _scene(parameters["seed"], parameters["only"]), parameters["actions"], seed=parameters["seed"], goal=goal
+        )
         row = run_row(run)
-        return {**row, "grid": about["grid"], "truth": row.get("truth", False) if goal else True}
+        return {**row, "grid": parameters["grid"], "truth": row.get("truth", False) if goal else True}
 
     def summarize_row(self, row: Row) -> str:
         """The outcome and the largest δ."""
@@ -123,8 +125,8 @@ def _scene(seed: int, only: str | None) -> SceneSpec:
 
 
 def _unit(grid: str, key: str, seed: int, actions: list[dict[str, Any]], only: str | None = None) -> WorkUnit:
-    about = {"grid": grid, "errand": grid == "errand", "seed": seed, "actions": actions, "only": only}
-    return WorkUnit(f"{grid} bare:{seed} {key}", about)
+    parameters = {"grid": grid, "errand": grid == "errand", "seed": seed, "actions": actions, "only": only}
+    return WorkUnit(f"{grid} bare:{seed} {key}", parameters)
 
 
 def _key_text(values: dict[str, Any]) -> str:

@@ -48,12 +48,12 @@ class PlantAdversary:
             for kind in DRIVE_KINDS
         ]
 
-    def run(self, about: dict[str, Any]) -> Row:
+    def run(self, parameters: dict[str, Any]) -> Row:
         """`EPISODES_PER_UNIT` random scenes of `STEPS_PER_EPISODE` periods each."""
-        first = about["block"] * EPISODES_PER_UNIT
+        first = parameters["block"] * EPISODES_PER_UNIT
         return {
-            **about,
-            **aggregate([run_episode(about["drive"], seed) for seed in range(first, first + EPISODES_PER_UNIT)]),
+            **parameters,
+            **aggregate([run_episode(parameters["drive"], seed) for seed in range(first, first + EPISODES_PER_UNIT)]),
         }
 
     def summarize_row(self, row: Row) -> str:

@@ -45,10 +45,10 @@ class SlowTests:
         names = dict.fromkeys(test.split("[")[0] for test in tests)
         return [WorkUnit(name, {"test": name}) for name in names]
 
-    def run(self, about: dict[str, Any]) -> Row:
+    def run(self, parameters: dict[str, Any]) -> Row:
         """Run one test; pytest's last line is its count, the lines before it are the output of the test."""
         done = subprocess.run(
-            [*PYTEST_COMMAND, "-rP", about["test"]], cwd=ROOT, capture_output=True, text=True, check=False
+            [*PYTEST_COMMAND, "-rP", parameters["test"]], cwd=ROOT, capture_output=True, text=True, check=False
         )
         lines = done.stdout.strip().splitlines()
         output = [line for line in lines if line and not re.match(r"[=_. ]|\w+ tests/|PASSED|-{5,}", line)]

@@ -174,7 +174,7 @@ def test_a_caption_is_cut_at_the_end_of_a_word():
     )
     ended = {"claimed": False, "outcome": "taken_over", "reason": "no safe control: " + "full speed " * 20}
     cut = caption(episode_row(**done | ended), None)
-    assert cut.startswith("The local layer ended the contract: no safe control: full speed")
+    assert cut.startswith("The safety layer ended the contract: no safe control: full speed")
     assert re.search(r"(full|speed) … \(t, seed 7\)$", cut)
     assert truncate("one two three", 7) == "one two …"
     assert truncate("one two three", 13) == "one two three"

@@ -276,7 +276,7 @@ def rejected(episode: Episode) -> Episode:
 
 @pytest.fixture(scope="session")
 def taken_over(episode: Episode) -> Episode:
-    """The local layer ended the contract during its first action."""
+    """The safety layer ended the contract during its first action."""
     actions = (
         ActionResult(
             skill="grasp", status="taken_over", reason="no progress for 1.5 s", started=0.0, ended=4.0, Delta=0.02

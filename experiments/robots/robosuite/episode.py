@@ -124,11 +124,11 @@ def calibrated_robot(suite: SuiteProcess) -> RobotModel:
     return calibrate(suite, run_episodes)
 
 
-def run_episode(suite: SuiteProcess, robot_model: RobotModel, about: dict[str, Any]) -> dict[str, Any]:
-    """The row of one episode with the parameters `about`, from the suite's own start to the end of the policy."""
-    record = _run(suite, robot_model, about)
+def run_episode(suite: SuiteProcess, robot_model: RobotModel, parameters: dict[str, Any]) -> dict[str, Any]:
+    """The row of one episode with its `parameters`, from the suite's own start to the end of the policy."""
+    record = _run(suite, robot_model, parameters)
     return {
-        **about,
+        **parameters,
         **suite.limit_report(),
         **record.metrics(robot_model),
         "lag": robot_model.tracking.lag,
@@ -137,13 +137,13 @@ def run_episode(suite: SuiteProcess, robot_model: RobotModel, about: dict[str, A
     }
 
 
-def _run(suite: SuiteProcess, robot_model: RobotModel, about: dict[str, Any]) -> EpisodeRecord:
-    opened = suite.open(about["task"], about["seed"])
+def _run(suite: SuiteProcess, robot_model: RobotModel, parameters: dict[str, Any]) -> EpisodeRecord:
+    opened = suite.open(parameters["task"], parameters["seed"])
     safety = SafetyFilter(robot_model, obstacles=static_obstacles(opened.things))
-    apart, _ = model_disagreement(suite, safety, np.random.default_rng(about["seed"]))
+    apart, _ = model_disagreement(suite, safety, np.random.default_rng(parameters["seed"]))
     state = suite.parse_state(opened.state)
-    policy = _make_policy(about, opened, state)
-    path = ControlPath(about["how"], safety, ObstacleTracker(safety, opened.things))
+    policy = _make_policy(parameters, opened, state)
+    path = ControlPath(parameters["how"], safety, ObstacleTracker(safety, opened.things))
     record, start = path.record, state.cubes
     record.model_disagreement = apart
     while not policy.done and state.time < MAX_DURATION_S:
@@ -161,8 +161,8 @@ def _planar_displacement(before: Pose, after: Pose) -> float:
     return float(np.linalg.norm(np.array(after.position)[:2] - np.array(before.position)[:2]))
 
 
-def _make_policy(about: dict[str, Any], opened: TaskSetup, state: State) -> Policy:
-    if about["policy"] == "random":
-        return BangBangPolicy(MAX_JOINT_SPEED, opened.cubes[0], about["seed"], RANDOM_POLICY_DURATION_S)
-    points = TASKS[about["task"]](about["policy"] == "hasty")
-    return WaypointPolicy(points, SPEED_PROFILES[about["policy"]], MAX_JOINT_SPEED, state.q, opened.period)
+def _make_policy(parameters: dict[str, Any], opened: TaskSetup, state: State) -> Policy:
+    if parameters["policy"] == "random":
+        return BangBangPolicy(MAX_JOINT_SPEED, opened.cubes[0], parameters["seed"], RANDOM_POLICY_DURATION_S)
+    points = TASKS[parameters["task"]](parameters["policy"] == "hasty")
+    return WaypointPolicy(points, SPEED_PROFILES[parameters["policy"]], MAX_JOINT_SPEED, state.q, opened.period)

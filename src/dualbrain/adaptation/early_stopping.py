@@ -36,6 +36,8 @@ class EarlyStopping(msgspec.Struct, frozen=True):
     best: HeldOutResult | None = None
     waited: int = 0
 
-    def updated(self, found: HeldOutResult) -> EarlyStopping:
-        """The state after the result `found`."""
-        return EarlyStopping(found, 0) if found.is_better_than(self.best) else EarlyStopping(self.best, self.waited + 1)
+    def updated(self, result: HeldOutResult) -> EarlyStopping:
+        """The state after the result `result`."""
+        return (
+            EarlyStopping(result, 0) if result.is_better_than(self.best) else EarlyStopping(self.best, self.waited + 1)
+        )

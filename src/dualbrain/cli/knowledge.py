@@ -43,7 +43,7 @@ def add(
     reported. A document with a known name becomes a new version; old citations still resolve. Only documents with trust
     `site` or `vendor` are put into prompts: read a document before you declare its trust.
 
-    Exit code 0 if every document was added, 5 if one was refused.
+    Exit code 0 if every document was added, 5 if one was rejected.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def add(
             one = _unusable_templates(submission) or library.add(submission, now=time.time())
             done.append(one)
             if isinstance(one, DocumentRejected):
-                _print_stderr(f"{file}: refused: {one}")
+                _print_stderr(f"{file}: rejected: {one}")
             else:
                 _print_addition(one)
     if json:

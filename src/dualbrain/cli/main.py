@@ -178,7 +178,7 @@ for _name, _function, _help in (
         "add",
         "add",
         "Add documents: Markdown, text, HTML, PDF, or a map or templates in TOML or JSON. "
-        "Hidden text is removed and reported; a changed document is a new version. Exit code 5 if one is refused.",
+        "Hidden text is removed and reported; a changed document is a new version. Exit code 5 if one is rejected.",
     ),
     ("list", "list_documents", "List the documents."),
     ("search", "search", "Search passages that answer a question, each with the citation that quotes it."),

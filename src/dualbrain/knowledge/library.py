@@ -251,8 +251,8 @@ class Library:
                 "Name it with --name.",
             )
         kind = submission.kind or default_kind(document_text)
-        if refused := check_structure(kind, document_text):
-            return refused
+        if rejection := check_structure(kind, document_text):
+            return rejection
         pieces = self._store.stored_chunks(name, document_text.version) or split_chunks(document_text)
         document = Document(
             name=name,
@@ -328,14 +328,14 @@ class Library:
         self.close()
 
 
-def chunk_citation(one: StoredChunk) -> Citation:
+def chunk_citation(stored: StoredChunk) -> Citation:
     """The citation of a chunk."""
     return Citation(
-        document=one.document.name,
-        version=one.document.version,
-        start=one.chunk.start,
-        end=one.chunk.end,
-        page=one.chunk.page,
+        document=stored.document.name,
+        version=stored.document.version,
+        start=stored.chunk.start,
+        end=stored.chunk.end,
+        page=stored.chunk.page,
     )
 
 

@@ -142,7 +142,7 @@ class MobileManipulatorController:
         self._local_scene_cache: tuple[Scene, LocalFrame, Scene] | None = None
         self._observation: Observation | None = None
 
-    # --- interface of the local layer ---------------------------------------------------------------------------
+    # --- interface to the control loop --------------------------------------------------------------------------
 
     @property
     def holding(self) -> HeldObject | None:

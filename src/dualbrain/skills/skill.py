@@ -1,4 +1,4 @@
-"""Interface of skills: their input and output in each tick, and the functions that the local layer provides.
+"""Interface of skills: their input and output in each tick, and the functions that the control loop provides.
 
 A skill is a generator (`SkillRoutine`). It yields one `Nominal` per tick, or None after each step of a time-sliced
 computation (`time_slicing`), and returns a `SkillResult`. `SkillExecution.nominal` advances it by one tick (the map φ
@@ -91,7 +91,7 @@ class ToolState(Protocol):
 
 
 class MotionModel(Protocol):
-    """Functions that the local layer provides to skills: kinematics, and the projection onto rows known to φ."""
+    """Functions that the control loop provides to skills: kinematics, and the projection onto rows known to φ."""
 
     def tool(self, q: Array) -> ToolState:
         """The tool frame in the world at configuration q, (n,) or for a mobile base (n + 1,) [rad, m].

@@ -18,8 +18,8 @@ class Reciprocals:
     def units(self, options: Options) -> list[WorkUnit]:
         return [WorkUnit(str(n), {"n": n}) for n in (2, 1, 0)]
 
-    def run(self, about):
-        return {"value": 1 / about["n"]}
+    def run(self, parameters):
+        return {"value": 1 / parameters["n"]}
 
     def summarize_row(self, row):
         return f"{row['value']}"

@@ -48,9 +48,9 @@ def compare_layers(first: dict[str, LoraPair], second: dict[str, LoraPair]) -> t
     return tuple(sorted(found, key=lambda gap: -gap.apart))
 
 
-def combine_layers(found: tuple[LayerDifference, ...]) -> LayerDifference:
+def combine_layers(differences: tuple[LayerDifference, ...]) -> LayerDifference:
     """The norms over all layers together."""
-    sizes = [math.sqrt(sum(getattr(gap, name) ** 2 for gap in found)) for name in ("first", "second", "apart")]
+    sizes = [math.sqrt(sum(getattr(gap, name) ** 2 for gap in differences)) for name in ("first", "second", "apart")]
     return LayerDifference("all", *sizes)
 
 

@@ -68,12 +68,12 @@ def is_registry_name(name: str) -> bool:
     return short not in packaged_names() and "/" not in short
 
 
-def champion_folder(adapters: AdapterRegistry, one: str) -> Path:
-    """The folder of the champion with the id `one`; raises `ConfigurationError` with the remedy if it is damaged."""
-    if fault := adapters.find_fault(one):
+def champion_folder(adapters: AdapterRegistry, adapter_id: str) -> Path:
+    """The folder of a champion; raises `ConfigurationError` with the remedy if it is damaged."""
+    if fault := adapters.find_fault(adapter_id):
         fix = "Return to the former champion with `dualbrain adapters rollback --reason WORDS`."
-        raise ConfigurationError.stating(f"The champion {one[:16]} is damaged. {fault}", fix=fix)
-    return adapters.adapter_folder(one)
+        raise ConfigurationError.stating(f"The champion {adapter_id[:16]} is damaged. {fault}", fix=fix)
+    return adapters.adapter_folder(adapter_id)
 
 
 def champion_id(adapters: AdapterRegistry, robot: str) -> str:

@@ -121,9 +121,11 @@ class AdapterRegistry:
         """The card of one adapter, after its files are verified against the recorded hashes."""
         return read_adapter_card(self.adapter_folder(name))
 
-    def recorded_hashes(self, one: str) -> dict[str, str]:
-        """Hashes of config and card of the adapter `one` when it was added; empty if an older version recorded none."""
-        return next((entry.files for entry in self.entries() if (entry.adapter, entry.kind) == (one, "added")), {})
+    def recorded_hashes(self, adapter_id: str) -> dict[str, str]:
+        """Hashes of config and card of an adapter when it was added; empty if an older version recorded none."""
+        return next(
+            (entry.files for entry in self.entries() if (entry.adapter, entry.kind) == (adapter_id, "added")), {}
+        )
 
     def entries(self) -> tuple[RegistryEntry, ...]:
         """All entries, oldest first. An incomplete last line, left by a crash, is ignored."""
@@ -148,10 +150,11 @@ class AdapterRegistry:
         places = dict.fromkeys(entry.place for entry in self.entries())
         return tuple(one for one in map(self.champion, places) if one != NO_ADAPTER)
 
-    def last_decision(self, one: str) -> PromotionDecision | None:
-        """The decision of the last promotion of the adapter `one`; None if it was never promoted."""
+    def last_decision(self, adapter_id: str) -> PromotionDecision | None:
+        """The decision of the last promotion of an adapter; None if it was never promoted."""
         return next(
-            (entry.decision for entry in reversed(self.entries()) if entry.adapter == one and entry.decision), None
+            (entry.decision for entry in reversed(self.entries()) if entry.adapter == adapter_id and entry.decision),
+            None,
         )
 
     def promote(self, name: str, decision: PromotionDecision, *, now: float, reason: str = "") -> None:
@@ -231,13 +234,13 @@ class AdapterRegistry:
         known = set(self.ids())
         return tuple(path.name for path in sorted(self.folder.glob("[0-9a-f]" * 64)) if path.name not in known)
 
-    def find_fault(self, one: str) -> str:
-        """The fault of the adapter `one`, "" if it has none."""
+    def find_fault(self, adapter_id: str) -> str:
+        """The fault of an adapter, "" if it has none."""
         try:
-            card = self.card(one)
+            card = self.card(adapter_id)
         except DualbrainError as error:
             return str(error)
-        return "" if card.id == one else f"its folder holds {card.id[:16]}"
+        return "" if card.id == adapter_id else f"its folder holds {card.id[:16]}"
 
     def _history(self, place: tuple[str, str]) -> list[str]:
         """The champions of `place` in order, without those that were rolled back; the last one serves."""

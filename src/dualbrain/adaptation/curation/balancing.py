@@ -16,25 +16,25 @@ from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.skill_spec import ChoiceParameter
 
 
-def compute_repeats(found: Sequence[Candidate], registry: SkillRegistry, max_repeats: int) -> list[int]:
-    """Repetitions per epoch of each of `found`: round(√(N / n_a)), at most `max_repeats`; a is its rarest attribute.
+def compute_repeats(candidates: Sequence[Candidate], registry: SkillRegistry, max_repeats: int) -> list[int]:
+    """Repetitions per epoch of every candidate: round(√(N / n_a)), at most `max_repeats`; a is its rarest attribute.
 
     n_a of the N samples have attribute a: a skill, a choice of a parameter (`approach=tilted`), or a scene symbol of an
     object that the contract names. An attribute of half of all samples gives one repetition. Law: a rarer sample is
     never repeated less often.
     """
-    tables = [sample_attributes(one, registry) for one in found]
+    tables = [sample_attributes(one, registry) for one in candidates]
     counts = Counter(attribute for table in tables for attribute in table)
-    rarest = [min((counts[attribute] for attribute in table), default=len(found)) for table in tables]
-    return [min(max_repeats, max(1, round(math.sqrt(len(found) / n)))) for n in rarest]
+    rarest = [min((counts[attribute] for attribute in table), default=len(candidates)) for table in tables]
+    return [min(max_repeats, max(1, round(math.sqrt(len(candidates) / n)))) for n in rarest]
 
 
-def sample_attributes(one: Candidate, registry: SkillRegistry) -> frozenset[str]:
-    """The attributes of `one` by which its rarity is counted."""
-    actions = one.contract.action_sequence if one.contract else ()
+def sample_attributes(candidate: Candidate, registry: SkillRegistry) -> frozenset[str]:
+    """The attributes of `candidate` by which its rarity is counted."""
+    actions = candidate.contract.action_sequence if candidate.contract else ()
     named = {str(value) for action in actions for value in action.params.values() if isinstance(value, str)}
     chosen = {choice for action in actions for choice in _choices(action, registry)}
-    return frozenset({*one.skill_sequence, *chosen, *_symbols(one.summary, named)})
+    return frozenset({*candidate.skill_sequence, *chosen, *_symbols(candidate.summary, named)})
 
 
 def _choices(action: Action, registry: SkillRegistry) -> list[str]:

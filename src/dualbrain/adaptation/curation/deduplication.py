@@ -18,8 +18,8 @@ class DuplicateGroup(msgspec.Struct, frozen=True):
     duplicates: tuple[Candidate, ...]
 
 
-def merge_duplicates(found: Sequence[Candidate]) -> list[DuplicateGroup]:
-    """`found` without near-duplicates, in the same order.
+def merge_duplicates(candidates: Sequence[Candidate]) -> list[DuplicateGroup]:
+    """`candidates` without near-duplicates, in the same order.
 
     Near-duplicates have the same question (scene summary; instruction up to case and white space) and the same plan
     (skills, names, choices, numbers within 5 %). Law: no two kept episodes are near-duplicates, each removed one is a
@@ -27,7 +27,7 @@ def merge_duplicates(found: Sequence[Candidate]) -> list[DuplicateGroup]:
     all kept: each of them succeeded.
     """
     groups = defaultdict[tuple[str, ...], list[list[Candidate]]](list)
-    for one in sorted(found, key=_sort_key):
+    for one in sorted(candidates, key=_sort_key):
         plan_groups = groups[_question_key(one)]
         plan = next((group for group in plan_groups if same_plan(_contract_data(group[0]), _contract_data(one))), None)
         if plan is None:

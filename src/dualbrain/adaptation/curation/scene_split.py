@@ -16,15 +16,15 @@ SAME_SCENE_DISTANCE = 0.03
 twice the bound of the perception error (9 mm) and less than the grid on which generated scenes differ."""
 
 
-def group_scenes(found: Sequence[Candidate]) -> list[str]:
-    """The group of each of `found`: episodes with the same group must be on one side of the split.
+def group_scenes(episodes: Sequence[Candidate]) -> list[str]:
+    """The group of every episode: episodes with the same group must be on one side of the split.
 
     Two episodes are linked if the same objects were at the same positions up to `SAME_SCENE_DISTANCE`, or if the
     planner received the same scene summary; groups are the connected components. The group is named by a hash of the id
     of its oldest memory, so the name is stable when later episodes join and when the ledger is compacted: group all
     episodes, not only the selected ones.
     """
-    root = list(range(len(found)))
+    root = list(range(len(episodes)))
 
     def top(i: int) -> int:
         while root[i] != i:
@@ -32,10 +32,10 @@ def group_scenes(found: Sequence[Candidate]) -> list[str]:
             i = root[i]
         return i
 
-    for i, j in _linked_pairs(found):
+    for i, j in _linked_pairs(episodes):
         first, second = sorted((top(i), top(j)))
         root[second] = first
-    return [_group_name(found[top(i)]) for i in range(len(found))]
+    return [_group_name(episodes[top(i)]) for i in range(len(episodes))]
 
 
 def choose_held_out_groups(groups: Sequence[str], share: float, salt: str) -> frozenset[str]:

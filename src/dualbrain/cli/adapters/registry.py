@@ -125,31 +125,31 @@ def verify(*, answers: Flag = False) -> int:
     return ExitCode.FAILED_SAFELY if any(found.values()) else ExitCode.SUCCESS
 
 
-def canary_error(registry: AdapterRegistry, one: str) -> str:
+def canary_error(registry: AdapterRegistry, adapter_id: str) -> str:
     """The fault in the answers of an adapter in the serving runtime, "" if there is none."""
     from dualbrain.adaptation.serving.open_planner import check_canaries
 
     try:
-        return check_canaries(registry.adapter_folder(one), cache_folder(), registry.folder)
+        return check_canaries(registry.adapter_folder(adapter_id), cache_folder(), registry.folder)
     except DualbrainError as error:
         return str(error)
 
 
-def serving_runtime(registry: AdapterRegistry, one: str) -> str:
+def serving_runtime(registry: AdapterRegistry, adapter_id: str) -> str:
     """The runtime in which an adapter serves here.
 
     Raises `ConfigurationError` or `MissingDependencyError` if it cannot serve.
     """
     from dualbrain.adaptation.serving import open_planner
 
-    return open_planner.local_runtime(registry.adapter_folder(one), cache_folder())
+    return open_planner.local_runtime(registry.adapter_folder(adapter_id), cache_folder())
 
 
-def require_runtime(registry: AdapterRegistry, one: str, measured: str) -> None:
+def require_runtime(registry: AdapterRegistry, adapter_id: str, measured: str) -> None:
     """Raise `ConfigurationError` if `measured` is not the runtime in which an adapter serves here."""
     from dualbrain.adaptation.adapters.promotion import MEASURE_AGAIN_HINT
 
-    if measured != (here := serving_runtime(registry, one)):
+    if measured != (here := serving_runtime(registry, adapter_id)):
         raise ConfigurationError("runtime of the measurement", got=measured, allowed=here, fix=MEASURE_AGAIN_HINT)
 
 
@@ -174,7 +174,7 @@ def _runtime_mismatch(registry: AdapterRegistry, one: str) -> str:
     return f"serves in {here}, but was measured in {measured or 'a runtime that was not recorded'}: {fix}"
 
 
-def count_shadow_answers(registry: AdapterRegistry, one: str, champion: str) -> int:
+def count_shadow_answers(registry: AdapterRegistry, adapter_id: str, champion: str) -> int:
     """Number of complete answers of an adapter in the shadow of `champion`, or of any serving planner if that is "".
 
     Without a champion, any planner that the robot was run with may serve: a base, a model of the list, a packaged
@@ -186,20 +186,20 @@ def count_shadow_answers(registry: AdapterRegistry, one: str, champion: str) -> 
     from dualbrain.adaptation.serving.shadow import count_complete, filter_by_serving, read_shadow_log
     from dualbrain.planner.registry import planner_names
 
-    known = (registry.card(one).base, *planner_names(), *packaged_names())
+    known = (registry.card(adapter_id).base, *planner_names(), *packaged_names())
     serving = adapter_author(registry.card(champion)) if champion else ""
 
     def serves(author: str) -> bool:
         return author == serving if serving else author in known or "@" in author  # MODEL@HOST
 
-    return count_complete(filter_by_serving(read_shadow_log(shadow_log_path(registry.folder, one)), serves))
+    return count_complete(filter_by_serving(read_shadow_log(shadow_log_path(registry.folder, adapter_id)), serves))
 
 
-def shadow_shortfall(one: str, champion: str, count: int, min_count: int) -> str:
+def shadow_shortfall(adapter_id: str, champion: str, count: int, min_count: int) -> str:
     """Why `count` complete shadow answers are fewer than required, with the remedy; "" if they suffice."""
     serving = "" if champion else f"@{DEFAULT_PLANNER}"
     other = "" if champion else ", or with another serving planner"
-    fix = f"collect more with `--planner shadow:{one[:16]}{serving}`{other}; or waive them with `--shadow 0`"
+    fix = f"collect more with `--planner shadow:{adapter_id[:16]}{serving}`{other}; or waive them with `--shadow 0`"
     problem = f"{count} of {min_count} complete shadow answers beside the serving planner"
     return "" if count >= min_count else f"{problem}: {fix}"
 

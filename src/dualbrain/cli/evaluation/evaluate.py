@@ -134,9 +134,9 @@ def _run(
     require_dependencies(runner.suite, (unit for stage in STAGES for unit in runner.remaining_units(stage)), sources)
     runner.write_config(*_provenance_and_costs(runner.suite))
     warn_of_single_runs(runner.suite, console)
-    whole = False
+    complete = False
     try:
-        whole = _run_stages(runner, STAGES[:-1] if plan_only else STAGES, sources, jobs)
+        complete = _run_stages(runner, STAGES[:-1] if plan_only else STAGES, sources, jobs)
     except KeyboardInterrupt:
         console.print("all finished episodes are stored; the same command resumes the evaluation")
         raise
@@ -149,11 +149,11 @@ def _run(
         console.print(
             f"{len(rows)} episodes in {runner.out / RESULTS_FILE}; make the report with: dualbrain report {runner.out}"
         )
-    if not whole:
+    if not complete:
         console.print(f"incomplete: see {runner.out / 'errors.jsonl'}; the same command retries the failed episodes")
     if as_json:
-        print_result(msgspec.json.encode({"out": str(runner.out), "episodes": len(rows), "whole": whole}).decode())
-    return ExitCode.SUCCESS if whole else ExitCode.FAILED_SAFELY
+        print_result(msgspec.json.encode({"out": str(runner.out), "episodes": len(rows), "whole": complete}).decode())
+    return ExitCode.SUCCESS if complete else ExitCode.FAILED_SAFELY
 
 
 def _provenance_and_costs(suite: Suite) -> tuple[Any, Any]:

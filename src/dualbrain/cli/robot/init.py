@@ -128,14 +128,14 @@ def init(
     }
     policy = make_limit_policy(read_site(site) if site else None, limits)
     tree = read_description(description, packages)
-    made = (
+    imported = (
         build_arm(tree, policy, options, _print_progress)
         if base == "fixed"
         else build_base(tree, policy, options, _parse_wheels(wheels), _print_progress)
     )
-    folder = out or Path(made.robot_model.name)
-    written = _write_robot(folder, description, packages, options, made, base, _parse_wheels(wheels), discard_edits)
-    _print_summary(folder, made, written, time.monotonic() - started)
+    folder = out or Path(imported.robot_model.name)
+    written = _write_robot(folder, description, packages, options, imported, base, _parse_wheels(wheels), discard_edits)
+    _print_summary(folder, imported, written, time.monotonic() - started)
     return ExitCode.SUCCESS
 
 
@@ -144,7 +144,7 @@ def _write_robot(
     description: Path,
     packages: Sequence[Path],
     options: ImportOptions,
-    made: ImportResult,
+    imported: ImportResult,
     base: str,
     wheels: tuple[str, str] | None,
     discard_edits: bool,
@@ -158,7 +158,7 @@ def _write_robot(
     from dualbrain.safety.cbf.filter import SafetyFilter
     from dualbrain.visualization.robot.image import draw_robot
 
-    SafetyFilter(made.robot_model)  # refuses a model beyond the capacity of the kernel before anything is written
+    SafetyFilter(imported.robot_model)  # refuses a model beyond the capacity of the kernel before anything is written
     record = ImportRecord(
         description=str(description.resolve()),
         sha256=file_sha256(description),
@@ -173,16 +173,16 @@ def _write_robot(
         kind=base,
         wheels=wheels,
     )
-    written = write_robot_folder(folder, made.robot_model, made.report, record, discard_edits=discard_edits)
-    draw_robot(written.robot_model, made.shapes, folder / IMAGE_FILE)
+    written = write_robot_folder(folder, imported.robot_model, imported.report, record, discard_edits=discard_edits)
+    draw_robot(written.robot_model, imported.shapes, folder / IMAGE_FILE)
     return written
 
 
-def _print_summary(folder: Path, made: ImportResult, written: FolderWriteResult, seconds: float) -> None:
+def _print_summary(folder: Path, imported: ImportResult, written: FolderWriteResult, seconds: float) -> None:
     from dualbrain.robots.importer.output.diff import summarize_changes
     from dualbrain.robots.importer.output.markdown import missing_information
 
-    robot_model, report = written.robot_model, made.report
+    robot_model, report = written.robot_model, imported.report
     worst = max((link.worst for link in report.links), default=0.0)
     print(f"{folder}: {robot_model.name}, {robot_model.n} joints, {len(robot_model.spheres)} spheres, {seconds:.0f} s")
     print(

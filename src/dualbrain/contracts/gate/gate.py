@@ -50,9 +50,9 @@ class Gate:
         document = parse(data)
         if isinstance(document, Rejected):
             return document
-        refusal = self._syntax.check(document) or self._authorize(document, names, principal, now, header)
-        if refusal is not None:
-            return refusal
+        rejection = self._syntax.check(document) or self._authorize(document, names, principal, now, header)
+        if rejection is not None:
+            return rejection
         verdict = self._check_envelope(document, names)
         if header is not None and isinstance(verdict, Accepted):
             self._last_sequence[principal] = header.sequence
@@ -62,9 +62,9 @@ class Gate:
         self, document: Any, names: SceneNames, principal: str, now: float, header: ContractHeader | None
     ) -> Rejected | None:
         """The authorization stage: context and skills of the contract, then its header."""
-        refusal = self._authorization.check(document, principal)
-        if refusal is not None or header is None:
-            return refusal
+        rejection = self._authorization.check(document, principal)
+        if rejection is not None or header is None:
+            return rejection
         return check_header(
             header, principal=principal, now=now, names=names, last_sequence=self._last_sequence.get(principal)
         )
@@ -77,7 +77,7 @@ class Gate:
         contract = Contract(document["id"], Context(**document["context"]), actions)
         for rule in self.rules:
             try:
-                refusal = rule(contract)
+                rejection = rule(contract)
             except Exception as error:  # a contract that a rule cannot judge is not accepted
                 return Rejected(
                     stage="envelope",
@@ -86,6 +86,6 @@ class Gate:
                     allowed="a decision of the rule",
                     hint="a rule failed",
                 )
-            if refusal is not None:
-                return msgspec.structs.replace(refusal, stage="envelope")
+            if rejection is not None:
+                return msgspec.structs.replace(rejection, stage="envelope")
         return Accepted(contract)

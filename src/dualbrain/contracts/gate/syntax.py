@@ -29,9 +29,9 @@ class SyntaxStage:
         """None if `document` is well formed, else the rejection of its first wrong place."""
         if self._compiled.is_valid(document):
             return None
-        refusal = _reject_too_many_actions(document)
-        if refusal is not None:
-            return refusal
+        rejection = _reject_too_many_actions(document)
+        if rejection is not None:
+            return rejection
         first = min(self._compiled.iter_errors(document), key=_error_order)
         return _rejection(first, self._schema)
 

@@ -302,9 +302,9 @@ class Gatekeeper:
     def _submit_contract(self, connection: Connection, sequence: int, message: Propose, now: float) -> None:
         """Check authentication, authority and rate, then pass the contract to the gate worker.
 
-        A contract that is refused here has not been parsed.
+        A contract that is rejected here has not been parsed.
         """
-        reason = self._refusal_reason(connection, sequence, message, now)
+        reason = self._rejection_reason(connection, sequence, message, now)
         if not reason:
             header = ContractHeader(
                 sequence=(connection.number << 32) + sequence,
@@ -329,7 +329,7 @@ class Gatekeeper:
             self._log.note(self.robot.read().stamp, "verdict", f"not considered: {reason}")
             connection.send(RequestRefused(reason))
 
-    def _refusal_reason(self, connection: Connection, sequence: int, message: Propose, now: float) -> str:
+    def _rejection_reason(self, connection: Connection, sequence: int, message: Propose, now: float) -> str:
         """The reason why a contract is not passed to the gate; "" if it is."""
         if connection is not self._commander:
             return "only the commander may propose contracts"

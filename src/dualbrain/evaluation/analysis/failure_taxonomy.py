@@ -8,8 +8,8 @@ The first rule that holds gives the class. The order of the rules is that of the
    program error on these values);
 3. `inadequate planning`: a feasible task was declined, the contract is about something else, or the robot moved an
    object where nothing should move;
-4. `frequent takeover`: the local layer ended the contract, or the filter changed more than `TAKEOVER_FREQUENCY` of its
-   ticks;
+4. `frequent takeover`: the safety layer ended the contract, or the filter changed more than `TAKEOVER_FREQUENCY` of
+   its ticks;
 5. `actuator`: the motion itself failed: a drive or program fault, a dropped object, a grasp that slipped, or a contract
    that the robot reports as done although the ground truth disagrees and no harm was caused;
 6. otherwise `inadequate planning`: a contract that is about the goal and was executed as written, but does not reach

@@ -89,14 +89,14 @@ class HypothesisResult:
     claims: tuple[Claim, ...]
 
 
-def claim_verdict(found: PairedComparison, minimum: float, side: int) -> HypothesisVerdict:
+def claim_verdict(comparison: PairedComparison, minimum: float, side: int) -> HypothesisVerdict:
     """Verdict on a claim: the interval is beyond the minimum, short of it, or contains it."""
-    if not found.clusters or np.isnan(found.effect):
+    if not comparison.clusters or np.isnan(comparison.effect):
         return "not measured"
     if side == AT_MOST:
-        beyond, short = found.high <= minimum + ROUNDING_TOLERANCE, found.low > minimum + ROUNDING_TOLERANCE
+        beyond, short = comparison.high <= minimum + ROUNDING_TOLERANCE, comparison.low > minimum + ROUNDING_TOLERANCE
     else:
-        beyond, short = found.low >= minimum - ROUNDING_TOLERANCE, found.high < minimum - ROUNDING_TOLERANCE
+        beyond, short = comparison.low >= minimum - ROUNDING_TOLERANCE, comparison.high < minimum - ROUNDING_TOLERANCE
     return "supported" if beyond else "refuted" if short else "undecided"
 
 

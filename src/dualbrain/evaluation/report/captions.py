@@ -26,7 +26,7 @@ VIOLATION_LABELS = {
 """Label by kind; `docs/explanation/tasks.md` defines the kinds."""
 OUTCOME_LABELS = {
     "failed": "the robot gave up",
-    "taken_over": "the local layer ended the contract",
+    "taken_over": "the safety layer ended the contract",
     "stopped": "a check stopped the robot",
     "emergency": "an emergency stop ended the contract",
     "aborted": "the contract was aborted",

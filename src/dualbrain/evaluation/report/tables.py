@@ -90,14 +90,14 @@ def format_number(value: float, unit: str = "") -> str:
     return text.replace("-", "−")
 
 
-def format_estimate(found: Estimate, unit: str) -> str:
+def format_estimate(estimate: Estimate, unit: str) -> str:
     """Text "mean ± standard deviation [95 % interval]", without the deviation for rates and shares."""
-    if not found.n:
+    if not estimate.n:
         return DASH
-    low, high = (format_number(end, unit).removesuffix(" %") for end in (found.low, found.high))
-    spread = "" if unit in PERCENT_UNITS else f" ± {format_number(found.sd, unit)}"
-    interval = f" [{low}, {high}]" if isfinite(found.low + found.high) else ""
-    return f"{format_number(found.mean, unit)}{spread}{interval}"
+    low, high = (format_number(end, unit).removesuffix(" %") for end in (estimate.low, estimate.high))
+    spread = "" if unit in PERCENT_UNITS else f" ± {format_number(estimate.sd, unit)}"
+    interval = f" [{low}, {high}]" if isfinite(estimate.low + estimate.high) else ""
+    return f"{format_number(estimate.mean, unit)}{spread}{interval}"
 
 
 def overview_table(rows: Sequence[EpisodeRow]) -> Table:

@@ -26,7 +26,7 @@ class PdfPages(msgspec.Struct, frozen=True):
 
     pages: tuple[str, ...] = ()
     hidden: tuple[HiddenText, ...] = ()
-    refused: DocumentRejected | None = None
+    rejection: DocumentRejected | None = None
 
 
 def visible_text(data: bytes) -> tuple[str, tuple[int, ...], tuple[HiddenText, ...]] | DocumentRejected:
@@ -73,4 +73,4 @@ def _read_in_worker(data: bytes) -> PdfPages | DocumentRejected:
     except DECODE_ERRORS as error:
         stderr = done.stderr.decode("utf-8", "replace")[-300:]
         raise ConfigurationError.stating(f"The reader of PDF files sent no reply. Its output: {stderr}") from error
-    return found.refused or found
+    return found.rejection or found

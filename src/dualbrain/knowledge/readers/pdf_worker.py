@@ -67,7 +67,7 @@ def _read(data: bytes) -> PdfPages:
 
 
 def _reject(what: str, got: str, allowed: str) -> PdfPages:
-    return PdfPages(refused=DocumentRejected(what, got, allowed, "Print it to a new PDF, or convert it to Markdown."))
+    return PdfPages(rejection=DocumentRejected(what, got, allowed, "Print it to a new PDF, or convert it to Markdown."))
 
 
 if __name__ == "__main__":

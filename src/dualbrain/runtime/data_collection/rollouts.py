@@ -45,9 +45,9 @@ def draw_proposals(seed: int, number: int, *, include_declines: bool = False) ->
     return tuple(one for one in examples if include_declines or not is_declined(one))[:number]
 
 
-def is_declined(one: Sample) -> bool:
+def is_declined(sample: Sample) -> bool:
     """Whether the contract of a sample declines the instruction."""
-    return '"skill":"decline"' in one.contract
+    return '"skill":"decline"' in sample.contract
 
 
 def run_proposals(

@@ -153,7 +153,7 @@ class BaseController:
             yield self.rest(phase)
         return None
 
-    # --- interface of the local layer ---------------------------------------------------------------------------
+    # --- interface to the control loop --------------------------------------------------------------------------
 
     def rest(self, phase: str) -> Nominal:
         """One tick without motion."""

@@ -138,12 +138,12 @@ def traces_chart(rows: Sequence[EpisodeRow]) -> Html:
     return apply_page_theme(out.getvalue(), f"h_min and δ over time, {pair}")
 
 
-def group_identical(here: Mapping[str, EpisodeRow], methods: Sequence[str]) -> list[list[str]]:
-    """The `methods` that have a row in `here`, grouped by identical curves and violations."""
+def group_identical(rows: Mapping[str, EpisodeRow], methods: Sequence[str]) -> list[list[str]]:
+    """The `methods` that have a row in `rows`, grouped by identical curves and violations."""
     found: dict[Any, list[str]] = {}
     for name in methods:
-        if name in here:
-            row = here[name]
+        if name in rows:
+            row = rows[name]
             result = (*row.trace_t, *row.trace_h, *row.trace_delta, row.violations)
             found.setdefault(result, []).append(name)
     return list(found.values())

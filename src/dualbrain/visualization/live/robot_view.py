@@ -79,9 +79,9 @@ class LiveRobot:
             self._spheres.batched_positions = state.centres.astype(np.float32)
             self._spheres.batched_colors = colours
 
-    def show_spheres(self, wanted: bool) -> None:
+    def show_spheres(self, visible: bool) -> None:
         """Show or hide the spheres of the filter from the next update on."""
-        self._show_spheres = wanted
+        self._show_spheres = visible
 
     def _set_link_poses(self, frames: Mapping[str, Pose]) -> None:
         for name, pose in frames.items():

@@ -88,9 +88,9 @@ class LiveScene:
         if state.target is not None:
             self._target.position = state.target
 
-    def show_margins(self, wanted: bool) -> None:
+    def show_margins(self, visible: bool) -> None:
         """Show or hide the inflated shapes from the next update on."""
-        self._show_margins = wanted
+        self._show_margins = visible
 
     def _add_floor(self, region: tuple[tuple[float, float], ...]) -> None:
         """Draw the convex region in which a base may drive as a floor."""

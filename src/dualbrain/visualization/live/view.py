@@ -129,13 +129,13 @@ class LiveView:
                 self._panel.finish(episode)
 
 
-def find_free_port(wanted: int, max_tries: int) -> int:
-    """The first free port from `wanted` on.
+def find_free_port(first_port: int, max_tries: int) -> int:
+    """The first free port from `first_port` on.
 
     Raises:
         ConfigurationError: none of `max_tries` consecutive ports is free.
     """
-    for port in range(wanted, min(wanted + max_tries, 65536)):
+    for port in range(first_port, min(first_port + max_tries, 65536)):
         with socket.socket() as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
@@ -145,7 +145,7 @@ def find_free_port(wanted: int, max_tries: int) -> int:
             return port
     raise ConfigurationError(
         "port of the live view",
-        got=wanted,
+        got=first_port,
         allowed=f"a free port on {HOST} (tried {max_tries})",
         fix="Choose another with --port, or run with --headless.",
     )

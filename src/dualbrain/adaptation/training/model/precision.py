@@ -16,16 +16,18 @@ BF16_INSTRUCTION_SETS = ("amx_bf16", "avx512_bf16", "bf16", "sve_bf16")
 """Names of the instruction sets that multiply bf16 matrices (x86 and ARM)."""
 
 
-def choose_dtype(wanted: Literal["auto", "float32", "bfloat16"], capabilities: Mapping[str, Any] | None = None) -> Any:
-    """The torch dtype for `wanted`, on CUDA if torch has it, else on this CPU.
+def choose_dtype(
+    requested: Literal["auto", "float32", "bfloat16"], capabilities: Mapping[str, Any] | None = None
+) -> Any:
+    """The torch dtype for `requested`, on CUDA if torch has it, else on this CPU.
 
     "auto" is bf16 if it is multiplied in hardware (measured 2.3 times faster than float32 with AMX), else float32:
     emulated bf16 is slower than float32. Raises `ConfigurationError` if bf16 is requested but would be emulated.
     """
     has_bf16 = _supports_bf16() if capabilities is None else _has_bf16_instructions(capabilities)
-    if wanted == "bfloat16" and not has_bf16:
+    if requested == "bfloat16" and not has_bf16:
         raise ConfigurationError("fit precision", got="bfloat16", allowed="auto or float32 on this device")
-    return torch.bfloat16 if has_bf16 and wanted != "float32" else torch.float32
+    return torch.bfloat16 if has_bf16 and requested != "float32" else torch.float32
 
 
 def _supports_bf16() -> bool:
