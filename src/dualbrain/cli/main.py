@@ -2,16 +2,36 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 import traceback
+from typing import cast
 
-from cyclopts import App, CycloptsError
+from cyclopts import App, CycloptsError, CycloptsPanel, Parameter
+from cyclopts.exceptions import UnusedCliTokensError
+from rich.console import Console
 
 from dualbrain import __version__
 from dualbrain.cli.common.console import redirect_stdout_to_null
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.core.lazy_exports import missing_dependency
 from dualbrain.errors import DualbrainError, UsageError
+
+INSTRUCTION_COMMANDS = ("run", "plan", "demo")
+"""Commands whose only positional argument is an instruction."""
+EXAMPLE_INSTRUCTION = "put the red cube in the bowl"
+
+
+def _format_default(value: object) -> str | None:
+    """A default as the help shows it; None for a value that means "not given"."""
+    match value:
+        case None | False | "" | () | -1:
+            return None
+        case tuple():
+            return ", ".join(map(str, cast("tuple[object, ...]", value)))
+        case _:
+            return str(value)
+
 
 app = App(
     name="dualbrain",
@@ -25,6 +45,7 @@ app = App(
     Exit codes: 0 success, 1 the task failed safely, 2 usage, 3 contract rejected or declined, 4 a safety violation was
     observed, 5 broken set-up, 130 interrupted.""",
     help_format="markdown",
+    default_parameter=Parameter(show_default=_format_default, negative_iterable=""),
     suppress_keyboard_interrupt=False,  # an interruption is reported by `run_command_line`
 )
 app.register_install_completion_command(help="Install completion for this shell (bash, zsh or fish).")
@@ -197,9 +218,9 @@ def main() -> None:
 def run_command_line(arguments: list[str]) -> int:
     """Run one command and return its exit code; an exception becomes a message on stderr."""
     try:
-        return int(app(arguments, exit_on_error=False, result_action="return_value") or 0)
-    except CycloptsError:
-        return ExitCode.USAGE
+        return int(app(arguments, exit_on_error=False, print_error=False, result_action="return_value") or 0)
+    except CycloptsError as error:
+        return _print_usage_error(error)
     except KeyboardInterrupt:
         print("dualbrain: interrupted", file=sys.stderr)
         return ExitCode.INTERRUPTED
@@ -210,6 +231,21 @@ def run_command_line(arguments: list[str]) -> int:
         return _print_error(missing_dependency(error, "this command"))
     except Exception as error:
         return _print_error(error)
+
+
+def _print_usage_error(error: CycloptsError) -> ExitCode:
+    """Print the error: one sentence if the words of an instruction were not quoted, else the panel of cyclopts."""
+    arguments, unused = error.root_input_tokens or [], error.unused_tokens or []
+    of_instruction = isinstance(error, UnusedCliTokensError) and arguments[0] in INSTRUCTION_COMMANDS
+    if of_instruction and not any(word.startswith("-") for word in unused):
+        words = arguments[1 : len(unused) + 2]
+        instruction = " ".join(words) if words[1:] == unused else EXAMPLE_INSTRUCTION
+        quoted = f'"{instruction}"' if instruction.replace(" ", "").isalnum() else shlex.quote(instruction)
+        sentence = f"The instruction must be one argument in quotes: dualbrain {arguments[0]} {quoted}"
+        print(f"dualbrain: {sentence}", file=sys.stderr)
+    else:
+        (error.console or Console(stderr=True)).print(CycloptsPanel(error))
+    return ExitCode.USAGE
 
 
 def _print_error(error: Exception) -> ExitCode:

@@ -12,15 +12,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, cast
+from typing import Annotated, Any, TypeVar, cast, get_args, get_type_hints
 
 import msgspec
 
+from dualbrain.contracts.gate.authorization import PLANNER
+from dualbrain.core.text import closest_name_hint
 from dualbrain.errors import ConfigurationError
 from dualbrain.robots.model import Quaternion, Vector
 
 T = TypeVar("T")
 MAX_FILE_BYTES = 2**20
+PRINCIPALS = (PLANNER,)
+"""Principals to which a site file can grant skills."""
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 Length = Annotated[float, msgspec.Meta(ge=0.0, le=100.0)]
 EntryName = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z][A-Za-z0-9_ -]{0,31}$")]
@@ -136,19 +140,23 @@ class SiteFile:
 class SiteError(ConfigurationError):
     """A wrong entry of a site file, at `line` and `column` (from 1)."""
 
-    def __init__(self, name: str, location: tuple[int, int], entry: str, *, got: object, allowed: str) -> None:
-        """Report the file called `name`, the location and the entry."""
+    def __init__(
+        self, name: str, location: tuple[int, int], entry: str, *, got: object, allowed: str, sentence: str = ""
+    ) -> None:
+        """Report the file called `name`, the location and the entry; a `sentence` replaces `got` and `allowed`."""
         self.line, self.column = location
-        super().__init__(
-            f"{name}, line {location[0]}, column {location[1]}: {entry or 'file'}", got=got, allowed=allowed
-        )
+        where = f"{name}, line {location[0]}, column {location[1]}"
+        super().__init__(f"{where}: {entry or 'file'}", got=got, allowed=allowed)
+        if sentence:
+            self.args = (f"{where}: {sentence}",)
 
 
 def read_site(path: Path | str) -> SiteFile:
     """The site in the TOML file `path`.
 
     Raises:
-        SiteError: The file is not TOML, or an entry is unknown, missing, of the wrong type or out of bounds.
+        SiteError: The file is not TOML, an entry is unknown, missing, of the wrong type or out of bounds, or a
+            principal is unknown.
         ConfigurationError: The file does not exist or is too large.
     """
     path = Path(path)
@@ -173,7 +181,20 @@ def read_site(path: Path | str) -> SiteFile:
         if isinstance(entries, dict):
             for name, value in cast("dict[str, Any]", entries).items():
                 _convert(value, kind, f"{table}.{name}", path, locations)
-    return SiteFile(path, _convert(data, Site, "", path, locations), locations)
+    site = _convert(data, Site, "", path, locations)
+    for name in site.commander:
+        if name not in PRINCIPALS:
+            entry = f"commander.{name}"
+            sentence = f"unknown principal {name!r} in [commander.{name}]; {closest_name_hint(name, PRINCIPALS)}."
+            raise SiteError(
+                path.name,
+                find_location(entry, locations),
+                entry,
+                got=name,
+                allowed=", ".join(PRINCIPALS),
+                sentence=sentence,
+            )
+    return SiteFile(path, site, locations)
 
 
 def _convert(data: Any, kind: type[T], prefix: str, path: Path, locations: Mapping[str, tuple[int, int]]) -> T:
@@ -185,8 +206,68 @@ def _convert(data: Any, kind: type[T], prefix: str, path: Path, locations: Mappi
         entry = f"{prefix}.{at.strip('`.')}".strip(".")
         if field := re.search(r"unknown field `(.+)`", got):
             entry = f"{entry}.{field.group(1)}".lstrip(".")
+        sentence = _describe_wrong_entry(got, entry, _find_struct(kind, at))
         location = find_location(entry, locations)
-        raise SiteError(path.name, location, entry, got=got, allowed="see docs/how-to/site.md") from error
+        raise SiteError(
+            path.name, location, entry, got=got, allowed="see docs/how-to/site.md", sentence=sentence
+        ) from error
+
+
+# --- descriptions of wrong entries ----------------------------------------------------------------------------------
+
+_TYPE_WORDS = {
+    "float": "a number",
+    "int": "an integer",
+    "str": "a text",
+    "bool": "a truth value",
+    "array": "an array",
+    "object": "a table",
+}
+_EXPECTED = re.compile(r"Expected `(\w+)(?: \| null)?`(.*?)(?:, got (.+))?$")
+
+
+def _describe_wrong_entry(problem: str, entry: str, table: type[msgspec.Struct] | None) -> str:
+    """A sentence about the `problem` that msgspec reports for `entry`, which is (or is in) a table of type `table`."""
+    if (missing := re.search(r"missing required field `(.+)`", problem)) is not None:
+        return f"{_table_name(entry)} lacks the entry {missing.group(1)!r}."
+    if (unknown := re.search(r"unknown field `(.+)`", problem)) is not None:
+        known = tuple(table.__struct_fields__) if table is not None else ()
+        hint = closest_name_hint(unknown.group(1), known)
+        names = "" if hint.startswith("known") else f"; known: {', '.join(known)}"
+        owner = _table_name(entry.removesuffix(unknown.group(1)).rstrip("."))
+        return f"unknown entry {unknown.group(1)!r} in {owner}; {hint}{names}."
+    if (expected := _EXPECTED.match(problem)) is None:
+        return f"{entry}: {problem}; see docs/how-to/site.md."
+    kind, bound, got = expected.groups()
+    words = f"{_TYPE_WORDS.get(kind, kind)}{bound}"
+    if bound.startswith(" matching"):
+        words = "a name of at most 32 letters, digits, spaces, _ and -, which begins with a letter"
+    found = (got or "").strip("`")
+    suffix = f", but is {_TYPE_WORDS[found]}" if found in _TYPE_WORDS else f", not {found}" if found else ""
+    return f"{entry} must be {words}{suffix}."
+
+
+def _table_name(path: str) -> str:
+    """The header of the table at `path` as the file states it: "[robot]", "[[plane]]"; "the file" for ""."""
+    if not path:
+        return "the file"
+    return f"[[{path.partition('[')[0]}]]" if re.fullmatch(r"\w+\[\d+\]", path) else f"[{path}]"
+
+
+def _find_struct(kind: Any, path: str) -> type[msgspec.Struct] | None:
+    """The innermost type of table on the way along the `path` of msgspec (such as ".spheres[0]") from `kind`."""
+    table = _struct_of(kind)
+    for name in re.findall(r"[A-Za-z_]+", path):
+        fields = get_type_hints(table) if table is not None else {}
+        table = _struct_of(fields.get(name)) or table
+    return table
+
+
+def _struct_of(kind: Any) -> type[msgspec.Struct] | None:
+    """The type of table that `kind` is or contains (in a tuple, or as an optional value)."""
+    if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
+        return kind
+    return next((found for part in get_args(kind) if (found := _struct_of(part)) is not None), None)
 
 
 # --- locations of entries -------------------------------------------------------------------------------------------
