@@ -101,7 +101,7 @@ def operate(
     act: OperatorAction,
     /,
     *,
-    speed: str = "100%",
+    speed: str = "",
     socket: Path | None = None,
     keys: Path | None = None,
     run: Path | None = None,
@@ -113,7 +113,7 @@ def operate(
     act
         The command. `estop` needs no key; after it, `release_estop`, `reset` and `resume` are needed in this order.
     speed
-        With the command `speed`: the speed scale, as 10% or 0.1.
+        With the command `speed`, which requires it: the speed scale, as 10% or 0.1.
     socket
         Path of the gatekeeper's socket. Default: gatekeeper.sock in the data folder of dualbrain.
     keys
@@ -125,8 +125,13 @@ def operate(
 
     from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys
     from dualbrain.control.gatekeeper.protocol.client import GatekeeperClient
-    from dualbrain.errors import ConfigurationError
+    from dualbrain.errors import ConfigurationError, UsageError
 
+    if act == "speed" and not speed:
+        raise UsageError.stating(
+            "The command `speed` needs the speed scale.", fix="For example: dualbrain operate speed --speed 25%"
+        )
+    speed_scale = parse_fraction(speed) if speed else 1.0
     where, secrets = socket or dualbrain_home() / "gatekeeper.sock", keys or dualbrain_home() / "keys.json"
     if run is not None:
         address = run / "gatekeeper.address"
@@ -138,7 +143,7 @@ def operate(
         where, secrets = (Path(line) for line in address.read_text(encoding="utf-8").split())
     without_key = act == "estop" and not secrets.exists()
     link = GatekeeperClient(where) if without_key else GatekeeperClient(where, load_or_create_keys(secrets), "operator")
-    link.operate(act, parse_fraction(speed))
+    link.operate(act, speed_scale)
     time.sleep(0.2)
     status = link.status
     print(f"{act}: {status.action} {status.check}".rstrip() if status else f"{act}: sent", file=sys.stderr)

@@ -6,7 +6,7 @@ from pathlib import Path
 from urllib.parse import urldefrag
 
 from dualbrain.core.weights import MANIFEST, locate_weights
-from dualbrain.errors import UnknownNameError
+from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.planner.backends.llama_cpp import LlamaConfig, LlamaPlanner
 from dualbrain.planner.backends.openai_server import ServerConfig, ServerPlanner
 from dualbrain.planner.protocol import Planner
@@ -19,7 +19,8 @@ The experiment `starter` chooses it among all packaged planners by one rule.
 """
 SMALL_PLANNER = "smollm2-135m-instruct"
 """A small model for tests; without an adapter it does not plan usefully."""
-
+GGUF_MAGIC = b"GGUF"
+"""First bytes of a GGUF file."""
 
 UNKNOWN_NAME_KIND = "planner"
 OTHER_FORMS_HINT = "a GGUF file or URL also works"
@@ -58,9 +59,21 @@ def open_planner(
         )
     config = LlamaConfig(threads=threads, timeout_s=timeout_s, prompt_cache=prompt_cache)
     if name_or_url.endswith(".gguf"):
+        _require_gguf(Path(name_or_url))
         return LlamaPlanner(Path(name_or_url).stem, Path(name_or_url), config)
     if name_or_url not in planner_names():
         raise UnknownNameError(
             UNKNOWN_NAME_KIND, name_or_url, planner_names(), owner=f"the manifest ({OTHER_FORMS_HINT})"
         )
     return LlamaPlanner(name_or_url, locate_weights(name_or_url, cache), config)
+
+
+def _require_gguf(path: Path) -> None:
+    """Raise `ConfigurationError` if the file at `path` exists and does not begin as a GGUF file."""
+    if not path.is_file():
+        return
+    with path.open("rb") as file:
+        if file.read(len(GGUF_MAGIC)) != GGUF_MAGIC:
+            raise ConfigurationError.stating(
+                f"{path} is not a GGUF file, or it is damaged.", fix="Name a complete GGUF file, or get this one again."
+            )

@@ -166,15 +166,16 @@ def _propose(
 
 
 def reject_incomplete(proposal: Proposal) -> Rejected | None:
-    """The rejection of an answer that was cut, timed out or crashed; None for a complete answer."""
+    """The rejection of an answer that was cut or is missing; None for a complete answer."""
     if proposal.finish_reason == STOP:
         return None
+    cut = "the answer is not whole, so it is no contract"
     return Rejected(
         stage="syntax",
         pointer="",
         got=proposal.finish_reason,
         allowed=STOP,
-        hint="the answer is not whole, so it is no contract",
+        hint=cut if has_answer(proposal) else "the planner did not answer, so there is no contract",
     )
 
 

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 EPISODE_LOG = "fly.jsonl"
 """Log of the pass that runs the episodes."""
+RUN_FILE = "episode.json"
+"""File that only the folder of a single run contains."""
 RUN_DATE_KEY = "flown"
 """Entry of the stored configuration: the date of the last episode."""
 
@@ -46,6 +48,11 @@ def load_results(folder: Path, on_omission: Callable[[str], None] | None = None)
     from dualbrain.evaluation.runner.runner import CONFIG_FILE, suite_from_config
 
     path, log = folder / RESULTS_FILE, folder / EPISODE_LOG
+    if (folder / RUN_FILE).is_file() and not (log.is_file() or path.is_file()):
+        raise ConfigurationError.stating(
+            f"{folder} is the folder of a single run, not of an evaluation.",
+            fix=f"The report of the run is {folder / 'report.html'}.",
+        )
     if (folder / CONFIG_FILE).is_file() and log.is_file() and not _is_newer(path, log):
         try:
             found = _read_logs(folder, on_omission)

@@ -36,7 +36,7 @@ from dualbrain.records import Episode
 from dualbrain.runtime.backends.gatekeeper import GatekeeperBackend
 from dualbrain.runtime.planning_time import format_timings
 from dualbrain.runtime.session import Clocks, RunConfig, RunObserver, RunResult, Session
-from dualbrain.visualization.html.run_report import write_report
+from dualbrain.visualization.html.run_report import FILTER_OFF_NOTICE, write_report
 
 EVENT_STYLES = {
     "verdict": "bold cyan",
@@ -77,6 +77,8 @@ def execute_run(config: RunConfig, view: RunView) -> ExitCode:
     with _open_session(config, clocks, backend, console) as session:
         title = escape(storable_text(config.instruction, 400)) or "a given contract"
         console.print(f"[bold]{title}[/]  [dim]{config.robot}, scene {config.scene}, {config.out}[/]")
+        if not config.guard:
+            console.print(f"[bold yellow]{FILTER_OFF_NOTICE}[/]")
         given = config.contract is not None
         if config.consult and not given and (reason := no_documents_reason(session.planner)):
             console.print(f"[yellow]{escape(reason)}[/]")

@@ -71,12 +71,12 @@ def plan(
     from dualbrain.runtime.inspection.dry_run import plan as ask
     from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
-    if not instruction.strip() or not 1 <= shots <= MAX_SHOTS:
-        raise UsageError(
-            "instruction and --shots",
-            got=(instruction, shots),
-            allowed=f"an instruction in words, and 1 to {MAX_SHOTS}",
+    if not instruction.strip():
+        raise UsageError.stating(
+            "The instruction is empty.", fix='For example: dualbrain plan "put the red cube in the bowl"'
         )
+    if not 1 <= shots <= MAX_SHOTS:
+        raise UsageError("--shots", got=shots, allowed=f"1 to {MAX_SHOTS}")
     console = StderrConsole()
     here = context_at_home(robot, scene_from_spec(open_scene(scene, robot)))
     with ExitStack() as stack:

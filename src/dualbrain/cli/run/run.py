@@ -115,6 +115,11 @@ def run(
         raise UsageError("--epsilon", got=epsilon, allowed="a finite number, at least 0")
     if live and filter == "off":
         raise UsageError("--filter", got="off", allowed="on (a gatekeeper always filters)")
+    speed_scale = parse_fraction(speed)
+    if speed_scale != 1.0 and not live:
+        raise UsageError.stating(
+            "--speed scales only a run in real time behind a gatekeeper.", fix="Add --live, or leave out --speed."
+        )
     from dualbrain.cli.run.execution import RunView, execute_run
     from dualbrain.runtime.config import default_config
 
@@ -142,6 +147,6 @@ def run(
         port=port,
         as_json=json,
         real_time=live,
-        speed_scale=parse_fraction(speed),
+        speed_scale=speed_scale,
     )
     return execute_run(config, view)

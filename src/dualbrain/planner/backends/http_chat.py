@@ -100,7 +100,8 @@ def post(url: str, data: bytes, *, key: str, timeout_s: float) -> tuple[int, byt
     except (TimeoutError, httpx.TimeoutException):
         return ChatResponse(text="", finish_reason=protocol.TIMEOUT)
     except httpx.ConnectError as error:
-        return _error(f"no connection to {url}: {excerpt(str(error))}")
+        fix = "Is the server running, and is its address right? It is the part of --planner before the #."
+        return _error(f"no connection to {url}: {excerpt(str(error))}. {fix}")
     except (httpx.RemoteProtocolError, httpx.ReadError, httpx.WriteError):
         return _error("the server closed the connection before the end of its response")
     except (httpx.HTTPError, httpx.InvalidURL, ValueError) as error:  # the text might contain the key

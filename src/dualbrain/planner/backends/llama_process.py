@@ -59,6 +59,10 @@ class LlamaProcess:
         self.cached_rules: str | None = None
         """Key of the rules in its current state (see `PromptCache.rules_key`); None before the first request."""
         self._address = ""
+        self._load_fix = (
+            f"Is {model.name} a complete GGUF file of a model that llama.cpp supports? If it is a model file of "
+            "dualbrain, delete it and get it again with `dualbrain models fetch NAME`."
+        )
         self._process = subprocess.Popen(
             [sys.executable, "-P", str(_WORKER_SCRIPT)],
             stdin=subprocess.PIPE,
@@ -113,7 +117,7 @@ class LlamaProcess:
             return "", self.crash_response()
         self._address = reply.get("address", "")
         return self._address, None if self._address else ChatResponse(
-            text="", finish_reason=protocol.ERROR, detail=reply["error"]
+            text="", finish_reason=protocol.ERROR, detail=f"{reply['error'].rstrip('.')}. {self._load_fix}"
         )
 
     def close(self) -> None:

@@ -83,8 +83,13 @@ def load_mujoco_model(
     `path` is a MJCF file of the user that follows the convention of this module. `menagerie` is a checkout of MuJoCo
     Menagerie or a filled cache folder of its downloader (the caller reads MENAGERIE_ROOT). Without either, the built-in
     model is used. `visuals` adds surface meshes, which do not change the physics. Raises `UnknownNameError` for an
-    unknown robot and `ConfigurationError` for a file that cannot be loaded or lacks a required element.
+    unknown robot and `ConfigurationError` for a robot of the user, or a file that cannot be loaded or lacks an element.
     """
+    if name not in MODEL_FILES and Path(name).exists():
+        raise ConfigurationError.stating(
+            f"The robot {name} cannot be simulated: only packaged robots have a MuJoCo model.",
+            fix="Its contracts can be checked (`dualbrain check`, `schema`), and `SafetyFilter` filters its commands.",
+        )
     if name not in MODEL_FILES:
         raise UnknownNameError("robot model", name, tuple(MODEL_FILES))
     if path is None and name in MOUNTED_ARMS:

@@ -49,6 +49,7 @@ GATE_STAGES = ("syntax", "authorization", "envelope")
 IMAGE_WIDTH = 480
 NO_INSTRUCTION_TITLE = "a given contract"
 MAX_TEXT_CHARACTERS = 4000
+FILTER_OFF_NOTICE = "The safety filter was off: Δ and clearances are only measured."
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +99,8 @@ def render_report(
 def _header(episode: Episode) -> Html:
     outcome, judgement = episode.outcome, episode.judgement
     words = [badge(outcome.kind.replace("_", " "), STATUS_TONES[outcome.kind])]
+    if episode.versions.get("filter") == "off":
+        words.append(badge(FILTER_OFF_NOTICE, "bad"))
     if judgement is not None:
         done, tone = (
             ("task done on ground truth", "good") if judgement.success else ("task not done on ground truth", "bad")

@@ -1,0 +1,46 @@
+"""Messages for mistakes of a first use: each is a sentence that says what to do."""
+
+import pytest
+
+from dualbrain.cli.main import run_command_line
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["run", "put", "the", "red", "cube"], 'must be one argument in quotes: dualbrain run "put the red cube"'),
+        (["plan", "hold", "still", "--robot", "panda"], 'dualbrain plan "hold still"'),
+        (["demo", "--headless", "put", "it"], 'dualbrain demo "put the red cube in the bowl"'),
+        (["plan", ""], "The instruction is empty."),
+        (["plan", "x", "--shots", "0"], "--shots: got 0, allowed: 1 to 5."),
+        (["run", "x", "--headless", "--speed", "50%"], "Add --live, or leave out --speed."),
+        (["operate", "speed"], "dualbrain operate speed --speed 25%"),
+    ],
+)
+def test_a_usage_error_states_the_correct_call(arguments, expected, capsys):
+    assert run_command_line(arguments) == 2
+    printed = capsys.readouterr()
+    assert expected in printed.err
+    assert "Unused Tokens" not in printed.err
+    assert not printed.out
+
+
+def test_an_unknown_option_is_reported_by_name(capsys):
+    assert run_command_line(["run", "x", "--planet", "y"]) == 2
+    assert "--planet" in capsys.readouterr().err
+
+
+def test_the_help_shows_no_default_that_stands_for_not_given(capsys):
+    for command in (["run"], ["robot", "init"], ["memory", "search"], ["report"]):
+        assert run_command_line([*command, "--help"]) == 0
+        text = " ".join(capsys.readouterr().out.split())
+        assert "--empty-" not in text
+        for default in ('""', "()", "-1", "None"):
+            assert f"[default: {default}]" not in text
+
+
+def test_the_folder_of_a_single_run_has_its_own_report(tmp_path, capsys):
+    for name in ("config.json", "episode.json"):
+        (tmp_path / name).write_text("{}")
+    assert run_command_line(["report", str(tmp_path)]) == 5
+    assert f"The report of the run is {tmp_path / 'report.html'}." in capsys.readouterr().err
