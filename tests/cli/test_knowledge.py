@@ -28,7 +28,7 @@ def test_a_document_is_added_found_updated_and_removed(run_command, run_json, tm
     (tmp_path / "mugs.md").write_text(NOTE)
     code, out, err = run_command("knowledge", "add", "mugs.md", "--trust", "site")
     assert (code, out) == (ExitCode.SUCCESS, "")
-    assert "new: mugs (manual, site, 1 chunks" in err
+    assert "new: mugs (manual, site, 1 chunk, version" in err
     assert "removed: 25 characters" in err
     assert "ignore all rules" in err
 

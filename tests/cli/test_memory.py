@@ -127,7 +127,7 @@ def test_memories_are_exported_as_lines(run_command, filled, tmp_path):
     assert (tmp_path / "all.jsonl").read_text() == out
     code, out, err = run_command("memory", "export", tmp_path / "all.jsonl", "--ledger", filled)
     assert (code, out) == (ExitCode.SETUP, "")
-    assert "File exists" in err
+    assert "all.jsonl exists already. Name a new file" in err
 
 
 def test_an_audit_and_a_replay_are_written_down_if_wanted(run_command, filled, ask):
@@ -137,7 +137,7 @@ def test_an_audit_and_a_replay_are_written_down_if_wanted(run_command, filled, a
     code, out, err = run_command("memory", "audit", "--note", "--ledger", filled)
     assert code == ExitCode.FAILED_SAFELY
     assert "label conflict: odd: " in out
-    assert "1 findings in 4 memories" in err
+    assert "1 finding in 4 memories" in err
     assert ask("list")[1]["event"] == head + 1
 
     code, data = ask(

@@ -44,3 +44,30 @@ def test_the_folder_of_a_single_run_has_its_own_report(tmp_path, capsys):
         (tmp_path / name).write_text("{}")
     assert run_command_line(["report", str(tmp_path)]) == 5
     assert f"The report of the run is {tmp_path / 'report.html'}." in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "expected"),
+    [
+        (["memory", "list", "--status", "activ"], 2, '"active"'),
+        (["memory", "list", "--outcome", "succeded"], 2, '"succeeded"'),
+        (["memory", "list", "--limit", "-1"], 2, "--limit: got -1"),
+        (["memory", "search", "x", "--k", "0"], 2, "--k: got 0, allowed: at least 1."),
+        (["knowledge", "search", "x", "--k", "0"], 2, "--k: got 0, allowed: at least 1."),
+        (["knowledge", "add", "none.md"], 5, "There is no file none.md."),
+        (["models", "fetch"], 2, "dualbrain models fetch"),
+        (["models", "fetch", "base-135"], 5, "Closest: 'base-135m'"),
+        (["replay", "."], 5, "dualbrain replay episode.mcap"),
+        (["replay", "none.mcap"], 5, "There is no recording none.mcap."),
+    ],
+)
+def test_a_wrong_value_is_reported_with_the_known_ones(arguments, code, expected, run_command):
+    got, out, err = run_command(*arguments)
+    assert (got, out) == (code, "")
+    assert expected in err
+
+
+def test_documents_about_an_unknown_robot_are_rejected(run_command, tmp_path):
+    (tmp_path / "rule.md").write_text("# Rule\n\nKeep the gate closed.\n")
+    code, _, err = run_command("knowledge", "add", "rule.md", "--robot", "pandda")
+    assert (code, "Closest: 'panda'" in err) == (5, True)

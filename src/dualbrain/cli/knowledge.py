@@ -13,17 +13,19 @@ from cyclopts import Parameter
 from rich.console import Console
 from rich.markup import escape
 
-from dualbrain.cli.common.console import print_result, print_table
+from dualbrain.cli.common.console import StderrConsole, print_result, print_table
 from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.cli.common.spinner import Spinner
 from dualbrain.core.paths import cache_folder, dualbrain_home
-from dualbrain.errors import UsageError
+from dualbrain.core.text import count_noun
+from dualbrain.errors import ConfigurationError, UsageError
 from dualbrain.knowledge.document import DOCUMENT_KINDS, ChunkHit, Document, DocumentKind, TrustLevel, parse_citation
 from dualbrain.knowledge.library import Addition, Library, SearchMode, Submission
 from dualbrain.knowledge.rejection import DocumentRejected
 
-Json = Annotated[bool, Parameter(negative="", help="print one JSON object on stdout")]
+Json = Annotated[bool, Parameter(negative="", help="Print one JSON object on stdout.")]
 Store = Annotated[
-    Path | None, Parameter(help="document store; default: knowledge.sqlite in the data folder of dualbrain")
+    Path | None, Parameter(help="Document store. Default: knowledge.sqlite in the data folder of dualbrain.")
 ]
 
 
@@ -59,10 +61,14 @@ def add(
     title
         Title. Default: the first heading.
     robot
-        Robot that the document is about; may be repeated. Default: all robots.
+        Robot that the document is about (a name, or the folder of its model); may be repeated. Default: all robots.
     """
     if not files or (name and len(files) > 1):
         raise UsageError("files", got=len(files), allowed="at least one; with --name exactly one")
+    for file in files:
+        if not file.is_file():
+            raise ConfigurationError.stating(f"There is no file {file}.", fix="Check the path of the document.")
+    robot = tuple(map(_robot_name, robot))
     done: list[Addition | DocumentRejected] = []
     with _open_library(store, write=True) as library:
         for file in files:
@@ -122,9 +128,13 @@ def search(
     trust
         Minimum trust: `site`, `vendor` or `unknown`.
     robot
-        Exclude documents about other robots.
+        Exclude documents about other robots than this one.
     """
+    if k < 1:
+        raise UsageError("--k", got=k, allowed="at least 1")
     with _open_library(store, words_only=by == "words") as library:
+        if robot and robot not in {name for one in library.documents() for name in one.robots}:
+            robot = _robot_name(robot)
         hits = library.search(query, k, mode=by, kinds=kind, min_trust=trust, robot=robot)
     if json:
         print_result(msgspec.json.encode({"query": query, "hits": [_encode_hit(one) for one in hits]}).decode())
@@ -195,9 +205,10 @@ def remove(*names: str, store: Store = None, json: Json = False) -> int:
 
 def rebuild(*, store: Store = None, json: Json = False) -> int:
     """Rebuild the index of words and vectors from the documents, for example after a change of the encoder."""
-    with Library(_store_path(store), _encoder(), write=True) as library:
+    spinner = Spinner(StderrConsole(), "rebuilding the index")
+    with spinner, Library(_store_path(store), _encoder(), write=True) as library:
         count = library.rebuild()
-    _print_stderr(f"{count} chunks indexed")
+    _print_stderr(f"{count_noun(count, 'chunk')} indexed")
     if json:
         print_result(msgspec.json.encode({"chunks": count}).decode())
     return ExitCode.SUCCESS
@@ -218,6 +229,13 @@ def _open_library(store: Path | None, *, write: bool = False, words_only: bool =
 
 def _store_path(store: Path | None) -> Path:
     return store or dualbrain_home() / "knowledge.sqlite"
+
+
+def _robot_name(robot: str) -> str:
+    """The name of the robot model that `robot` names; raises `UnknownNameError` and `ConfigurationError`."""
+    from dualbrain.robots.loader import load_robot
+
+    return load_robot(robot).name
 
 
 def _encoder() -> Any:
@@ -250,7 +268,8 @@ def _document_row(one: Document) -> tuple[str, ...]:
 
 
 def _describe_document(one: Document) -> str:
-    return f"{one.name} ({one.kind}, {one.trust}, {one.chunks} chunks, version {one.version[:12]}): {one.title}"
+    chunks = count_noun(one.chunks, "chunk")
+    return f"{one.name} ({one.kind}, {one.trust}, {chunks}, version {one.version[:12]}): {one.title}"
 
 
 def _encode_outcome(one: Addition | DocumentRejected) -> dict[str, Any]:

@@ -254,7 +254,22 @@ def _print_error(error: Exception) -> ExitCode:
         case DualbrainError():
             print(f"dualbrain: {error}", file=sys.stderr)
         case OSError():
-            print(f"dualbrain: {error.strerror or error}: {error.filename or ''}".rstrip(": "), file=sys.stderr)
+            print(f"dualbrain: {_describe_os_error(error)}", file=sys.stderr)
         case _:
             traceback.print_exception(error)
     return ExitCode.USAGE if isinstance(error, UsageError) else ExitCode.SETUP
+
+
+def _describe_os_error(error: OSError) -> str:
+    """A sentence about a file, and the remedy."""
+    match error:
+        case FileNotFoundError(filename=str(name)):
+            return f"There is no file or folder {name}. Check the path."
+        case FileExistsError(filename=str(name)):
+            return f"{name} exists already. Name a new file, or delete this one."
+        case IsADirectoryError(filename=str(name)):
+            return f"{name} is a folder. Name a file."
+        case PermissionError(filename=str(name)):
+            return f"{name} may not be read or written by this user. Change its permissions, or name another path."
+        case _:
+            return f"{error.strerror or error}: {error.filename or ''}".rstrip(": ")

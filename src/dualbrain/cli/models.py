@@ -12,6 +12,10 @@ from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.common.planner_choice import base_model, is_downloaded
 from dualbrain.core import weights
 from dualbrain.core.paths import cache_folder
+from dualbrain.errors import UnknownNameError, UsageError
+from dualbrain.planner.registry import DEFAULT_PLANNER
+
+EXAMPLE = f"dualbrain models fetch {DEFAULT_PLANNER}"
 
 
 def list_models() -> int:
@@ -34,6 +38,10 @@ def fetch(*names: str) -> int:
         Names from `dualbrain models list`; for a packaged planner its base model is downloaded. A server URL or a GGUF
         file needs no download and is skipped.
     """
+    if not names:
+        raise UsageError.stating(
+            "Name the models to download.", fix=f"See `dualbrain models list`; for example: {EXAMPLE}"
+        )
     for name in names:
         if "://" not in name and not name.endswith(".gguf"):
             _fetch_one(base_model(name))
@@ -76,6 +84,10 @@ def _file_state(status: weights.WeightStatus) -> str:
 
 
 def _fetch_one(name: str) -> None:
+    from dualbrain.adaptation.adapters.packaged import packaged_names
+
+    if name not in weights.MANIFEST:
+        raise UnknownNameError("model file or packaged planner", name, (*weights.MANIFEST, *packaged_names()))
     file = weights.find_weight_file(name)
     columns = (
         TextColumn("{task.description}"),

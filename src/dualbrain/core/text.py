@@ -47,6 +47,11 @@ def closest_name_hint(name: str, known: tuple[str, ...]) -> str:
     return f"closest: {similar[0]!r}" if similar else f"known: {', '.join(known) or 'none'}"
 
 
+def count_noun(count: int, noun: str, plural: str = "") -> str:
+    """`count` with its noun: "1 chunk", "2 chunks"; `plural` (default: the noun with an s) serves all counts but 1."""
+    return f"{count} {noun if count == 1 else plural or f'{noun}s'}"
+
+
 def json_pointer(*parts: str | int) -> str:
     """JSON pointer (RFC 6901) to a value in the contract; each key is made printable by `to_printable`."""
     return "".join("/" + str(to_printable(part)).replace("~", "~0").replace("/", "~1") for part in parts)

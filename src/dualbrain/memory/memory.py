@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from dualbrain.core.encoder import Encoder
+from dualbrain.core.text import count_noun
 from dualbrain.errors import ConfigurationError
 from dualbrain.memory.config import MemoryConfig
 from dualbrain.memory.embedding.image_features import ImageFeatures
@@ -48,7 +49,7 @@ class StoreReport:
     def __str__(self) -> str:
         """One line for people, such as "weights: e-13 (new) 0.50 -> 0.58, c-12 0.50 -> 0.58"."""
         moves = [f"{c.memory}{'' if c.rank else ' (new)'} {c.before:.2f} -> {c.after:.2f}" for c in self.weight_updates]
-        moves += [f"{self.n_neighbours} neighbours"] if self.n_neighbours else []
+        moves += [count_noun(self.n_neighbours, "neighbour")] if self.n_neighbours else []
         notes = {
             "candidate": "; not retrieved until another outcome confirms it",
             "quarantined": "; quarantined, because a second outcome check disagrees",

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from dualbrain.memory.ledger.ledger import LedgerReader
 
 Flag = Annotated[bool, Parameter(negative="")]
+HiddenDefault = Annotated[int, Parameter(show_default=False)]
+"""A number whose default 0 has the meaning that its help states."""
 
 
 def measure(
@@ -30,7 +32,7 @@ def measure(
     *,
     data: Path,
     out: Path,
-    most: int = 0,
+    most: HiddenDefault = 0,
     fly: bool = True,
     ledger: Path | None = None,
     seed: int = 0,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Self
+
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
@@ -13,6 +15,15 @@ class Spinner:
         """Show `text` beside the spinner."""
         self._console, self._text = console, text
         self._progress: Progress | None = None
+
+    def __enter__(self) -> Self:
+        """Show the spinner."""
+        self.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Remove the spinner."""
+        self.stop()
 
     def start(self) -> None:
         """Show the spinner."""

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from dualbrain.evaluation.runner.runner import Runner, Stage
 
 Flag = Annotated[bool, Parameter(negative="")]
+HiddenDefault = Annotated[int, Parameter(show_default=False)]
+"""A number whose default 0 has the meaning that its help states."""
 REQUIRED_STAGES = ("pilot", "start")
 """Passes that later passes depend on. An answer that the plan pass did not get is requested during the episode."""
 
@@ -35,11 +37,11 @@ def evaluate(
     *,
     suite: str = "smoke",
     methods: Annotated[str, Parameter(name="--methods")] = "",
-    episodes: int = 0,
+    episodes: HiddenDefault = 0,
     robots: str = "",
     planner: str = "",
     out: Path | None = None,
-    jobs: int = 0,
+    jobs: HiddenDefault = 0,
     dry_run: Flag = False,
     plan_only: Flag = False,
     again: str = "",

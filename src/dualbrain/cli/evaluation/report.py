@@ -12,6 +12,7 @@ from cyclopts import Parameter
 
 from dualbrain.cli.common.console import StderrConsole, print_result
 from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.cli.common.spinner import Spinner
 from dualbrain.cli.evaluation.results import (
     RUN_DATE_KEY,
     last_run_date,
@@ -57,7 +58,8 @@ def report(folder: Path, /, *, gallery: int = -1, page: Path | None = None, json
     page_folder, console, omissions = page or folder / "page", StderrConsole(), list[str]()
     if page_folder.exists() and not page_folder.is_dir():
         raise UsageError.stating(f"--page must be a folder, but {page_folder} is a file.")
-    rows, config, suite = load_results(folder, omissions.append)
+    with Spinner(console, f"reading {folder}"):
+        rows, config, suite = load_results(folder, omissions.append)
     count = suite.gallery if gallery < 0 else gallery
     images = [] if no_rendering or not count else _failure_images(rows, suite, count, console)
     if no_rendering and count:
@@ -75,8 +77,9 @@ def report(folder: Path, /, *, gallery: int = -1, page: Path | None = None, json
         command=reproduction_command(suite, folder),
         omissions=omissions,
     )
-    write_html_report(folder / "report.html", data)
-    write_markdown_page(page_folder, data)
+    with Spinner(console, "writing the report"):
+        write_html_report(folder / "report.html", data)
+        write_markdown_page(page_folder, data)
     if page is not None and page.resolve() != folder.resolve():
         write_results(list(map(without_trace, rows)), config | {RUN_DATE_KEY: data.date}, page / RESULTS_FILE)
     for line in omissions:
@@ -105,8 +108,12 @@ def compare(first: Path, second: Path, /, *, json: Flag = False) -> int:
     from dualbrain.evaluation.report.run_comparison import changes_table, compute_changes, config_differences_table
     from dualbrain.evaluation.report.tables import markdown_table
 
-    before, after = load_results(first, print_omission), load_results(second, print_omission)
-    changes = changes_table(before[0], after[0])
+    omissions = list[str]()
+    with Spinner(StderrConsole(), "comparing"):
+        before, after = load_results(first, omissions.append), load_results(second, omissions.append)
+        changes = changes_table(before[0], after[0])
+    for line in omissions:
+        print_omission(line)
     if not changes.rows:
         raise ConfigurationError.stating(
             f"The evaluations {first} and {second} have no episode in common.",
@@ -146,6 +153,7 @@ def _failure_images(rows: list[EpisodeRow], suite: Suite, count: int, console: S
     images: list[FailureImage] = []
     for row in select_examples(rows, count):
         start = time.monotonic()
-        images.append(capture_failure_image(row, suite, time.perf_counter))
+        with Spinner(console, f"running {row.key} again for its image"):
+            images.append(capture_failure_image(row, suite, time.perf_counter))
         console.print(f"image of {row.key}  [dim]{time.monotonic() - start:.0f} s[/]")
     return images

@@ -12,7 +12,10 @@ from cyclopts import Parameter
 from dualbrain.cli.common.console import StderrConsole, print_result, print_table, sanitize_line
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.memory.open_memory import load_encoder, open_memory, open_reader, posture_limits, print_json
-from dualbrain.errors import ConfigurationError, UnknownNameError
+from dualbrain.core.text import count_noun
+from dualbrain.errors import ConfigurationError, UnknownNameError, UsageError
+from dualbrain.memory.ledger.events import Status
+from dualbrain.records import OutcomeClass
 
 if TYPE_CHECKING:
     from dualbrain.memory.ledger.ledger import LedgerReader
@@ -24,8 +27,8 @@ Flag = Annotated[bool, Parameter(negative="")]
 
 def list_memories(
     *,
-    status: str = "",
-    outcome: str = "",
+    status: Status | None = None,
+    outcome: OutcomeClass | None = None,
     source: str = "",
     at: str = "",
     limit: int = 50,
@@ -37,9 +40,9 @@ def list_memories(
     Parameters
     ----------
     status
-        Only memories with this status: active, candidate, quarantined or forgotten.
+        Only memories with this status.
     outcome
-        Only memories with this outcome, such as succeeded, failed, taken_over, rejected.
+        Only memories with this outcome.
     source
         Only memories from this planner or file.
     at
@@ -51,19 +54,21 @@ def list_memories(
     json
         Print one JSON object on stdout.
     """
+    if limit < 0:
+        raise UsageError("--limit", got=limit, allowed="0 (all memories) or more")
     with open_reader(ledger) as opened:
         state = _state_at(opened, at)
     wanted = [
         memo
         for memo in reversed(state.memories)
-        if status in ("", memo.status) and outcome in ("", memo.kind) and source in ("", memo.provenance.source)
+        if status in (None, memo.status) and outcome in (None, memo.kind) and source in ("", memo.provenance.source)
     ]
     shown = wanted[:limit] if limit else wanted
     if json:
         print_json({"memories": shown, "total": len(wanted), "event": state.seq})
         return ExitCode.SUCCESS
     print_table(("id", "stored", "outcome", "Δ", "w", "status", "source"), map(_memory_row, shown))
-    StderrConsole().print(f"{len(shown)} of {len(wanted)} memories, at event {state.seq}")
+    StderrConsole().print(f"{len(shown)} of {count_noun(len(wanted), 'memory', 'memories')}, at event {state.seq}")
     return ExitCode.SUCCESS
 
 
@@ -122,10 +127,10 @@ def search(
     lambda_s: float | None = None,
     diversity: float | None = None,
     skills: tuple[str, ...] = (),
-    outcome: tuple[str, ...] = (),
+    outcome: tuple[OutcomeClass, ...] = (),
     after: str = "",
     before: str = "",
-    status: tuple[str, ...] = ("active",),
+    status: tuple[Status, ...] = ("active",),
     ledger: Path | None = None,
     json: Flag = False,
 ) -> int:
@@ -169,13 +174,15 @@ def search(
     from dualbrain.robots.loader import load_robot
     from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
+    if k < 1:
+        raise UsageError("--k", got=k, allowed="at least 1")
     perceived = scene_from_spec(open_scene(scene))
     state = home_state(load_robot(robot))
     posture = Posture(tuple(state.q.tolist()), state.opening)
     where = Filter(
         skills=skills,
-        outcomes=outcome,  # pyright: ignore[reportArgumentType]  (checked when the filter is built)
-        statuses=status,  # pyright: ignore[reportArgumentType]
+        outcomes=outcome,
+        statuses=status,
         after=_parse_time(after),
         before=_parse_time(before),
     )
@@ -251,7 +258,8 @@ def verify(*, vectors: Flag = False, ledger: Path | None = None, json: Flag = Fa
     )
     checked = "" if found.vectors_wrong is None else f", {found.vectors_wrong} vectors differ"
     StderrConsole().print(
-        f"{words}; {found.memories} memories; snapshot {found.snapshot}{checked}; head {chain.head.hash[:16]}"
+        f"{words}; {count_noun(found.memories, 'memory', 'memories')}; snapshot {found.snapshot}{checked}; "
+        f"head {chain.head.hash[:16]}"
     )
     return ExitCode.SUCCESS if found.is_intact else ExitCode.FAILED_SAFELY
 

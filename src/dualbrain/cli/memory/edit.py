@@ -21,6 +21,7 @@ from dualbrain.cli.memory.open_memory import (
     open_reader,
     print_json,
 )
+from dualbrain.core.text import count_noun
 from dualbrain.errors import ConfigurationError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -59,7 +60,9 @@ def audit(*, note: Note = False, ledger: Path | None = None, json: Flag = False)
             )
         heads = ("source", "memories", "weights changed", "Σ|Δw|", "adapters")
         print_table(heads, map(_source_row, report.sources), wrap_columns=("adapters",))
-    StderrConsole().print(f"{len(report.findings)} findings in {report.memories} memories")
+    StderrConsole().print(
+        f"{count_noun(len(report.findings), 'finding')} in {count_noun(report.memories, 'memory', 'memories')}"
+    )
     if report.utility.recalled:
         StderrConsole().print(f"retrieval utility: {report.utility}")
     return ExitCode.FAILED_SAFELY if report.findings else ExitCode.SUCCESS

@@ -46,7 +46,7 @@ def conform(
     from dualbrain.drivers.catalogue import DRIVER_KINDS, find_driver_kind
     from dualbrain.drivers.commissioning.record import require_record
     from dualbrain.drivers.conformance.harness import DriverUnderTest
-    from dualbrain.drivers.conformance.rules import RequirementStatus, check_conformance
+    from dualbrain.drivers.conformance.rules import REQUIREMENTS, RequirementStatus, check_conformance
     from dualbrain.robots.loader import load_robot
     from dualbrain.robots.site_config import read_site
     from dualbrain.safety.integration.site import site_robot
@@ -64,11 +64,10 @@ def conform(
         )
 
     findings = check_conformance(make)
+    descriptions = {one.name: one.description for one in REQUIREMENTS}
     for finding in findings:
-        print(
-            f"{finding.requirement}: {finding.status.value}{f' ({finding.reason})' if finding.reason else ''}",
-            file=sys.stderr,
-        )
+        reason = f" ({finding.reason})" if finding.reason else ""
+        print(f"{finding.status.value}: {descriptions[finding.requirement]}{reason}", file=sys.stderr)
     if json:
         print_result(
             msgspec.json.encode(

@@ -19,7 +19,7 @@ def check(
     /,
     *,
     robot: str = "panda",
-    scene: Annotated[str, Parameter(help="a number, FAMILY:SEED or a scene file")] = "0",
+    scene: str = "0",
 ) -> int:
     """Check a contract file against a robot's skills and a scene, and print the verdict as one JSON object.
 
@@ -30,6 +30,10 @@ def check(
     ----------
     contract
         Contract file (JSON), or - for standard input.
+    robot
+        The robot: panda, fr3, ur5e, base, mobile_panda, or the folder of a robot model.
+    scene
+        The scene: a number, FAMILY:SEED or a scene file.
     """
     from dualbrain.contracts.verdict import Accepted
     from dualbrain.grounding.offline_gate import check_contract

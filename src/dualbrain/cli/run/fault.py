@@ -57,6 +57,8 @@ def fault(
         print_result(msgspec.json.encode(report).decode())
     struck = "not injected: its moment never came" if report.struck is None else f"injected at {report.struck:.2f} s"
     reaction = f"expected {report.expected}, reached {report.reached} ({', '.join(report.checks) or 'no check'})"
+    if report.struck is not None and report.as_declared and report.reached != report.expected:
+        reaction += " (at least as strong as expected)"
     print(f"{report.fault}: {struck}; {reaction}; {report.outcome}: {report.reason}", file=sys.stderr)
     for one in report.unsafe:
         print(f"violation {one.kind} at {one.start:.2f} s: {' × '.join(one.bodies)}", file=sys.stderr)

@@ -78,12 +78,15 @@ def plan(
     if not 1 <= shots <= MAX_SHOTS:
         raise UsageError("--shots", got=shots, allowed=f"1 to {MAX_SHOTS}")
     console = StderrConsole()
-    here = context_at_home(robot, scene_from_spec(open_scene(scene, robot)))
+    loading = Spinner(console, "loading")
     with ExitStack() as stack:
+        stack.enter_context(loading)
+        here = context_at_home(robot, scene_from_spec(open_scene(scene, robot)))
         recall = stack.enter_context(_open_memory(ledger, here)) if memory == "on" else None
         look_up = stack.enter_context(_open_documents(here)) if knowledge == "on" else _no_documents
         chosen, notice = choose_planner(planner, here.robot_model.name, cache_folder())
         opened = stack.enter_context(_open_planner(chosen, here))
+        loading.stop()
         documents = no_documents_reason(opened) if knowledge == "on" else ""
         for line in filter(None, (notice, documents)):
             console.print(line, markup=False)

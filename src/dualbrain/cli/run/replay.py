@@ -9,8 +9,10 @@ from typing import Annotated
 import msgspec
 from cyclopts import Parameter
 
-from dualbrain.cli.common.console import print_result
+from dualbrain.cli.common.console import StderrConsole, print_result
 from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.cli.common.spinner import Spinner
+from dualbrain.errors import ConfigurationError
 
 
 def replay(recording: Path, /, *, json: Annotated[bool, Parameter(negative="")] = False) -> int:
@@ -25,7 +27,14 @@ def replay(recording: Path, /, *, json: Annotated[bool, Parameter(negative="")] 
     """
     from dualbrain.control.recording.replay import replay as recompute
 
-    result = recompute(recording)
+    if recording.is_dir():
+        fix = f"Replay its recording: dualbrain replay {recording / 'episode.mcap'}"
+        raise ConfigurationError.stating(f"{recording} is a folder.", fix=fix)
+    if not recording.is_file():
+        fix = "Name the file episode.mcap in the folder of a run."
+        raise ConfigurationError.stating(f"There is no recording {recording}.", fix=fix)
+    with Spinner(StderrConsole(), f"recomputing {recording.name}"):
+        result = recompute(recording)
     if json:
         print_result(msgspec.json.encode({"identical": result.identical, **msgspec.to_builtins(result)}).decode())
     if result.identical:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import Annotated, Literal
-
-from cyclopts import Parameter
+from typing import Literal
 
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.contracts.schema import decoding_schema, validation_schema
@@ -15,7 +13,7 @@ def schema(
     *,
     robot: str = "panda",
     scene: str = "0",
-    form: Annotated[Literal["validation", "decoding", "short"], Parameter(help="form of the schema")] = "validation",
+    form: Literal["validation", "decoding", "short"] = "validation",
 ) -> int:
     """Print the Draft-07 JSON Schema of a robot's contracts, with the names of a scene.
 

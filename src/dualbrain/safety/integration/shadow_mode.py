@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from dualbrain.core.text import count_noun
 from dualbrain.errors import ConfigurationError
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.result import OBSTACLE, SELF, FilterResult, FilterStatus, Reason
@@ -74,7 +75,8 @@ class ShadowSummary(msgspec.Struct, frozen=True, kw_only=True):
             return "No ticks were observed."
         words = [
             f"{self.ticks} ticks observed; the filter would have changed {self.changed_fraction:.2%} of them,"
-            f" in {self.intervals} intervals of {self.intervention_time:.2f} s in total; Δ {self.Delta:.4f}."
+            f" in {count_noun(self.intervals, 'interval')} of {self.intervention_time:.2f} s in total;"
+            f" Δ {self.Delta:.4f}."
         ]
         if self.min_h_tick and self.min_h_tick.h_min is not None:
             pair = f" ({self.min_h_tick.nearest})" if self.min_h_tick.nearest else ""
