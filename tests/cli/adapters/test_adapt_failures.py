@@ -177,7 +177,7 @@ def assert_unchanged(bench, before):
 
 
 STAGES = {
-    "base": ".{base}-",
+    "base": ".{base}.",
     "data set": ".train.jsonl.",
     "states of the base": ".base_states.safetensors.",
     "best": ".best.safetensors.",
