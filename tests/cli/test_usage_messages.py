@@ -1,4 +1,4 @@
-"""Messages for mistakes of a first use: each is a sentence that says what to do."""
+"""Messages for mistakes of a first use: each is a sentence that states the remedy."""
 
 import pytest
 
@@ -30,7 +30,7 @@ def test_an_unknown_option_is_reported_by_name(capsys):
     assert "--planet" in capsys.readouterr().err
 
 
-def test_the_help_shows_no_default_that_stands_for_not_given(capsys):
+def test_the_help_shows_no_default_that_means_not_given(capsys):
     for command in (["run"], ["robot", "init"], ["memory", "search"], ["report"]):
         assert run_command_line([*command, "--help"]) == 0
         text = " ".join(capsys.readouterr().out.split())

@@ -7,7 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dualbrain.core.text import MAX_PRINTED_LENGTH, closest_name_hint, has_hidden_characters, json_pointer, to_printable
+from dualbrain.core.text import (
+    MAX_PRINTED_LENGTH,
+    closest_name_hint,
+    count_noun,
+    has_hidden_characters,
+    json_pointer,
+    to_printable,
+)
 
 
 @settings(deadline=None)
@@ -58,3 +65,8 @@ def test_pointers_are_escaped_as_in_rfc_6901() -> None:
     assert json_pointer() == ""
     assert json_pointer("action_sequence", 0, "a/b~c") == "/action_sequence/0/a~1b~0c"
     assert json.dumps(json_pointer("\x1b[2J")) == '"/\\\\x1b[2J"'
+
+
+def test_a_count_has_the_noun_in_its_number():
+    assert [count_noun(n, "chunk") for n in (0, 1, 2)] == ["0 chunks", "1 chunk", "2 chunks"]
+    assert [count_noun(n, "memory", "memories") for n in (1, 3)] == ["1 memory", "3 memories"]
