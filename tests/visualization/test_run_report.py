@@ -19,7 +19,7 @@ from dualbrain.safety.barriers import BARRIERS
 from dualbrain.visualization.html.key_numbers import key_numbers
 from dualbrain.visualization.html.memory_map import memory_map_section
 from dualbrain.visualization.html.page import Html, element, table
-from dualbrain.visualization.html.run_report import Snapshot, render_report, write_report
+from dualbrain.visualization.html.run_report import FILTER_OFF_NOTICE, Snapshot, render_report, write_report
 from dualbrain.visualization.html.strip_chart import min_max_downsample, strip_chart
 from tests.visualization.conftest import FakeFilterResult
 
@@ -267,3 +267,10 @@ def test_a_run_without_instruction_is_titled_by_its_contract(episode: Episode, t
     page = _Page(render_report(msgspec.structs.replace(episode, instruction=""), trace, ()))
     assert "a given contract" in page.text
     assert "“”" not in page.text
+
+
+def test_a_run_without_filter_is_marked_at_the_top(episode: Episode, trace: Trace) -> None:
+    unfiltered = msgspec.structs.replace(episode, versions={**episode.versions, "filter": "off"})
+    header = render_report(unfiltered, trace).partition("</header>")[0]
+    assert FILTER_OFF_NOTICE in header
+    assert FILTER_OFF_NOTICE not in render_report(episode, trace)
