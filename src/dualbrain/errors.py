@@ -39,10 +39,14 @@ class ConfigurationError(DualbrainError):
     A wrong value is reported as "SETTING: got VALUE, allowed: RANGE."; a wrong state or file as a sentence (`stating`).
     """
 
-    def __init__(self, what: str, *, got: object, allowed: str, fix: str = "") -> None:
-        """Report the setting `what`, the value `got`, the values `allowed` and the remedy `fix`."""
+    def __init__(self, what: str, *, got: object, allowed: str, fix: str = "", sentence: str = "") -> None:
+        """Report the setting `what`, the value `got`, the values `allowed` and the remedy `fix`.
+
+        A `sentence` replaces the first three in the message.
+        """
         self.what, self.got, self.allowed, self.fix = what, got, allowed, fix
-        super().__init__(f"{what}: got {got!r}, allowed: {allowed}." + (f" {fix}" if fix else ""))
+        problem = sentence or f"{what}: got {got!r}, allowed: {allowed}."
+        super().__init__(f"{problem} {fix}" if fix else problem)
 
     @classmethod
     def stating(cls, sentence: str, *, fix: str = "") -> Self:

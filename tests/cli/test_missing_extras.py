@@ -62,6 +62,7 @@ def test_help_and_doctor_work(tmp_path):
     ],
 )
 def test_a_missing_extra_is_one_line_with_the_install_command(tmp_path, command):
+    (tmp_path / "x.mcap").touch()
     done = without_extras(tmp_path, *command)
     assert (done.returncode, done.stdout) == (ExitCode.SETUP, "")
     assert done.stderr.count("\n") == 1

@@ -146,9 +146,8 @@ class SiteError(ConfigurationError):
         """Report the file called `name`, the location and the entry; a `sentence` replaces `got` and `allowed`."""
         self.line, self.column = location
         where = f"{name}, line {location[0]}, column {location[1]}"
-        super().__init__(f"{where}: {entry or 'file'}", got=got, allowed=allowed)
-        if sentence:
-            self.args = (f"{where}: {sentence}",)
+        stated = f"{where}: {sentence}" if sentence else ""
+        super().__init__(f"{where}: {entry or 'file'}", got=got, allowed=allowed, sentence=stated)
 
 
 def read_site(path: Path | str) -> SiteFile:

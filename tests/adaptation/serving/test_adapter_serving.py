@@ -138,7 +138,7 @@ def test_stacked_adapters_add_up(home, tmp_path, monkeypatch):
     finally:
         planner.close()
     write_adapter_card(msgspec.structs.replace(stack.top_card, base_sha256="0" * 64), tmp_path / "second-fit")
-    with pytest.raises(ConfigurationError, match="made for another first"):
+    with pytest.raises(ConfigurationError, match="trained on another first"):
         load_stack(tmp_path / "second-fit", home / "cache")
 
 
@@ -167,7 +167,7 @@ def test_an_adapter_proposes_under_the_grammar_with_base_and_id_as_author(home):
         assert "llguidance" in proposal.constrained_by
         assert planner.propose(plan_request()).text == proposal.text
         for wrong in ({"robot": "ur5e"}, {"registry_hash": "00000000"}):
-            with pytest.raises(ConfigurationError, match=f"of adapter {name[:16]}"):
+            with pytest.raises(ConfigurationError, match=f"Adapter {name[:16]} was trained for"):
                 planner.propose(plan_request(**wrong))
     finally:
         planner.close()
@@ -191,7 +191,7 @@ def test_a_narrower_vocabulary_than_that_of_the_training_is_served(home):
     )
     try:
         assert '"registry":"narrower"' in planner.propose(plan_request(registry_hash="narrower")).text
-        with pytest.raises(ConfigurationError, match="vocabulary of adapter"):
+        with pytest.raises(ConfigurationError, match="was trained for the vocabulary"):
             planner.propose(plan_request(registry_hash="00000000"))
     finally:
         planner.close()
@@ -199,15 +199,15 @@ def test_a_narrower_vocabulary_than_that_of_the_training_is_served(home):
 
 @pytest.mark.parametrize("wrong", [{"robot": "ur5e"}, {"registry": "00000000"}])
 def test_another_robot_or_vocabulary_is_rejected_before_a_process_starts(home, wrong):
-    with pytest.raises(ConfigurationError, match="of adapter"):
+    with pytest.raises(ConfigurationError, match=r"was trained for panda|was trained for the vocabulary"):
         open_one(home, f"adapter:{ids(home)[0]}", **wrong)
 
 
 def test_another_prompt_or_base_and_changed_weights_are_rejected(home, tmp_path):
     _, card = tiny_adapter.write_adapter(model("llama"), tmp_path / "c", 7)
     for changed, word in (
-        ({"prompt": "old"}, "prompt of adapter"),
-        ({"base_sha256": "0" * 64}, "hash of the base"),
+        ({"prompt": "old"}, "was trained with the prompt template"),
+        ({"base_sha256": "0" * 64}, "was trained on another tiny"),
         ({"base": "unheard"}, "unheard"),
     ):
         write_adapter_card(msgspec.structs.replace(card, **changed), tmp_path / "c")

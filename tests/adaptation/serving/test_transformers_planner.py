@@ -88,7 +88,7 @@ def test_a_narrower_vocabulary_than_that_of_the_training_is_answered(home):
     open_fit = open_planner(name, home / "cache", **options, narrowed_registries={"narrower": REGISTRY.hash})
     asked = msgspec.structs.replace(REQUEST, registry_hash="narrower")
     assert open_fit.propose(asked).text.startswith('{"id":"c-0007","context":{"robot":"panda","registry":"narrower"}')
-    with pytest.raises(ConfigurationError, match="vocabulary of adapter"):
+    with pytest.raises(ConfigurationError, match="was trained for the vocabulary"):
         open_planner(name, home / "cache", **options)
 
 

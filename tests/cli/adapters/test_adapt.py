@@ -250,7 +250,7 @@ def test_another_site_is_rejected_for_an_existing_data_set(run_command, ledger, 
         before = contents(tmp_path / folder)
         code, _, err = run_command("adapt", "--out", folder, *other)
         assert code == ExitCode.SETUP
-        assert f"site of the data set in {folder}" in err
+        assert f"The data set in {folder} was made for " in err
         assert "another --out" in err
         assert contents(tmp_path / folder) == before
 

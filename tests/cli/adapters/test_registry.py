@@ -365,7 +365,10 @@ def test_a_promotion_needs_a_measurement_in_the_serving_runtime(run_command, nam
     elsewhere = Measurement(trial_results(name, 58, runtime="another"), trial_results("", 20, runtime="another"))
     (tmp_path / "m.json").write_bytes(msgspec.json.encode(elsewhere))
     code, _, err = run_command("adapters", "promote", name[:8], "--measured", "m.json", "--shadow", 0)
-    assert (code, "runtime of the measurement: got 'another', allowed: llama. Measure again" in err) == (5, True)
+    assert (
+        code,
+        "measured in the runtime another, but it is served in llama. Measure again" in " ".join(err.split()),
+    ) == (5, True)
     assert last_entry(tmp_path).kind == "added"
 
 

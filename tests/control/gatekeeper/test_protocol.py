@@ -163,7 +163,7 @@ def test_a_key_file_is_private_and_persistent(tmp_path):
     assert load_or_create_keys(path) == keys
     assert len(set(keys.secrets.values())) == 2
     path.chmod(0o640)
-    with pytest.raises(ConfigurationError, match="0o640"):
+    with pytest.raises(ConfigurationError, match="the mode 640"):
         load_or_create_keys(path)
     path.chmod(0o600)
     path.write_text('{"secrets": {"planner": ""}}')

@@ -19,7 +19,10 @@ def registry_hashes(card: AdapterCard) -> dict[str, str]:
 def require_same_prompt(card: AdapterCard) -> None:
     """Raise `ConfigurationError` unless the adapter was trained with the present short prompt template."""
     if card.prompt != (present := short_template_hash()):
-        raise ConfigurationError(f"prompt of adapter {card.id[:16]}", got=card.prompt, allowed=present, fix=REFIT_HINT)
+        problem = (
+            f"Adapter {card.id[:16]} was trained with the prompt template {card.prompt}; the present one is {present}."
+        )
+        raise ConfigurationError.stating(problem, fix=REFIT_HINT)
 
 
 def require_compatible(card: AdapterCard, robot: str, registry: str, narrowed: Mapping[str, str] = {}) -> None:
@@ -31,10 +34,11 @@ def require_compatible(card: AdapterCard, robot: str, registry: str, narrowed: M
     """
     trained = registry_hashes(card)
     if robot not in trained:
-        allowed = ", ".join(sorted(trained))
-        raise ConfigurationError(f"robot of adapter {card.id[:16]}", got=robot, allowed=allowed, fix=REFIT_HINT)
+        robots = ", ".join(sorted(trained))
+        problem = f"Adapter {card.id[:16]} was trained for {robots}, not for {robot}."
+        raise ConfigurationError.stating(problem, fix=REFIT_HINT)
     if trained[robot] not in {registry, narrowed.get(registry)}:
-        got = f"{registry} of {robot}"
-        raise ConfigurationError(
-            f"vocabulary of adapter {card.id[:16]}", got=got, allowed=trained[robot], fix=REFIT_HINT
+        problem = (
+            f"Adapter {card.id[:16]} was trained for the vocabulary {trained[robot]} of {robot}, not for {registry}."
         )
+        raise ConfigurationError.stating(problem, fix=REFIT_HINT)

@@ -193,7 +193,8 @@ def _paired_results(candidate: PlannerResults, champion: PlannerResults) -> list
         problem = "The results of the two planners cannot be compared: their questions or their runtimes differ."
         raise ConfigurationError.stating(problem, fix=MEASURE_AGAIN_HINT)
     if len(of_candidate) < MIN_QUESTIONS:
-        raise ConfigurationError("questions", got=len(of_candidate), allowed=f"at least {MIN_QUESTIONS}")
+        problem = f"The measurement has {len(of_candidate)} questions, but a comparison needs at least {MIN_QUESTIONS}."
+        raise ConfigurationError.stating(problem, fix="Measure with more held-out questions.")
     if candidate.adapter == champion.adapter:
         raise ConfigurationError.stating("The candidate is the champion itself.", fix="Measure another adapter.")
     for results in (candidate, champion):

@@ -81,5 +81,8 @@ def read_layers(folder: Path) -> tuple[AdapterLayer, ...]:
 
 def _require_base_hash(card: AdapterCard, found: str) -> None:
     if card.base_sha256 != found:
-        fix = f"The adapter {card.id[:16]} was made for another {card.base}: train it again."
-        raise ConfigurationError(f"hash of the base {card.base!r}", got=found, allowed=card.base_sha256, fix=fix)
+        problem = (
+            f"Adapter {card.id[:16]} was trained on another {card.base}, with the SHA-256 {card.base_sha256}; "
+            f"that of the present one is {found}."
+        )
+        raise ConfigurationError.stating(problem, fix="Train it again.")

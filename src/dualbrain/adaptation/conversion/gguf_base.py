@@ -81,7 +81,8 @@ def _read_field(reader: Any, key: str, kind: type[Any]) -> Any:
     found = reader.get_field(key)
     value = None if found is None else found.contents()
     if not isinstance(value, kind):
-        raise ConfigurationError(f"{key} of the base", got=value, allowed=f"one {kind.__name__}")
+        problem = f"The field {key} of the base is {value!r}, not one {kind.__name__}."
+        raise ConfigurationError.stating(problem, fix="Fetch the base again with `dualbrain models fetch`.")
     return value
 
 

@@ -57,8 +57,11 @@ def _match_base(module: str, pair: LoraPair, facts: GgufBase) -> LoraPair:
     """`pair` with rows in the base's order; raises `ConfigurationError` if its size is not that of the base."""
     tensor = facts.find_tensor(module)
     if (pair.a.shape[1], pair.b.shape[0]) != facts.shapes[tensor]:
-        got, allowed = f"A {pair.a.shape}, B {pair.b.shape}", f"in, out = {facts.shapes[tensor]}"
-        raise ConfigurationError(f"LoRA of {module}", got=got, allowed=allowed, fix="It was made for another base.")
+        shape = facts.shapes[tensor]
+        problem = (
+            f"The LoRA of {module}, A {pair.a.shape} and B {pair.b.shape}, does not fit its layer (in, out = {shape})."
+        )
+        raise ConfigurationError.stating(problem, fix="It was made for another base.")
     layer = tensor.split(".")[2]
     if not facts.is_permuted or layer not in ("attn_q", "attn_k"):
         return pair

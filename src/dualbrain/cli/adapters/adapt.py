@@ -151,9 +151,10 @@ def _require_same_dataset(card: Any, settings: Any, folder: Path, ledger: Path |
         problem = f"The data set in {folder} was made with other settings of [curation]: {others}."
         raise ConfigurationError.stating(problem, fix=fix)
     if card.site != (site := at_site.hash if at_site else ""):
-        got, allowed = (hash[:16] or "none" for hash in (site, card.site))
+        here, there = (f"the site {hash[:16]}" if hash else "no site" for hash in (site, card.site))
         fix = "Name another --out to curate again, or the former --site to resume."
-        raise ConfigurationError(f"site of the data set in {folder}", got=got, allowed=allowed, fix=fix)
+        problem = f"The data set in {folder} was made for {there}, but {here} is given."
+        raise ConfigurationError.stating(problem, fix=fix)
     with open_reader(ledger) as opened:
         if not descends_from(opened, Head(card.event, card.ledger)):
             problem = f"The data set in {folder} is of another ledger than {opened.path}: its event {card.event} is"
@@ -186,8 +187,8 @@ def _fit(
 
     dataset = read_dataset(folder / DATASET_FOLDER)
     if dataset.card.registry != registry.hash:
-        got, fix = dataset.card.registry, "The vocabulary has changed: curate again with another --out."
-        raise ConfigurationError("registry of the data set", got=got, allowed=registry.hash, fix=fix)
+        problem = f"The data set has the vocabulary {dataset.card.registry}, but that of the robot is {registry.hash}."
+        raise ConfigurationError.stating(problem, fix="The vocabulary has changed: curate again with another --out.")
     train = import_trainer()
     console = console_of(group)
     card = train.adapt(

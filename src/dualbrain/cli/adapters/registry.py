@@ -150,7 +150,8 @@ def require_runtime(registry: AdapterRegistry, adapter_id: str, measured: str) -
     from dualbrain.adaptation.adapters.promotion import MEASURE_AGAIN_HINT
 
     if measured != (here := serving_runtime(registry, adapter_id)):
-        raise ConfigurationError("runtime of the measurement", got=measured, allowed=here, fix=MEASURE_AGAIN_HINT)
+        problem = f"The adapter was measured in the runtime {measured}, but it is served in {here}."
+        raise ConfigurationError.stating(problem, fix=MEASURE_AGAIN_HINT)
 
 
 def runtime_mismatches(registry: AdapterRegistry) -> dict[str, str]:

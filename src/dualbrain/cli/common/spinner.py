@@ -9,7 +9,7 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 
 class Spinner:
-    """A spinner that is visible between `start` and `stop`; both may be called repeatedly."""
+    """A spinner on terminals, visible between `start` and `stop`; both may be called repeatedly."""
 
     def __init__(self, console: Console, text: str) -> None:
         """Show `text` beside the spinner."""
@@ -27,7 +27,7 @@ class Spinner:
 
     def start(self) -> None:
         """Show the spinner."""
-        if self._progress is None:
+        if self._progress is None and self._console.is_terminal:
             columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
             self._progress = Progress(*columns, console=self._console, transient=True)
             self._progress.add_task(self._text, total=None)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 import msgspec
 
+from dualbrain.core.text import count_noun
 from dualbrain.errors import ConfigurationError
 from dualbrain.robots.importer.kinematic_tree import TreeJoint
 from dualbrain.robots.model import Bound
@@ -76,6 +77,7 @@ class MissingLimitsError(ConfigurationError):
             got=f"{len(missing)} missing",
             allowed="each stated by the file or by the site",
             fix=f"No limit is assumed. State these limits:\n  {lines}",
+            sentence=f"{count_noun(len(missing), 'limit')} of {source} {'is' if len(missing) == 1 else 'are'} missing.",
         )
 
 

@@ -56,8 +56,10 @@ def merge_lora(model: Any, lora: dict[str, LoraPair]) -> None:
     weights = {name: _find_linear(name, modules, model.get_output_embeddings()).weight for name in lora}
     for name, pair in lora.items():
         if weights[name].shape != (len(pair.b), pair.a.shape[1]):
-            got, allowed = f"A {pair.a.shape}, B {pair.b.shape}", f"out, in = {tuple(weights[name].shape)}"
-            raise ConfigurationError(f"LoRA of {name}", got=got, allowed=allowed, fix="It was made for another base.")
+            shape = tuple(weights[name].shape)
+            sizes = f"A {pair.a.shape} and B {pair.b.shape}"
+            problem = f"The LoRA of {name}, {sizes}, does not fit its layer (out, in = {shape})."
+            raise ConfigurationError.stating(problem, fix="It was made for another base.")
     for name, pair in lora.items():
         weights[name] += (torch.from_numpy(pair.b) @ torch.from_numpy(pair.a)).to(weights[name].dtype)
 

@@ -48,7 +48,8 @@ def load_or_create_keys(path: Path) -> Keys:
         return new_keys
     mode = path.stat().st_mode & 0o777
     if mode & 0o077:
-        raise ConfigurationError("mode of the key file", got=oct(mode), allowed="0o600", fix=f"chmod 600 {path}")
+        problem = f"The key file has the mode {mode:03o}, so other users can read it or write to it."
+        raise ConfigurationError.stating(problem, fix=f"Run chmod 600 {path}")
     try:
         keys = msgspec.json.decode(path.read_bytes(), type=Keys)
     except DECODE_ERRORS as error:
