@@ -33,37 +33,52 @@ from tests.stories.story_session import (
 )
 from tests.support.run_once import run_once
 
-CLI_PROGRAM = "import sys; from dualbrain.cli.main import run_command_line; sys.exit(run_command_line(sys.argv[1:]))"
+CLI_PROGRAM = """
+import os, sys, time
+from pathlib import Path
+from dualbrain.cli.main import run_command_line
+from dualbrain.control.recording.channels import read_trace
+
+class SignallingStderr:
+    "Standard error that sends this process a signal during the descent, once the start of the run is on disk."
+
+    def __init__(self, stream, number, recording):
+        self.stream, self.number, self.recording, self.written = stream, number, recording, ""
+
+    def write(self, text):
+        self.written += text
+        if self.number and "grasp: descend" in self.written:
+            number, self.number = self.number, 0
+            while (trace := read_trace(self.recording)) is None or len(trace) <= 500:
+                time.sleep(0.02)
+            os.kill(os.getpid(), number)
+        return self.stream.write(text)
+
+    def __getattr__(self, name):
+        return getattr(self.stream, name)
+
+number, recording, *arguments = sys.argv[1:]
+sys.stderr = SignallingStderr(sys.stderr, int(number), Path(recording))
+sys.exit(run_command_line(arguments))
+"""
 PICK = contract_text(("grasp", GRASP), ("place", PLACE))
 
 
 def signal_during_descent(folder, name, number):
-    """Run in `folder` and send signal `number` while the arm descends; returns (exit code, stdout, stderr)."""
+    """Run in `folder`; the process gets signal `number` while the arm descends. Returns (exit code, stdout, stderr).
+
+    The process sends the signal to itself, so that its moment does not depend on the load of the machine.
+    """
     (folder / "pick.json").write_text(PICK)
-    command = [
-        sys.executable,
-        "-c",
-        CLI_PROGRAM,
-        "run",
-        "put it there",
-        "--contract",
-        "pick.json",
-        "--headless",
-        "--json",
-    ]
+    recording = folder / name / "episode.mcap"
+    command = [sys.executable, "-c", CLI_PROGRAM, str(int(number)), str(recording)]
+    command += ["run", "put it there", "--contract", "pick.json", "--headless", "--json"]
     command += ["--scene", "bare:0", "--ledger", "ledger.sqlite", "--out", name]
     environment = {**os.environ, "MUJOCO_GL": "disable", "COLUMNS": "500", "DUALBRAIN_HOME": str(folder)}
-    process = subprocess.Popen(
-        command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ended = subprocess.run(
+        command, check=False, cwd=folder, env=environment, capture_output=True, text=True, timeout=120
     )
-    lines = []
-    for line in process.stderr:
-        lines.append(line)
-        if "grasp: descend" in line:
-            process.send_signal(number)
-            break
-    out, err = process.communicate(timeout=60)
-    return process.returncode, out, "".join(lines) + err
+    return ended.returncode, ended.stdout, ended.stderr
 
 
 @pytest.fixture(scope="module")
