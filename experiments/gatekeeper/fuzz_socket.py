@@ -24,7 +24,8 @@ from dualbrain.contracts.gate.authorization import PLANNER
 from dualbrain.contracts.verdict import Accepted
 from dualbrain.control.gatekeeper.capability import Capability, full_capability
 from dualbrain.control.gatekeeper.config import GatekeeperConfig
-from dualbrain.control.gatekeeper.gate_worker import GateRequest, GateWorker
+from dualbrain.control.gatekeeper.gate.contract_checker import ContractChecker
+from dualbrain.control.gatekeeper.gate.exchange import GateRequest, GateSetup
 from dualbrain.control.gatekeeper.process import GatekeeperProcess
 from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys, verify_contract_mac
 from dualbrain.control.gatekeeper.protocol.client import GatekeeperClient
@@ -108,20 +109,17 @@ class FuzzSocket:
 
 def _fuzz_in_process(seed: int, frames: int) -> Row:
     """Feed frames, half of which carry a contract with a valid authentication code for this connection."""
-    fuzzer, worker, request = Fuzzer(seed), *_gate_worker_and_request()
+    fuzzer, checker, request = Fuzzer(seed), *_checker_and_request()
     counts: Counter[str] = Counter()
-    try:
-        _feed_frames(fuzzer, worker, request, range(WARM_UP_FRAMES), Counter())
-        before, start = resident_kib(), time.monotonic()
-        _feed_frames(fuzzer, worker, request, range(WARM_UP_FRAMES, WARM_UP_FRAMES + frames), counts)
-    finally:
-        worker.close()
+    _feed_frames(fuzzer, checker, request, range(WARM_UP_FRAMES), Counter())
+    before, start = resident_kib(), time.monotonic()
+    _feed_frames(fuzzer, checker, request, range(WARM_UP_FRAMES, WARM_UP_FRAMES + frames), counts)
     spent, grown = time.monotonic() - start, resident_kib() - before
     return {"frames": frames, "counts": counts, "grown_kib": grown, "seconds": spent}
 
 
-def _gate_worker_and_request() -> tuple[GateWorker, GateRequest]:
-    """Return a gate worker and a request that lacks only its contract."""
+def _checker_and_request() -> tuple[ContractChecker, GateRequest]:
+    """Return a contract checker and a request that lacks only its contract."""
     robot_model = load_robot("panda")
     scene = scene_from_spec(open_scene(SCENE))
     q = np.array(robot_model.home)
@@ -135,13 +133,14 @@ def _gate_worker_and_request() -> tuple[GateWorker, GateRequest]:
         drive_enabled=True,
     )
     stamp = ContractHeader(sequence=1, issued=0.0, expires=60.0, principal=PLANNER, scene_version=scene.version)
-    return GateWorker(robot_model, {PLANNER: full_capability(skill_registry(robot_model))}), GateRequest(
+    setup = GateSetup(robot_model=robot_model, capabilities={PLANNER: full_capability(skill_registry(robot_model))})
+    return ContractChecker(setup), GateRequest(
         connection_number=1, sequence=1, contract=b"", stamp=stamp, now=1.0, scene=scene, state=state, holding=None
     )
 
 
 def _feed_frames(
-    fuzzer: Fuzzer, worker: GateWorker, request: GateRequest, numbers: range, counts: Counter[str]
+    fuzzer: Fuzzer, checker: ContractChecker, request: GateRequest, numbers: range, counts: Counter[str]
 ) -> None:
     decoder, sequence = FrameDecoder(), 0
     for number in numbers:
@@ -165,13 +164,13 @@ def _feed_frames(
         elif not verify_contract_mac(SECRET, NONCE, frame.sequence, message):
             counts["seals refused"] += 1
         else:
-            counts[_classify_contract(worker, request, message, number)] += 1
+            counts[_classify_contract(checker, request, message, number)] += 1
 
 
-def _classify_contract(worker: GateWorker, request: GateRequest, message: Propose, number: int) -> str:
+def _classify_contract(checker: ContractChecker, request: GateRequest, message: Propose, number: int) -> str:
     """Return the stage that rejected a contract, or that it was accepted."""
     stamp = msgspec.structs.replace(request.stamp, sequence=(1 << 32) + number)
-    verdict = worker.check(msgspec.structs.replace(request, contract=message.contract, stamp=stamp))
+    verdict = checker.check(msgspec.structs.replace(request, contract=message.contract, stamp=stamp))
     if isinstance(verdict, Accepted):
         return "contracts accepted"
     return GATE_RAISED if verdict.hint in GATE_FAILURE_HINTS else f"contracts refused: {verdict.stage}"

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from dualbrain.contracts.contract import Contract, ContractHeader
 from dualbrain.contracts.gate.gate import Gate
+from dualbrain.contracts.gate.syntax import SyntaxStage, _error_order, _rejection
 from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.schema import syntax_schema, validation_schema
 from dualbrain.contracts.verdict import Accepted, Rejected
@@ -150,6 +151,26 @@ def test_the_slowest_known_inputs_are_rejected_in_a_quarter_of_a_second(text: st
 
 
 # --- each stage alone -----------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.lists(contract_strategy(), min_size=2, max_size=8), st.data())
+def test_the_first_wrong_place_is_that_among_all_errors_of_the_document(documents: list[Any], data: Any) -> None:
+    """The stage collects the errors of a part of the document only, and reports the same place and reason."""
+    document = copy.deepcopy(documents[0])
+    document["action_sequence"] = [one["action_sequence"][0] for one in documents]
+    for _ in range(data.draw(st.integers(1, 4))):
+        if not all(isinstance(one.get("params"), dict) for one in document["action_sequence"]):
+            break
+        action = data.draw(st.sampled_from(document["action_sequence"]))
+        target = data.draw(st.sampled_from([document, action, action["params"]]))
+        target[data.draw(st.sampled_from(["id", "skill", "params", "speed", "x", "y"]))] = data.draw(
+            st.sampled_from([None, 1.0, "x", [1, [2]], {"a": {}}, True])
+        )
+    stage = SyntaxStage(REGISTRY)
+    errors = list(stage._compiled.iter_errors(document))
+    expected = _rejection(min(errors, key=_error_order), stage._schema) if errors else None
+    assert stage.check(document) == expected
 
 
 def test_a_rejection_at_an_earlier_stage_hides_the_later_ones() -> None:

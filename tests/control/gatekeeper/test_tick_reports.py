@@ -5,6 +5,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from dualbrain.control.gatekeeper.capability import full_capability
+from dualbrain.control.gatekeeper.gate.exchange import GateSetup
+from dualbrain.control.gatekeeper.gate.inline_gate import InlineGate
 from dualbrain.control.gatekeeper.gatekeeper import Gatekeeper, GatekeeperSettings
 from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys
 from dualbrain.control.gatekeeper.protocol.client import GatekeeperClient
@@ -29,6 +31,7 @@ def test_tick_reports_arrive_about_fifteen_times_per_second_of_the_robots_time(t
     world = SimulatedWorld(plant, NoisyPerception(spec, PerceptionNoise(), np.random.default_rng(0)))
     injector = FaultInjector(Fault("state", "off", "closing"), lambda: plant.now)
     keys, server, reports = load_or_create_keys(tmp_path / "keys"), SocketServer(tmp_path / "s"), []
+    capabilities = {"planner": full_capability(skill_registry(robot_model))}
     with ThreadPoolExecutor() as background:
         observer = background.submit(GatekeeperClient, server.path, on_report=reports.append)
         connected_at = []
@@ -50,8 +53,9 @@ def test_tick_reports_arrive_about_fifteen_times_per_second_of_the_robots_time(t
             robot_model,
             robot,
             server,
+            InlineGate(GateSetup(robot_model=robot_model, capabilities=capabilities)),
             keys,
-            {"planner": full_capability(skill_registry(robot_model))},
+            capabilities,
             settings=GatekeeperSettings(timing=SIMULATED),
         )
         gatekeeper.run()

@@ -14,12 +14,15 @@ MAX_BYTES = 64 * 1024
 MAX_DEPTH = 16
 MAX_FIELDS = 64
 """Maximum number of fields of an object: above that of any skill, and small enough for a fast rejection."""
+MAX_COMMAS = 1024
+"""Maximum number of commas outside strings: several times that of the longest contract. It bounds the number of values,
+and with it the time of every later step."""
 MAX_INT_DIGITS = 15
 """Maximum number of digits of an integer; integers of up to 15 digits are exact in double precision."""
 MAX_FLOAT_LENGTH = 40
 
 _ESCAPE_PATTERN = re.compile(rb"\\.", re.DOTALL)
-_NON_STRUCTURAL_BYTES = bytes(set(range(256)) - set(b'[]{}"'))
+_NON_STRUCTURAL_BYTES = bytes(set(range(256)) - set(b'[]{}",'))
 _DEPTH_CHANGE = {ord("["): 1, ord("{"): 1, ord("]"): -1, ord("}"): -1}
 
 
@@ -34,10 +37,10 @@ class _RejectedError(DualbrainError):
 def parse(data: bytes) -> Any:
     """The JSON value in `data`, or `Rejected` at the syntax stage; never raises, for any bytes.
 
-    Conditions, in this order: at most 64 KiB; strict UTF-8 without byte order mark; brackets outside strings at most 16
-    deep; RFC 8259 JSON; objects with at most 64 fields and no duplicate; no NaN or infinity, literally or by overflow;
-    integers of at most 15 digits; no lone surrogates. (`json.loads` alone accepts NaN, duplicate keys and lone
-    surrogates, and reads 1e999 as infinity.)
+    Conditions, in this order: at most 64 KiB; strict UTF-8 without byte order mark; outside strings, at most 1024
+    commas, and brackets at most 16 deep; RFC 8259 JSON; objects with at most 64 fields and no duplicate; no NaN or
+    infinity, literally or by overflow; integers of at most 15 digits; no lone surrogates. (`json.loads` alone accepts
+    NaN, duplicate keys and lone surrogates, and reads 1e999 as infinity.)
     """
     if len(data) > MAX_BYTES:
         return _reject(len(data), f"at most {MAX_BYTES} bytes", "send one contract and nothing else")
@@ -58,7 +61,13 @@ def parse(data: bytes) -> Any:
 def _decode(data: bytes) -> Any:
     """The value in `data`; raises the exceptions that `parse` turns into rejections."""
     text = data.decode("utf-8", "strict")
-    if _is_too_deep(data):
+    outside_strings = _structure_outside_strings(data)
+    n_commas = outside_strings.count(b",")
+    if n_commas > MAX_COMMAS:
+        raise _RejectedError(
+            _reject(f"{n_commas} commas", f"at most {MAX_COMMAS} commas outside strings", "send fewer values")
+        )
+    if _is_too_deep(outside_strings):
         raise _RejectedError(
             _reject(f"deeper than {MAX_DEPTH}", f"brackets at most {MAX_DEPTH} deep", "a contract is 5 deep")
         )
@@ -68,21 +77,25 @@ def _decode(data: bytes) -> Any:
     return value
 
 
-def _is_too_deep(data: bytes) -> bool:
-    """Whether brackets outside strings nest deeper than `MAX_DEPTH`.
+def _structure_outside_strings(data: bytes) -> bytes:
+    """The brackets and commas outside strings.
 
     The result is exact for every text that begins as JSON, because quotes are paired as the decoder pairs them. The
     time is linear in the size of the data.
     """
     if b"\\" in data:
         data = _ESCAPE_PATTERN.sub(b"", data)
+    structure = data.translate(None, _NON_STRUCTURAL_BYTES).replace(b'""', b"")  # a string without structural bytes
+    return b"".join(structure.split(b'"')[::2])
+
+
+def _is_too_deep(outside_strings: bytes) -> bool:
+    """Whether brackets nest deeper than `MAX_DEPTH`."""
     depth = 0
-    structure = data.translate(None, _NON_STRUCTURAL_BYTES).replace(b'""', b"")  # an empty string contains no bracket
-    for outside_strings in structure.split(b'"')[::2]:
-        for bracket in outside_strings:
-            depth += _DEPTH_CHANGE[bracket]
-            if depth > MAX_DEPTH:
-                return True
+    for bracket in outside_strings.replace(b",", b""):
+        depth += _DEPTH_CHANGE[bracket]
+        if depth > MAX_DEPTH:
+            return True
     return False
 
 

@@ -24,6 +24,7 @@ class SyntaxStage:
         """Compile the syntax schema of `registry`."""
         self._schema = syntax_schema(registry)
         self._compiled = jsonschema_rs.Draft7Validator(self._schema)
+        self._compiled_action = jsonschema_rs.Draft7Validator(self._schema["properties"]["action_sequence"]["items"])
 
     def check(self, document: Any) -> Rejected | None:
         """None if `document` is well formed, else the rejection of its first wrong place."""
@@ -32,15 +33,32 @@ class SyntaxStage:
         rejection = _reject_too_many_actions(document)
         if rejection is not None:
             return rejection
-        first = min(self._compiled.iter_errors(document), key=_error_order)
+        first = min(self._compiled.iter_errors(self._first_wrong_part(document)), key=_error_order)
         return _rejection(first, self._schema)
+
+    def _first_wrong_part(self, document: Any) -> Any:
+        """The part of `document` that contains its first wrong place: no actions after the first wrong one.
+
+        All errors of the part are collected. Their number, and with it the time, must not grow with the document.
+        """
+        actions = _action_list(document)
+        first = next(
+            (k for k, action in enumerate(actions) if not self._compiled_action.is_valid(action)), len(actions)
+        )
+        return {**document, "action_sequence": actions[: first + 1]} if actions else document
+
+
+def _action_list(document: Any) -> list[Any]:
+    """The array of actions in `document`, empty if there is none."""
+    steps: Any = cast("dict[str, Any]", document).get("action_sequence") if isinstance(document, dict) else None
+    return cast("list[Any]", steps) if isinstance(steps, list) else []
 
 
 def _reject_too_many_actions(document: Any) -> Rejected | None:
     """The rejection of too many actions, found before all errors are collected, which takes a second for 64 KiB."""
-    steps: Any = cast("dict[str, Any]", document).get("action_sequence") if isinstance(document, dict) else None
-    if isinstance(steps, list) and len(cast("list[Any]", steps)) > MAX_ACTIONS:
-        return _action_count_rejection(json_pointer("action_sequence"), steps)
+    actions = _action_list(document)
+    if len(actions) > MAX_ACTIONS:
+        return _action_count_rejection(json_pointer("action_sequence"), actions)
     return None
 
 

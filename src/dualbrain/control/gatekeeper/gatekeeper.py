@@ -1,6 +1,6 @@
 """The gatekeeper: owns robot, skills, filter, supervisor and control tick; other processes send it requests.
 
-In every tick it reads a bounded amount from the socket, passes contracts to its gate worker, and reports the state of
+In every tick it reads a bounded amount from the socket, passes contracts to the gate process, and reports the state of
 the connections to the supervisor as conditions. A commander that dies, hangs, floods the socket or sends malformed
 frames is a condition like any other.
 """
@@ -18,7 +18,7 @@ from dualbrain.contracts.verdict import Accepted
 from dualbrain.control.contract_executor import ContractExecutor
 from dualbrain.control.control_loop import ControlLoop, ControlLoopConfig, LoopInputs, LoopObserver, TickSnapshot
 from dualbrain.control.gatekeeper.capability import Capability
-from dualbrain.control.gatekeeper.gate_worker import GateReply, GateRequest, GateWorker
+from dualbrain.control.gatekeeper.gate.exchange import ContractGate, GateReply, GateRequest
 from dualbrain.control.gatekeeper.operator_commands import OperatorCommands, is_allowed
 from dualbrain.control.gatekeeper.protocol.authentication import Keys, verify_contract_mac, verify_hello_proof
 from dualbrain.control.gatekeeper.protocol.messages import (
@@ -49,6 +49,7 @@ from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.obstacles import Obstacle
 from dualbrain.safety.supervisor.conditions import Condition
 from dualbrain.safety.supervisor.timing import Timing
+from dualbrain.skills.registry import skill_registry
 
 OPERATOR = "operator"
 """Principal of the operator, a person with the operator's key."""
@@ -90,6 +91,7 @@ class Gatekeeper:
         robot_model: RobotModel,
         robot: RobotLink,
         server: SocketServer,
+        gate: ContractGate,
         keys: Keys,
         capabilities: Mapping[str, Capability],
         *,
@@ -100,14 +102,14 @@ class Gatekeeper:
         on_outcome: Callable[[Outcome], None] = lambda outcome: None,
         mark_part: Callable[[str], None] = lambda part: None,
     ) -> None:
-        """Connect all parts; the robot holds position until a contract is accepted.
+        """Connect all parts; the robot holds position until a contract is accepted. `gate` checks the contracts.
 
         Connections are timed by `monotonic` [s]. `on_outcome` gets every outcome, `mark_part` the name of the part of a
         tick that has just ended.
         """
         self.robot, self.server, self.operator_commands = robot, server, OperatorCommands(settings.speed_scale)
         self._keys, self._capabilities = keys, dict(capabilities)
-        self._gate_worker = GateWorker(robot_model, capabilities, settings.fixed_obstacles)
+        self._gate, self._registry = gate, skill_registry(robot_model)
         self._trace = Trace(robot_model.n) if trace is None else trace
         self._log = FlightLog(self._trace, recorder, self._broadcast_event)
         self._commander: Connection | None = None
@@ -153,18 +155,14 @@ class Gatekeeper:
                 if self._ticks % self._cleanup_period_ticks == 0:
                     self._trace.clear()
                     gc.collect(0)
-        self._gate_worker.close()
+        self._gate.close()
         gc.unfreeze()
         gc.enable()
 
     @property
     def busy(self) -> bool:
         """Whether a contract runs, is next, or is being checked by the gate."""
-        return self._busy or self._next_contract is not None or self._gate_worker.busy
-
-    def wait_for_gate_worker(self) -> None:
-        """Wait for the gate worker, so that a lockstep simulation does not depend on the speed of the machine."""
-        self._gate_worker.wait_until_idle()
+        return self._busy or self._next_contract is not None or self._gate.busy
 
     def shut_down(self) -> None:
         """End after this tick, or as soon as the robot has braked if a contract runs."""
@@ -191,7 +189,7 @@ class Gatekeeper:
             self._dispatch(connection, sequence, message, now)
         for connection in self.server.failed_connections():
             self._on_disconnect(connection, now)
-        if (reply := self._gate_worker.take_reply()) is not None:
+        if (reply := self._gate.take_reply()) is not None:
             self._apply_gate_reply(reply)
         if self._ticks % self._status_period_ticks == 0:
             self._send_status(now)
@@ -278,7 +276,7 @@ class Gatekeeper:
                 self._commander.fault = "silent, and another commander connected"
             self._commander, self._had_commander = connection, True
         connection.principal, connection.receives_reports = hello.principal, hello.watch
-        registry = self._gate_worker.registry
+        registry = self._registry
         connection.send(
             Welcome(role=connection.role, now=self.robot.clock(), robot=registry.robot, registry=registry.hash)
         )
@@ -300,7 +298,7 @@ class Gatekeeper:
         self._log_operator(connection, f": {command.act}{detail}")
 
     def _submit_contract(self, connection: Connection, sequence: int, message: Propose, now: float) -> None:
-        """Check authentication, authority and rate, then pass the contract to the gate worker.
+        """Check authentication, authority and rate, then pass the contract to the gate.
 
         A contract that is rejected here has not been parsed.
         """
@@ -323,7 +321,7 @@ class Gatekeeper:
                 state=self.loop.state,
                 holding=self.loop.controller.holding,
             )
-            reason = "" if self._gate_worker.submit(request) else "another contract is being checked"
+            reason = "" if self._gate.submit(request) else "another contract is being checked"
         if reason:
             self._refused_until = now + FAULT_HOLD_TIME
             self._log.note(self.robot.read().stamp, "verdict", f"not considered: {reason}")

@@ -17,6 +17,8 @@ import msgspec
 from dualbrain.contracts.gate.authorization import PLANNER
 from dualbrain.control.gatekeeper.config import GatekeeperConfig
 from dualbrain.control.gatekeeper.deployment import Deployment
+from dualbrain.control.gatekeeper.gate.exchange import GateSetup
+from dualbrain.control.gatekeeper.gate.gate_process import GateProcess
 from dualbrain.control.gatekeeper.gatekeeper import Gatekeeper, GatekeeperSettings
 from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys
 from dualbrain.control.gatekeeper.protocol.server import SocketServer, is_listening
@@ -45,8 +47,16 @@ def run_gatekeeper(config: GatekeeperConfig, on_ready: Callable[[], None] = lamb
     robot_model = deployment.robot_model
     server = SocketServer(Path(config.socket))
     robot: RemoteRobot | None = None
+    gate: GateProcess | None = None
     recorder: Recorder | None = None
     try:
+        gate = GateProcess(
+            GateSetup(
+                robot_model=robot_model,
+                capabilities={PLANNER: deployment.capability},
+                fixed_obstacles=deployment.fixed_obstacles,
+            )
+        )
         profile = TickProfiler()
         robot = RemoteRobot(deployment.process_settings(config), deployment.timing, profile)
         trace = Trace(robot_model.n, robot_model.nq)
@@ -64,6 +74,7 @@ def run_gatekeeper(config: GatekeeperConfig, on_ready: Callable[[], None] = lamb
             robot_model,
             robot,
             server,
+            gate,
             keys,
             {PLANNER: deployment.capability},
             settings=settings,
@@ -78,6 +89,7 @@ def run_gatekeeper(config: GatekeeperConfig, on_ready: Callable[[], None] = lamb
 
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, stop)
+        gate.wait_until_ready()
         on_ready()
         gatekeeper.run()
         timing = msgspec.structs.replace(robot.tick_timer.summary(), parts=profile.summary())
@@ -87,6 +99,8 @@ def run_gatekeeper(config: GatekeeperConfig, on_ready: Callable[[], None] = lamb
     finally:
         if robot is not None:
             robot.close()
+        if gate is not None:
+            gate.close()
         if recorder is not None:
             recorder.close()
         server.close()

@@ -13,6 +13,8 @@ import msgspec
 from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.gate.authorization import PLANNER
 from dualbrain.control.gatekeeper.capability import full_capability
+from dualbrain.control.gatekeeper.gate.exchange import GateSetup
+from dualbrain.control.gatekeeper.gate.inline_gate import InlineGate
 from dualbrain.control.gatekeeper.gatekeeper import Gatekeeper, GatekeeperSettings
 from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys
 from dualbrain.control.gatekeeper.protocol.server import SocketServer
@@ -133,14 +135,16 @@ def run_gatekeeper_trial(
     result = GatekeeperTrialResult(plant=plant, world=world, injector=injector, trace=trace)
     outcomes: list[Outcome] = []
     registry = skill_registry(robot_model)
+    capabilities = {PLANNER: full_capability(registry)}
     with tempfile.TemporaryDirectory(prefix="dualbrain-") as name:
         keys, server = load_or_create_keys(Path(name) / "k"), SocketServer(Path(name) / "s")
         gatekeeper = Gatekeeper(
             robot_model,
             robot,
             server,
+            InlineGate(GateSetup(robot_model=robot_model, capabilities=capabilities)),
             keys,
-            {PLANNER: full_capability(registry)},
+            capabilities,
             settings=GatekeeperSettings(timing=SIMULATED),
             trace=trace,
             monotonic=lambda: plant.now,
@@ -159,7 +163,6 @@ def run_gatekeeper_trial(
         ended_at: list[float] = []
 
         def on_period(now: float) -> None:
-            gatekeeper.wait_for_gate_worker()
             commander.step(now)
             if outcomes and not ended_at:
                 ended_at.append(now)

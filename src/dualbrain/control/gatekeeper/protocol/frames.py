@@ -57,6 +57,17 @@ class FrameDecoder:
         """Number of received bytes that no returned frame contains."""
         return len(self._buffer)
 
+    @property
+    def has_frame(self) -> bool:
+        """Whether `next_frame` returns something: a complete frame or a fault. Reading is needed otherwise."""
+        if self.failure is not None:
+            return True
+        if len(self._buffer) < HEADER.size:
+            return False
+        magic, version, _, length, sequence = HEADER.unpack_from(self._buffer)
+        is_valid = magic == MAGIC and version == VERSION and length <= MAX_BODY_BYTES
+        return not is_valid or sequence != self._expected_sequence or len(self._buffer) >= HEADER.size + length
+
     def next_frame(self) -> Frame | BrokenStream | None:
         """The next complete frame; None if there is none yet; `BrokenStream` for ever after the first fault."""
         if self.failure is not None or len(self._buffer) < HEADER.size:

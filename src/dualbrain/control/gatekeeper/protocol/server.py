@@ -78,7 +78,7 @@ class Connection:
 
     def receive(self, now: float) -> list[tuple[int, Message]]:
         """Received messages with their sequence numbers, within the budget of a tick; sets `fault` after an error."""
-        if self._decoder.n_buffered < BYTES_PER_TICK:
+        if not self._decoder.has_frame:  # a frame of any length becomes complete; at most one frame is kept
             self._read_socket()
         received: list[tuple[int, Message]] = []
         while len(received) < FRAMES_PER_TICK:
@@ -115,7 +115,7 @@ class Connection:
             return
         if data:
             self._decoder.feed(data)
-        elif not self._decoder.n_buffered:
+        else:
             self.fault = self.fault or DISCONNECTED
 
     def _exceeds_rate_limit(self, now: float) -> bool:

@@ -3,7 +3,7 @@
     wait → read → sense → skills → door → supervisor → filter → write → record → show → wait …
 
 Ticks without a contract have no `skills`, and few ticks have a `show`. The time of a part is wall time: it contains the
-time of another thread (gate worker, recorder) that runs meanwhile. The CPU time of the control thread is given as well.
+time of another thread (the recorder) that runs meanwhile. The CPU time of the control thread is given as well.
 """
 
 from __future__ import annotations
