@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -111,7 +112,7 @@ def operate(
     Parameters
     ----------
     act
-        The command. `estop` needs no key; after it, `release_estop`, `reset` and `resume` are needed in this order.
+        The command. `estop` reads no key; after it, `release_estop`, `reset` and `resume` are needed in this order.
     speed
         With the command `speed`, which requires it: the speed scale, as 10% or 0.1.
     socket
@@ -121,28 +122,54 @@ def operate(
     run
         Run folder of a `dualbrain run --live`, whose gatekeeper gets the command.
     """
-    import time
-
-    from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys
-    from dualbrain.control.gatekeeper.protocol.client import GatekeeperClient
-    from dualbrain.errors import ConfigurationError, UsageError
+    from dualbrain.errors import UsageError
 
     if act == "speed" and not speed:
         raise UsageError.stating(
             "The command `speed` needs the speed scale.", fix="For example: dualbrain operate speed --speed 25%"
         )
-    speed_scale = parse_fraction(speed) if speed else 1.0
-    where, secrets = socket or dualbrain_home() / "gatekeeper.sock", keys or dualbrain_home() / "keys.json"
-    if run is not None:
-        address = run / "gatekeeper.address"
-        if not address.exists():
-            raise ConfigurationError.stating(
-                "The run folder has no running gatekeeper (no file gatekeeper.address).",
-                fix=f"Give the folder of a `dualbrain run --live` that is running. {run}",
-            )
-        where, secrets = (Path(line) for line in address.read_text(encoding="utf-8").split())
-    without_key = act == "estop" and not secrets.exists()
-    link = GatekeeperClient(where) if without_key else GatekeeperClient(where, load_or_create_keys(secrets), "operator")
+    where = socket or (_run_address(run)[0] if run is not None else dualbrain_home() / "gatekeeper.sock")
+    if act == "estop":
+        return _stop(where)
+    secrets = keys or (_run_address(run)[1] if run is not None else dualbrain_home() / "keys.json")
+    return _send_command(where, secrets, act, parse_fraction(speed) if speed else 1.0)
+
+
+def _run_address(run: Path) -> tuple[Path, Path]:
+    """Socket and keys of the gatekeeper of a run; raises `ConfigurationError` if the run folder names none."""
+    from dualbrain.errors import ConfigurationError
+
+    address = run / "gatekeeper.address"
+    try:
+        socket, *more = address.read_text(encoding="utf-8").splitlines()
+    except (OSError, ValueError) as error:
+        raise ConfigurationError.stating(
+            f"The run folder has no running gatekeeper (no readable file {address.name}).",
+            fix=f"Give the folder of a `dualbrain run --live` that is running. {run}",
+        ) from error
+    return Path(socket), Path(more[0] if more else "")
+
+
+def _stop(where: Path) -> int:
+    """Send an emergency stop, which reads no file, and report whether the gatekeeper confirms it."""
+    from dualbrain.control.gatekeeper.protocol.emergency_stop import send_emergency_stop
+
+    problem = send_emergency_stop(where)
+    advice = "Use the emergency stop of the robot itself."
+    unconfirmed = f"dualbrain: The emergency stop is not confirmed: {problem}. {advice}"
+    with suppress(OSError, ValueError, AttributeError):  # stderr may be closed or absent
+        print(unconfirmed if problem else "estop: ESTOP, reported by the gatekeeper", file=sys.stderr)
+    return ExitCode.SETUP if problem else ExitCode.SUCCESS
+
+
+def _send_command(where: Path, secrets: Path, act: OperatorAction, speed_scale: float) -> int:
+    """Send a command that needs the operator's key, and print the state of the gatekeeper after it."""
+    import time
+
+    from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys
+    from dualbrain.control.gatekeeper.protocol.client import GatekeeperClient
+
+    link = GatekeeperClient(where, load_or_create_keys(secrets), "operator")
     link.operate(act, speed_scale)
     time.sleep(0.2)
     status = link.status

@@ -262,6 +262,9 @@ class Gatekeeper:
             if secret is None or not verify_hello_proof(secret, connection.nonce, hello.principal, hello.proof):
                 connection.fault = "the proof of the principal is not valid"
                 return
+            if self.server.is_full:
+                connection.fault = "there are too many connections"
+                return
             connection.role = "operator" if hello.principal == OPERATOR else "commander"
         else:
             connection.role = "observer"

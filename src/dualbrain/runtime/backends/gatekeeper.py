@@ -16,6 +16,7 @@ from dualbrain.control.gatekeeper.gatekeeper import OPERATOR
 from dualbrain.control.gatekeeper.process import GatekeeperProcess
 from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys
 from dualbrain.control.gatekeeper.protocol.client import ConnectionLostError, GatekeeperClient
+from dualbrain.control.gatekeeper.protocol.emergency_stop import send_emergency_stop
 from dualbrain.control.gatekeeper.protocol.messages import EventReport, Message, OperatorAction, TickReport
 from dualbrain.control.gatekeeper.remote_executor import RemoteExecutor
 from dualbrain.control.gatekeeper.robot_link.simulated_robot import RobotReport
@@ -41,9 +42,15 @@ class GatekeeperBackend:
         """Begin at the speed scale `speed_scale`, (0, 1]; `on_tick_report` gets the gatekeeper's tick reports."""
         self.speed_scale, self.on_tick_report = speed_scale, on_tick_report
         self._operator: GatekeeperClient | None = None
+        self._socket: Path | None = None
 
     def operate(self, action: OperatorAction, speed: float = 1.0) -> str:
-        """Send an operator command, from any thread; returns "" or the reason why it could not be sent."""
+        """Send an operator command, from any thread; returns "" or the reason why it could not be sent.
+
+        An emergency stop has a connection of its own, so that it does not depend on those of the run.
+        """
+        if action == "estop" and self._socket is not None:
+            return send_emergency_stop(self._socket)
         if self._operator is None or self._operator.disconnected.is_set():
             return "there is no gatekeeper"
         try:
@@ -59,6 +66,7 @@ class GatekeeperBackend:
         with ExitStack() as stack:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="dualbrain-")))
             config = _gatekeeper_config(context, folder, self.speed_scale)
+            self._socket = Path(config.socket)
             process = GatekeeperProcess(config)
             stack.callback(process.stop)
             address = out / ADDRESS_FILE

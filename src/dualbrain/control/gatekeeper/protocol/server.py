@@ -26,7 +26,9 @@ from dualbrain.control.gatekeeper.protocol.messages import (
 )
 from dualbrain.errors import ConfigurationError
 
-MAX_CONNECTIONS = 8
+MAX_CONNECTIONS, MAX_AUTHENTICATED = 12, 8
+"""Largest number of connections, and of those with the role of commander or operator. The others can be replaced, so
+that an emergency stop always finds room."""
 BYTES_PER_TICK = 4096
 """Bytes that are read per connection and tick."""
 FRAMES_PER_TICK = 2
@@ -35,7 +37,10 @@ MAX_FRAMES_PER_SECOND = 400
 """Rate limit of a connection; more frames within a second are a flood."""
 MAX_UNSENT_BYTES = 512 * 1024
 """Unsent data [bytes] beyond which a connection is closed."""
-BACKLOG = 16
+BACKLOG = 128
+"""Clients that may wait for `accept`; a client of a longer queue is refused."""
+ACCEPTED_PER_TICK = MAX_CONNECTIONS - MAX_AUTHENTICATED
+"""Connections that are accepted per tick. All are read in the same tick, before a later client can replace them."""
 DISCONNECTED, FLOOD = "disconnected", "flood"
 """Beginning of the fault of a connection that the client ended, and the fault of one that exceeded the rate limit."""
 
@@ -156,7 +161,9 @@ class SocketServer:
 
     def receive(self, now: float) -> Iterator[tuple[Connection, int, Message]]:
         """Messages of all connections in turn, within the budget of a tick; `now` [s] is a monotonic clock."""
-        self._accept_connection(now)
+        for _ in range(ACCEPTED_PER_TICK):
+            if not self._accept_connection(now):
+                break
         if not self.connections:
             return
         self._first_index = (self._first_index + 1) % len(self.connections)
@@ -192,34 +199,40 @@ class SocketServer:
         self._listener.close()
         self.path.unlink(missing_ok=True)
 
-    def _make_room(self) -> bool:
-        """Whether there is room for a connection; may close the oldest one that is neither commander nor operator."""
-        if len(self.connections) < MAX_CONNECTIONS:
-            return True
-        idle = next(
-            (connection for connection in self.connections if connection.role in ("stranger", "observer")), None
-        )
-        if idle is None:
-            return False
-        idle.close()
-        self.connections.remove(idle)
-        return True
+    @property
+    def is_full(self) -> bool:
+        """Whether there are as many commanders and operators as are allowed."""
+        return len(self.connections) - len(self._replaceable()) >= MAX_AUTHENTICATED
 
-    def _accept_connection(self, now: float) -> None:
-        """Accept at most one connection per tick, of the same user, if there is room."""
+    def _replaceable(self) -> list[Connection]:
+        """Connections that may be closed to make room: strangers, then observers, the oldest first."""
+        roles = ("stranger", "observer")
+        return [connection for role in roles for connection in self.connections if connection.role == role]
+
+    def _make_room(self) -> None:
+        """Close connections that are neither commander nor operator until there is room for one more."""
+        while len(self.connections) >= MAX_CONNECTIONS:
+            oldest = self._replaceable()[0]
+            oldest.close()
+            self.connections.remove(oldest)
+
+    def _accept_connection(self, now: float) -> bool:
+        """Accept a connection of the same user; returns whether another client may wait."""
         try:
             accepted, _ = self._listener.accept()
-        except (BlockingIOError, InterruptedError):
-            return
+        except OSError:  # no client waits, or it has gone, or no file handle is left
+            return False
         accepted.setblocking(False)
-        if _peer_uid(accepted) != os.getuid() or not self._make_room():
+        if _peer_uid(accepted) != os.getuid():
             accepted.close()
-            return
+            return True
+        self._make_room()
         self._n_accepted += 1
         connection = Connection(accepted, self._n_accepted)
         connection.last_received_at = now
         self.connections.append(connection)
         connection.send(Challenge(connection.nonce))
+        return True
 
 
 def _peer_uid(accepted: socket.socket) -> int:
