@@ -10,8 +10,9 @@ from experiments.adaptation.suite_adapters import SuiteAdapters
 from experiments.engine.experiment import Experiment
 from experiments.gatekeeper.commander_failure import CommanderFailure
 from experiments.gatekeeper.faults import Faults
-from experiments.gatekeeper.fuzz_socket import FuzzSocket
 from experiments.gatekeeper.tick import TickTiming
+from experiments.interfaces.contract_delay import ContractDelay
+from experiments.interfaces.fuzz_socket import FuzzSocket
 from experiments.memory.crash_recovery import CrashRecovery
 from experiments.memory.learning import Learning
 from experiments.memory.poisoning import Poisoning
@@ -50,6 +51,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         Faults(),
         CommanderFailure(),
         FuzzSocket(),
+        ContractDelay(),
         TickTiming(),
         Language(),
         AblationCurve(),

@@ -1,1 +1,1 @@
-"""Experiments on the gatekeeper process: faults, lost commanders, fuzzing, tick timing."""
+"""Experiments on the gatekeeper process: faults, lost commanders, tick timing."""

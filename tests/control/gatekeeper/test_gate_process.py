@@ -21,7 +21,7 @@ from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from dualbrain.skills.registry import skill_registry
 from experiments.gatekeeper.commander_messages import contract_bytes
-from tests.contracts.worst_contracts import worst_contracts
+from experiments.interfaces.worst_contracts import worst_contracts
 
 PLANNER = "planner"
 MODEL = load_robot("panda")

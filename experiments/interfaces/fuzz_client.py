@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from dualbrain.control.gatekeeper.protocol.frames import BrokenStream, FrameDecoder, encode
 from dualbrain.control.gatekeeper.protocol.messages import Hello, decode_message, encode_body, kind_code
-from experiments.gatekeeper.fuzzer import Fuzzer
+from experiments.interfaces.fuzzer import Fuzzer
 
 MAX_FRAMES = 200
 """Frames per connection; fewer than the limit of the gatekeeper for a flood."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from math import exp, log
 from random import Random
 
 import msgspec
@@ -43,6 +44,8 @@ OTHER_VALUES = (b"null", b"true", b"[]", b"{}", b"[" * 600)
 SAME_TYPE_PROBABILITY = 0.8
 """Probability that a number replaces a number, and a string a string."""
 MAX_NOISE_BYTES = 64
+PADDED_SHARE, MAX_PADDING_BYTES = 0.1, 66_000
+"""Share of contracts with white space added, and the largest amount: more than the gate and a frame allow."""
 
 
 class Fuzzer:
@@ -61,6 +64,15 @@ class Fuzzer:
         self._tokens = [[one.span() for one in TOKEN_PATTERN.finditer(text)] for text in self._texts]
 
     def contract(self) -> bytes:
+        """Return a contract of `short_contract`; one in ten is padded to a length of up to 66 kB."""
+        text = self.short_contract()
+        if self.rng.random() >= PADDED_SHARE:
+            return text
+        padding = b" " * round(exp(self.rng.uniform(0.0, log(MAX_PADDING_BYTES))))
+        place = self.rng.choice((0, 1, len(text)))
+        return text[:place] + padding + text[place:]
+
+    def short_contract(self) -> bytes:
         """Return a contract: 10 % valid, 60 % with strings or numbers replaced, 30 % with bytes changed or removed."""
         rng = self.rng
         k = rng.randrange(len(self._texts))

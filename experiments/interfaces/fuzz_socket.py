@@ -39,7 +39,7 @@ from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from dualbrain.skills.registry import skill_registry
 from experiments.engine.experiment import Options, Row, WorkUnit
 from experiments.figures.tables import markdown_table
-from experiments.gatekeeper.fuzzer import Fuzzer
+from experiments.interfaces.fuzzer import Fuzzer
 from experiments.safety.closed_loop import pick_and_place_actions
 
 N_FRAMES = 10_000_000

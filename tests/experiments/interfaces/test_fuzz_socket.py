@@ -6,9 +6,9 @@ import pytest
 
 from dualbrain.contracts.gate.gate import Gate
 from experiments.engine.experiment import Options
-from experiments.gatekeeper import fuzz_socket
-from experiments.gatekeeper.fuzz_socket import GATE_RAISED, N_FRAMES, FuzzSocket
-from experiments.gatekeeper.fuzzer import Fuzzer
+from experiments.interfaces import fuzz_socket
+from experiments.interfaces.fuzz_socket import GATE_RAISED, N_FRAMES, FuzzSocket
+from experiments.interfaces.fuzzer import Fuzzer
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,1 @@
+"""Experiments on the interfaces: untrusted bytes, contracts, observations and documents."""
