@@ -1,11 +1,12 @@
 """Any response of a server, or none, becomes a proposal with a finish reason and never an exception."""
 
 import json
+import re
 import time
 from http.server import BaseHTTPRequestHandler
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dualbrain.errors import ConfigurationError, UnknownNameError
@@ -18,6 +19,7 @@ from dualbrain.planner.prompt.full_prompt import render
 from dualbrain.records import Proposal
 from tests.planner.backends.fake_chat_server import Behaviour, FakeServer, chat_completion, respond_with, serve
 from tests.planner.sample_requests import plan_request
+from tests.support.growth import growth_of_cost
 
 CONTRACT = '{"id":"c-0007"}'
 
@@ -163,6 +165,61 @@ def test_a_code_fence_is_removed_and_recorded(fence: str) -> None:
 def test_a_fence_inside_the_text_is_kept() -> None:
     text = 'here: ```json\n{"id":1}\n```'
     assert http_chat.strip_fence(text) == (text, False)
+
+
+def fence_by_expression(text: str) -> tuple[str, bool]:
+    """Definition of a code fence around a text; its cost grows with the third power of the length."""
+    fenced = re.fullmatch(r"\s*```[a-zA-Z]*\s*\n(.*?)\n?\s*```\s*", text, flags=re.DOTALL)
+    return (fenced.group(1), True) if fenced else (text, False)
+
+
+@settings(max_examples=500)
+@given(
+    st.lists(
+        st.sampled_from(["```", "`", "\n", " ", "json", "a", "{}", "\t", "\r", "\u2028", "\xe9", "1"]), max_size=12
+    )
+)
+def test_a_fence_is_what_the_expression_defines(pieces: list[str]) -> None:
+    for text in ("".join(pieces), f"```{''.join(pieces)}```"):
+        assert http_chat.strip_fence(text) == fence_by_expression(text)
+
+
+LOOPS = [
+    "\n",
+    "```",
+    "```\n",
+    "\n```",
+    "`",
+    "<think>",
+    "</think>\n",
+    " \n",
+    "\t",
+    "\r\n",
+    "a\n \n",
+    "json\n",
+    "{",
+    "\u2028",
+]
+
+
+@pytest.mark.parametrize("unit", LOOPS)
+@pytest.mark.parametrize("frame", ["%s", "```%s", "```\n%s", "```json\n%s\n```", "```%sx"])
+def test_the_cost_of_an_answer_that_repeats_itself_is_linear(unit: str, frame: str) -> None:
+    """A small model that loops must not hold the interpreter, which also sends the heartbeats."""
+
+    def propose(size: int) -> None:
+        text = frame % (unit * (size // len(unit)))
+        http_chat.strip_fence(http_chat.parse_completion(chat_completion(text)).text)
+
+    assert growth_of_cost(propose, 1 << 10) < 2.0
+
+
+def test_the_time_limit_includes_the_processing_of_the_response() -> None:
+    times = iter([0.0, 5.1, 5.1, 5.1, 5.1])
+    with serve(respond_with(chat_completion(CONTRACT))) as server:
+        planner = ServerPlanner(ServerConfig(url=server.url, timeout_s=5.0), clock=lambda: next(times))
+        proposal = planner.propose(plan_request())
+    assert (proposal.text, proposal.finish_reason) == ("", protocol.TIMEOUT)
 
 
 REFUSED = chat_completion(None, refusal="I will not")

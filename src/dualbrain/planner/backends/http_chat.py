@@ -2,14 +2,14 @@
 
 No failure of a server raises: silence, errors and malformed responses are returned as values. So is a request that
 cannot be sent, with the type of the error only, because its text might contain the key. Proxies and redirects are not
-followed, so that a key is sent to the named host only.
+followed, so that a key is sent to the named host only. `post` removes the key from everything that it returns. All
+processing of a response takes time proportional to its length.
 """
 
 from __future__ import annotations
 
 import asyncio
 import json
-import re
 from collections.abc import Callable, Coroutine
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -17,9 +17,12 @@ from typing import Any
 
 from dualbrain.core.lazy_exports import missing_dependency
 from dualbrain.planner import protocol
+from dualbrain.planner.backends.key_redaction import KeyRedactor, public_address
 
 MAX_RESPONSE_BYTES = 1 << 20
 """Largest size of an HTTP response that is read [bytes]; a longer response is an error."""
+FENCE = "```"
+"""Begins and ends a code block in Markdown."""
 
 _COMPLETE_REASONS = frozenset({"stop", "eos", "eos_token", "end_turn"})
 _TRUNCATED_REASONS = frozenset({"length", "max_tokens"})
@@ -49,7 +52,7 @@ def request_completion(
         return reply
     status, data = reply
     if status != 200:
-        return _error(_describe_status(status, excerpt(_redact(key, data))))
+        return _error(_describe_status(status, excerpt(data)))
     return (parse or parse_completion)(data)
 
 
@@ -65,7 +68,7 @@ def parse_completion(data: bytes) -> ChatResponse:
     metrics, build = _parse_metrics(completion), _parse_build(completion)
     if refusal or finish == "content_filter":
         return ChatResponse(
-            text="", finish_reason=protocol.REFUSAL, detail=excerpt(str(refusal or finish)), metrics=metrics
+            text="", finish_reason=protocol.REFUSAL, detail=excerpt_value(refusal or finish), metrics=metrics
         )
     if not isinstance(content, str) or not isinstance(finish, str):
         return ChatResponse(text="", finish_reason=protocol.ERROR, detail="the response has no text", metrics=metrics)
@@ -80,15 +83,30 @@ def parse_completion(data: bytes) -> ChatResponse:
 
 def strip_fence(text: str) -> tuple[str, bool]:
     """`text` without the Markdown code fence around it, and whether there was one."""
-    fenced = re.fullmatch(r"\s*```[a-zA-Z]*\s*\n(.*?)\n?\s*```\s*", text, flags=re.DOTALL)
-    return (fenced.group(1), True) if fenced else (text, False)
+    block = text.strip()
+    if len(block) < 2 * len(FENCE) or not (block.startswith(FENCE) and block.endswith(FENCE)):
+        return text, False
+    language, line_end, body = block.removeprefix(FENCE).removesuffix(FENCE).partition("\n")
+    language = language.rstrip()
+    if not line_end or (language and not (language.isascii() and language.isalpha())):
+        return text, False
+    blank = body[: len(body) - len(body.lstrip())]
+    return body[blank.rfind("\n") + 1 :].rstrip(), True
 
 
 def post(url: str, data: bytes, *, key: str, timeout_s: float) -> tuple[int, bytes] | ChatResponse:
-    """Status and body of the response, or the reason why there is none.
+    """Status and body of the response, or the reason why there is none; neither contains the key (`KeyRedactor`).
 
     `timeout_s` [s] limits the whole exchange, even if the server still sends single bytes.
     """
+    redactor = KeyRedactor(key)
+    reply = _post(url, data, redactor, key=key, timeout_s=timeout_s)
+    return reply if isinstance(reply, ChatResponse) else (reply[0], redactor.redact_body(reply[1]))
+
+
+def _post(
+    url: str, data: bytes, redactor: KeyRedactor, *, key: str, timeout_s: float
+) -> tuple[int, bytes] | ChatResponse:
     if timeout_s <= 0:
         return ChatResponse(text="", finish_reason=protocol.TIMEOUT)
     try:
@@ -101,7 +119,8 @@ def post(url: str, data: bytes, *, key: str, timeout_s: float) -> tuple[int, byt
         return ChatResponse(text="", finish_reason=protocol.TIMEOUT)
     except httpx.ConnectError as error:
         fix = "Is the server running, and is its address right? It is the part of --planner before the #."
-        return _error(f"no connection to {url}: {excerpt(str(error))}. {fix}")
+        reason, address = (redactor.redact_text(one) for one in (str(error), public_address(url)))
+        return _error(f"no connection to {address}: {excerpt(reason)}. {fix}")
     except (httpx.RemoteProtocolError, httpx.ReadError, httpx.WriteError):
         return _error("the server closed the connection before the end of its response")
     except (httpx.HTTPError, httpx.InvalidURL, ValueError) as error:  # the text might contain the key
@@ -154,11 +173,6 @@ def _describe_status(status: int, body: str) -> str:
     return " ".join(filter(None, (f"status {status}.", remedy, body)))
 
 
-def _redact(key: str, data: bytes) -> bytes:
-    """`data` with the `key` replaced, so that a server that repeats the key does not write it into records."""
-    return data.replace(key.encode(), b"[key]") if key else data
-
-
 def _parse_metrics(completion: dict[str, Any]) -> dict[str, float]:
     """Times and token counts: llama.cpp's `timings`, else the `usage` that all servers send."""
     timings, usage = completion.get("timings"), completion.get("usage")
@@ -191,3 +205,8 @@ def excerpt(data: bytes | str) -> str:
     """The first 120 characters of a server's text in printable ASCII; incomplete characters are escaped, too."""
     text = data if isinstance(data, str) else data[:120].decode("utf-8", "replace")
     return ascii(text[:120])[1:-1]
+
+
+def excerpt_value(value: object) -> str:
+    """The excerpt of a text; of any other value only its type, because it may be nested too deeply to be printed."""
+    return excerpt(value) if isinstance(value, str) else f"of type {type(value).__name__}"

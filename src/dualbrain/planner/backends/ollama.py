@@ -10,7 +10,7 @@ import json
 from typing import Any
 
 from dualbrain.planner import protocol
-from dualbrain.planner.backends.http_chat import ChatResponse, excerpt, parse_count
+from dualbrain.planner.backends.http_chat import ChatResponse, excerpt_value, parse_count
 from dualbrain.planner.prompt.full_prompt import ChatMessage
 
 N_CTX = 8192
@@ -48,7 +48,7 @@ def parse_chat(data: bytes) -> ChatResponse:
             return ChatResponse(text=content, finish_reason=protocol.LENGTH, metrics=metrics)
         case _:
             return ChatResponse(
-                text="", finish_reason=protocol.ERROR, detail=f"finish reason {excerpt(str(reason))}", metrics=metrics
+                text="", finish_reason=protocol.ERROR, detail=f"finish reason {excerpt_value(reason)}", metrics=metrics
             )
 
 

@@ -14,6 +14,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from dualbrain.errors import ConfigurationError, UnknownNameError
+from dualbrain.planner import protocol
 from dualbrain.planner.backends.http_chat import ChatResponse, parse_completion, request_completion, strip_fence
 from dualbrain.planner.backends.ollama import chat_body, chat_url, parse_chat
 from dualbrain.planner.decoding.gbnf_schema import replace_text_patterns
@@ -101,7 +102,10 @@ class ServerPlanner:
         return self._config.dialect
 
     def propose(self, request: PlanRequest) -> Proposal:
-        """Answer `request`; a failure of the server becomes the finish reason."""
+        """Answer `request`; a failure of the server becomes the finish reason.
+
+        The time limit includes the processing of the response: a contract that is complete only later is a timeout.
+        """
         start = self._clock()
         is_ollama = self._config.dialect == OLLAMA
         url = chat_url(self._config.url) if is_ollama else f"{self._config.url.rstrip('/')}/chat/completions"
@@ -112,7 +116,10 @@ class ServerPlanner:
             timeout_s=self._config.timeout_s,
             parse=parse_chat if is_ollama else parse_completion,
         )
-        return self._proposal(response, self._clock() - start)
+        proposal = self._proposal(response, self._clock() - start)
+        if self._clock() - start <= self._config.timeout_s:
+            return proposal
+        return self._proposal(ChatResponse(text="", finish_reason=protocol.TIMEOUT), self._clock() - start)
 
     def close(self) -> None:
         """Do nothing: no resource is open."""
