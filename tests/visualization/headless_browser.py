@@ -66,6 +66,14 @@ class Browser:
         """Result of the script."""
         return self._call("POST", "/execute/sync", {"script": script, "args": []})
 
+    def enter_frame(self, index: int) -> None:
+        """Run scripts in a frame of the page from now on."""
+        self._call("POST", "/frame", {"id": index})
+
+    def leave_frame(self) -> None:
+        """Run scripts in the page again."""
+        self._call("POST", "/frame", {"id": None})
+
     def wait_for(self, script: str, seconds: float = 30.0) -> Any:
         """First true result of the script."""
         until = time.monotonic() + seconds

@@ -2,19 +2,25 @@
 
 Any process that can reach the loopback address of this machine can open the page, so the page follows the rule of the
 gatekeeper's socket: the emergency stop needs no code, every other button needs the operator's code, once for each page.
-The terminal of the run prints the code. A pressed button is sent to the gatekeeper as an operator action, which logs it
-as an event with its result.
+Foreign web pages do not get this far (`connection_guard.py`). The terminal of the run prints the code; the number of
+attempts to enter it is limited (`attempt_limit.py`), the emergency stop is not. A pressed button is sent to the
+gatekeeper as an operator action, which logs it as an event with its result.
 """
 
 from __future__ import annotations
 
+import hashlib
 import hmac
+import time
 from collections.abc import Callable
+from math import ceil, inf
+from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 from dualbrain.control.gatekeeper.operator_commands import UNRESTRICTED_ACTIONS
 from dualbrain.control.gatekeeper.protocol.messages import OperatorAction
 from dualbrain.visualization.html.page import element
+from dualbrain.visualization.live.attempt_limit import AttemptLimit
 from dualbrain.visualization.live.panel import PANEL_CSS
 
 if TYPE_CHECKING:
@@ -40,20 +46,37 @@ MIN_SPEED_PERCENT, SPEED_STEP_PERCENT = 5, 5
 class OperatorAccess:
     """Access control of the operator actions, by page."""
 
-    def __init__(self, operate: OperateCallback, code: str) -> None:
-        """Start with all pages locked; an empty `code` unlocks none."""
-        self._operate, self._code = operate, code
+    def __init__(self, operate: OperateCallback, code: str, *, clock: Callable[[], float] = time.monotonic) -> None:
+        """Start with all pages locked; an empty `code` unlocks none. `clock` [s] limits the rate of attempts."""
+        self._operate, self._digest, self.code_length = operate, _digest(code) if code else b"", len(code)
         self._operators: set[int] = set()
+        self._attempts, self._lock = AttemptLimit(clock), Lock()
 
     def unlock(self, page: int, code: str) -> bool:
-        """Unlock `page` if `code` is the operator's code; whether the page is unlocked."""
-        if self._code and hmac.compare_digest(code.strip().encode(), self._code.encode()):
-            self._operators.add(page)
-        return page in self._operators
+        """Unlock `page` if `code` is the operator's code and no limit forbids the attempt; whether it is unlocked."""
+        with self._lock:
+            if page in self._operators or not self._digest or self._attempts.wait_s(page) > 0.0:
+                return page in self._operators
+            if hmac.compare_digest(_digest(code.strip()), self._digest):
+                self._attempts.record_success(page)
+                self._operators.add(page)
+                return True
+            self._attempts.record_failure(page)
+            return False
+
+    def describe_refusal(self, page: int) -> str:
+        """Why the last code did not unlock `page`, as text for the page."""
+        with self._lock:
+            wait = self._attempts.wait_s(page)
+        if wait == inf:
+            return "too many wrong codes: load the page again, or use `dualbrain operate` in a terminal"
+        return f"wrong code: the next one is read in {ceil(wait)} s" if wait > 0.0 else "wrong code"
 
     def remove_page(self, page: int) -> None:
         """Forget a page that was closed."""
-        self._operators.discard(page)
+        with self._lock:
+            self._operators.discard(page)
+            self._attempts.remove_page(page)
 
     def apply(self, page: int, action: OperatorAction, speed: float = 1.0) -> str:
         """Send `action` to the gatekeeper if `page` is permitted to; the result as text for the page."""
@@ -86,7 +109,11 @@ class OperatorButtons:
             locked = self._add_locked_buttons(gui, page, show)
 
         def entered(_: object) -> None:
-            if self._access.unlock(page, code.value):
+            if len(code.value.strip()) < self._access.code_length:  # the field reports every typed character
+                return
+            if not self._access.unlock(page, code.value):
+                show(self._access.describe_refusal(page))
+            elif code.visible:
                 code.value, code.visible = "", False
                 for one in locked:
                     one.disabled = False
@@ -105,3 +132,8 @@ class OperatorButtons:
         choose = gui.add_button("set this speed", disabled=True)
         choose.on_click(lambda _: show(self._access.apply(page, "speed", stage.value / 100.0)))
         return [*found, stage, choose]
+
+
+def _digest(code: str) -> bytes:
+    """Digest of a code, so that a comparison reveals neither its characters nor its length by the time it takes."""
+    return hashlib.sha256(code.encode("utf-8", "surrogatepass")).digest()

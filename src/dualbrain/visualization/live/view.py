@@ -1,7 +1,8 @@
 """Live view: a web page on the loopback address of this machine that shows a run while it happens.
 
 The control loop passes a finished `ViewState` and continues; a thread of the view draws the newest state at its own
-rate. The page can only switch what is drawn, unless it has the operator buttons (`operator_buttons.py`).
+rate. The page can only switch what is drawn, unless it has the operator buttons (`operator_buttons.py`). It is served
+to programs and pages of this machine only, never to a foreign web page (`connection_guard.py`).
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING
 from dualbrain.errors import ConfigurationError, MissingDependencyError
 from dualbrain.records import Episode
 from dualbrain.robots.model import RobotModel
+from dualbrain.visualization.live.connection_guard import HOST, guard_is_active, guard_new_servers
 from dualbrain.visualization.live.operator_buttons import OperatorAccess, OperatorButtons
 from dualbrain.visualization.live.panel import LivePanel, speed_rows
 from dualbrain.visualization.live.robot_view import LinkMeshes, LiveRobot
@@ -23,7 +25,6 @@ from dualbrain.visualization.live.view_state import ViewState
 if TYPE_CHECKING:
     from viser import ViserServer
 
-HOST = "127.0.0.1"
 FRAME_RATE_HZ = 15.0
 """Maximum frame rate [1/s]."""
 MAX_PORTS_TRIED = 20
@@ -154,8 +155,11 @@ def find_free_port(first_port: int, max_tries: int) -> int:
 def start_server(port: int) -> ViserServer:
     """A viser server on the loopback address of this machine, without the button that opens a public tunnel.
 
+    It refuses every request of a foreign page (`connection_guard.py`).
+
     Raises:
         MissingDependencyError: viser is not installed.
+        ConfigurationError: another program took the port, or this version of viser does not accept the guard.
     """
     try:
         import viser  # noqa: PLC0415  (heavy imports are lazy)
@@ -165,7 +169,15 @@ def start_server(port: int) -> ViserServer:
             fix="Install it with `pip install 'dualbrain[view]'`, or run with --headless.",
         ) from error
     _set_rich_quiet(quiet=True)
-    server = viser.ViserServer(host=HOST, port=port, label="dualbrain", verbose=False)
+    with guard_new_servers():
+        server = viser.ViserServer(host=HOST, port=port, label="dualbrain", verbose=False)
+    if server.get_port() != port or not guard_is_active(port):
+        server.stop()
+        _set_rich_quiet(quiet=False)
+        raise ConfigurationError.stating(
+            f"The live view on port {port} cannot refuse foreign web pages.",
+            fix="Choose another port with --port, install viser 1.1 (`pip install 'viser==1.1.1'`), or use --headless.",
+        )
     server.request_share_url = lambda verbose=True: None  # a page must not be able to open a public tunnel
     server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
     server.scene.set_up_direction("+z")
