@@ -20,6 +20,7 @@ from dualbrain.robots.loader import load_robot
 from dualbrain.robots.model import Bound
 from dualbrain.safety.cbf.config import FilterConfig
 from dualbrain.safety.cbf.filter import SafetyFilter
+from tests.drivers import drivers_under_test
 
 ONE = np.eye(7)
 
@@ -277,3 +278,17 @@ def test_the_fake_ur_has_the_names_of_ur_rtde():
                 assert parameters(function) == parameters(getattr(real, method)), method
     for factory, real in ((FakeUr.RTDEControlInterface, control), (FakeUr.RTDEReceiveInterface, receive)):
         assert parameters(factory) == parameters(real.__init__)[:2]
+
+
+@pytest.mark.parametrize(
+    "u",
+    [np.zeros(5), np.zeros(8), np.zeros((1, 6)), np.zeros(0), np.array(0.1), np.array(["0"] * 6), np.zeros(6, complex)],
+    ids=["five", "eight", "a row", "none", "a number", "texts", "complex"],
+)
+@pytest.mark.parametrize("make", [drivers_under_test.ur, drivers_under_test.franka])
+def test_a_command_of_another_shape_ends_the_motion_and_kicks_no_watchdog(make, u):
+    trial = DriverHarness(make())
+    assert trial.switch_on()
+    trial.driver.write(Command(u, 0.04, 0.0))
+    assert not trial.driver.read().drive_enabled
+    assert "joint speeds" in "".join(trial.driver.faults())

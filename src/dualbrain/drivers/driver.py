@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Protocol
 
+import numpy as np
+
 from dualbrain.robots.interface import Command, RobotInterface
 from dualbrain.safety.supervisor.timing import Timing
 
@@ -38,7 +40,13 @@ class Driver(RobotInterface, Protocol):
         ...
 
 
-def is_finite(command: Command) -> bool:
-    """Whether all numbers of `command` are finite; drivers send no other command to the arm."""
+def command_fault(command: Command, n_joints: int) -> str:
+    """What is wrong with `command` for an arm with `n_joints`, "" for a valid one.
+
+    A driver sends no other command to the arm, and no other command may feed a watchdog: an invalid one says that the
+    sender is alive, but not that the arm is controlled.
+    """
+    if np.shape(command.u) != (n_joints,) or command.u.dtype.kind not in "fiu":
+        return f"a command that does not have {n_joints} joint speeds"
     total = float(command.u.sum()) + command.opening + command.force
-    return total - total == 0.0
+    return "" if total - total == 0.0 else "a command that is not finite"

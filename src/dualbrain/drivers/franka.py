@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from dualbrain.drivers.driver import is_finite
+from dualbrain.drivers.driver import command_fault
 from dualbrain.drivers.franka_hand import FrankaHand
 from dualbrain.errors import ConfigurationError, MissingDependencyError
 from dualbrain.robots.interface import Command, RobotState
@@ -72,7 +72,7 @@ class FrankaDriver:
         self._hand = (
             FrankaHand(gripper, self._sdk_errors, robot_model.gripper.opening.value) if gripper is not None else None
         )
-        self._opening = float(robot_model.gripper.opening.value)
+        self._n_joints, self._opening = robot_model.n, float(robot_model.gripper.opening.value)
         self._control: Any = None
         self._faults: tuple[str, ...] = ()
         self._state = self._to_state(raw)
@@ -87,8 +87,8 @@ class FrankaDriver:
         """Send the joint velocity for this period, and the target of the hand."""
         if self._control is None:
             return
-        if not is_finite(command):
-            self._end_motion("a command that is not finite")
+        if fault := command_fault(command, self._n_joints):
+            self._end_motion(fault)
             return
         try:
             self._control.writeOnce(self._sdk.JointVelocities(command.u.tolist()))

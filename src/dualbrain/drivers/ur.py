@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from dualbrain.drivers.driver import is_finite
+from dualbrain.drivers.driver import command_fault
 from dualbrain.errors import ConfigurationError, MissingDependencyError
 from dualbrain.robots.interface import Command, RobotState
 from dualbrain.robots.model import RobotModel
@@ -66,7 +66,7 @@ class UrDriver:
             ) from error
         if len(self._receive.getActualQ()) != robot_model.n:
             raise ConfigurationError(f"joints of {robot_model.name} on a UR arm", got=robot_model.n, allowed="6")
-        self._opening = float(robot_model.gripper.opening.value)
+        self._n_joints, self._opening = robot_model.n, float(robot_model.gripper.opening.value)
         self._acceleration = min(
             MAX_ACCELERATION, ACCELERATION_FACTOR * max(joint.acceleration.value for joint in robot_model.joints)
         )
@@ -83,11 +83,11 @@ class UrDriver:
         return self._state
 
     def write(self, command: Command) -> None:
-        """Send joint speeds and kick the watchdog."""
+        """Send joint speeds and kick the watchdog; an invalid command ends the script and kicks nothing."""
         if not self._is_enabled:
             return
-        if not is_finite(command):
-            self._end_script("a command that is not finite")
+        if fault := command_fault(command, self._n_joints):
+            self._end_script(fault)
             return
         try:
             accepted = (

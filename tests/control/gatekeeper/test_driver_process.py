@@ -122,3 +122,11 @@ def test_a_surveyed_scene_is_sent_periodically_and_does_not_count_as_frozen():
     assert packet.stamp > 0.0
     ours.close()
     theirs.close()
+
+
+@pytest.mark.parametrize(
+    "packet", [packets.DrivePacket(on=True), packets.PhasePacket("rest", {})], ids=["drive", "phase"]
+)
+def test_packets_that_are_no_command_do_not_feed_the_watchdog(gatekeeper_end, packet):
+    switch_drive_on(gatekeeper_end)
+    gatekeeper_end.receive_until(is_off, packet)

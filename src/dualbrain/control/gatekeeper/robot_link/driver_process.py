@@ -3,9 +3,9 @@
     python -m dualbrain.control.gatekeeper.robot_link.driver_process FD        (one line of settings on standard input)
 
 The process sends each joint state as it arrives, waits for its command for most of a period and passes the command to
-the driver. If the link is closed, or no command arrives for `WATCHDOG_TIMEOUT`, the driver stops the arm; the arm's own
-watchdog is a second safeguard. There is no camera: the scene is the surveyed one, in which no object may move. Its
-objects keep the stamp of their survey.
+the driver. If the link is closed, or no valid command arrives for `WATCHDOG_TIMEOUT`, the driver stops the arm; the
+arm's own watchdog is a second safeguard. There is no camera: the scene is the surveyed one, in which no object may
+move. Its objects keep the stamp of their survey.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from dualbrain.control.gatekeeper.robot_link.simulated_robot import WATCHDOG_TIM
 from dualbrain.core.geometry.shapes import Pose
 from dualbrain.core.real_time_pacer import RealTimePacer
 from dualbrain.drivers.catalogue import find_driver_kind
-from dualbrain.drivers.driver import Driver
+from dualbrain.drivers.driver import Driver, command_fault
 from dualbrain.errors import ConfigurationError
 from dualbrain.records import Scene, SceneObject
 from dualbrain.robots.interface import Command
@@ -92,18 +92,24 @@ class DriverProcess:
         self._drive_on = False
         self._driver.stop()
 
+    def _apply_command(self, command: Command) -> None:
+        """Pass a valid command to the driver and feed the watchdog; any other command stops the arm."""
+        if command_fault(command, self._n_joints):
+            self._stop_drive()
+            return
+        self._last_command_at, self._command_received = time.monotonic(), True
+        self._driver.write(command)
+
     def _apply_packet(self, packet: packets.ToRobot | MalformedPacket | None) -> None:
         match packet:
             case MalformedPacket():
                 self._stop_drive()
-            case packets.CommandPacket(u) if len(u) != self._n_joints:
-                self._stop_drive()
             case packets.CommandPacket(u, opening, force):
-                self._last_command_at = time.monotonic()
-                self._driver.write(Command(np.array(u), opening, force))
-                self._command_received = True
+                self._apply_command(Command(np.array(u, dtype=float), opening, force))
             case packets.DrivePacket(on):
-                self._last_command_at, self._drive_on = time.monotonic(), on
+                if on and not self._drive_on:  # a repeated order is no command and does not feed the watchdog
+                    self._last_command_at = time.monotonic()
+                self._drive_on = on
                 (self._driver.enable if on else self._driver.stop)()
             case packets.ShutdownPacket():
                 self._shutdown_requested = True

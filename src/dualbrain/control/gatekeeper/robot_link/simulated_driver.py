@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from math import inf
 
-from dualbrain.drivers.driver import is_finite
+from dualbrain.drivers.driver import command_fault
 from dualbrain.robots.interface import Command, RobotState
 from dualbrain.robots.model import RobotModel
 from dualbrain.safety.supervisor.timing import Timing, simulated_timing
@@ -34,11 +34,11 @@ class SimulatedDriver:
         """Apply `command` until the next one."""
         if not self._state.drive_enabled:
             return
-        if is_finite(command):
-            self._plant.write(command)
-        else:
+        if fault := command_fault(command, self._plant.robot_model.n):
             self.stop()
-            self._faults = ("a command that is not finite",)
+            self._faults = (fault,)
+        else:
+            self._plant.write(command)
 
     def stop(self) -> None:
         """Switch the drive off; the brakes engage."""

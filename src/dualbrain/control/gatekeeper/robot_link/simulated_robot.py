@@ -2,9 +2,9 @@
 
     python -m dualbrain.control.gatekeeper.robot_link.simulated_robot FD        (one line of settings on standard input)
 
-If no command arrives for `WATCHDOG_TIMEOUT` seconds, or the link is closed, the drive is switched off and the brakes
-engage. Without a link, the simulation continues for `AFTERMATH_TIME` seconds, which the judgement then includes, and
-writes its report.
+If no valid command arrives for `WATCHDOG_TIMEOUT` seconds, or the link is closed, the drive is switched off and the
+brakes engage. Without a link, the simulation continues for `AFTERMATH_TIME` seconds, which the judgement then includes,
+and writes its report.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import numpy as np
 
 from dualbrain.control.gatekeeper.robot_link import packets
 from dualbrain.control.gatekeeper.robot_link.packet_socket import MalformedPacket, PacketSocket
+from dualbrain.drivers.driver import command_fault
 from dualbrain.records import Judgement
 from dualbrain.robots.interface import Command
 from dualbrain.robots.loader import load_robot
@@ -28,7 +29,7 @@ from dualbrain.simulation.tasks.multi_goal import parse_goals
 from dualbrain.simulation.world import make_world
 
 WATCHDOG_TIMEOUT = 0.1
-"""Time [s] without a command after which the drive is switched off."""
+"""Time [s] without a valid command after which the drive is switched off."""
 AFTERMATH_TIME = 1.0
 """Simulated time [s] after the link is closed."""
 MAX_LAG = 0.1
@@ -64,7 +65,7 @@ class RobotReport(
 ):
     """Final report of the robot process; times in [s] of CLOCK_MONOTONIC.
 
-    `last_command_at`: arrival of the last command. `drive_off_at`, `drive_off_cause`: time at which the drive was
+    `last_command_at`: arrival of the last valid command. `drive_off_at`, `drive_off_cause`: time at which the drive was
     switched off, and its cause. `travel` [rad]: largest joint motion since then. `speed` [rad/s]: largest joint speed
     at the end. `resynchronizations`: number of resynchronizations with the clock. `judgement`: result on ground truth.
     """
@@ -129,7 +130,7 @@ class RobotProcess:
             ahead = due - time.monotonic()
 
     def _check_watchdog(self, now: float) -> None:
-        """The robot's own watchdog, armed by the first command: it reacts only to the absence of commands."""
+        """The robot's own watchdog, armed by the first command: it reacts only to the absence of valid commands."""
         silent = self._armed and now - self._last_command_at > WATCHDOG_TIMEOUT
         if self._off_at is None and (silent or not self._packet_socket.is_open):
             self._stop_drive("watchdog")
@@ -148,14 +149,13 @@ class RobotProcess:
             case MalformedPacket():
                 self._stop_drive("rubbish")
             case packets.CommandPacket(u, opening, force):
-                self._last_command_at, self._armed = time.monotonic(), True
-                if len(u) == self.plant.robot_model.n and np.isfinite([*u, opening, force]).all():
-                    self.plant.write(Command(np.array(u), opening, force))
+                self._apply_command(Command(np.array(u, dtype=float), opening, force))
             case packets.DrivePacket(on=False):
                 self._last_command_at = time.monotonic()
                 self._stop_drive("order")
             case packets.DrivePacket():
-                self._last_command_at, self._off_at = time.monotonic(), None
+                if self._off_at is not None:  # a repeated order is no command and does not feed the watchdog
+                    self._last_command_at, self._off_at = time.monotonic(), None
                 self.plant.enable()
             case packets.PhasePacket(phase, roles):
                 self.world.set_phase(phase, roles)
@@ -163,6 +163,12 @@ class RobotProcess:
                 self.world.start_contract(contract)
             case packets.ShutdownPacket():
                 self._shutdown_requested = True
+
+    def _apply_command(self, command: Command) -> None:
+        """Apply a valid command and feed the watchdog; any other command is ignored and feeds nothing."""
+        if not command_fault(command, self.plant.robot_model.n):
+            self._last_command_at, self._armed = time.monotonic(), True
+            self.plant.write(command)
 
     def _write_report(self) -> None:
         if not self._settings.report:
