@@ -12,9 +12,10 @@ from cyclopts.exceptions import UnusedCliTokensError
 from rich.console import Console
 
 from dualbrain import __version__
-from dualbrain.cli.common.console import redirect_stdout_to_null
+from dualbrain.cli.common.console import print_message, redirect_stdout_to_null
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.core.lazy_exports import missing_dependency
+from dualbrain.core.visible_text import visible_text
 from dualbrain.errors import DualbrainError, UsageError
 
 INSTRUCTION_COMMANDS = ("run", "plan", "demo")
@@ -222,7 +223,7 @@ def run_command_line(arguments: list[str]) -> int:
     except CycloptsError as error:
         return _print_usage_error(error)
     except KeyboardInterrupt:
-        print("dualbrain: interrupted", file=sys.stderr)
+        print_message("dualbrain: interrupted")
         return ExitCode.INTERRUPTED
     except BrokenPipeError:  # only listings: commands with a verdict handle a closed pipe themselves
         redirect_stdout_to_null()
@@ -242,9 +243,10 @@ def _print_usage_error(error: CycloptsError) -> ExitCode:
         instruction = " ".join(words) if words[1:] == unused else EXAMPLE_INSTRUCTION
         quoted = f'"{instruction}"' if instruction.replace(" ", "").isalnum() else shlex.quote(instruction)
         sentence = f"The instruction must be one argument in quotes: dualbrain {arguments[0]} {quoted}"
-        print(f"dualbrain: {sentence}", file=sys.stderr)
+        print_message(f"dualbrain: {sentence}")
     else:
-        (error.console or Console(stderr=True)).print(CycloptsPanel(error))
+        console = error.console or Console(stderr=True)
+        console.print(CycloptsPanel(visible_text(str(error), keep_lines=True)))
     return ExitCode.USAGE
 
 
@@ -252,11 +254,11 @@ def _print_error(error: Exception) -> ExitCode:
     """Print what is wrong; an unexpected exception is printed with its traceback."""
     match error:
         case DualbrainError():
-            print(f"dualbrain: {error}", file=sys.stderr)
+            print_message(f"dualbrain: {error}")
         case OSError():
-            print(f"dualbrain: {_describe_os_error(error)}", file=sys.stderr)
+            print_message(f"dualbrain: {_describe_os_error(error)}")
         case _:
-            traceback.print_exception(error)
+            print_message("".join(traceback.format_exception(error)).rstrip("\n"))
     return ExitCode.USAGE if isinstance(error, UsageError) else ExitCode.SETUP
 
 

@@ -3,22 +3,30 @@
 from __future__ import annotations
 
 import os
-import re
 import sys
 from collections.abc import Collection, Iterable, Sequence
+from typing import Any
 
 from rich.cells import cell_len
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from dualbrain.core.text import HIDDEN_CHARACTERS
+from dualbrain.core.visible_text import replace_hidden, visible_text
 
 MIN_COLUMN_WIDTH = 24
 """Minimum width of a column that wraps [characters]."""
 
 
-class StderrConsole(Console):
+class VisibleConsole(Console):
+    """A console in which no text can control the terminal or hide: see `visible_text`."""
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """`text` with its markup, as the base class renders it, without hidden characters."""
+        return super().render_str(visible_text(text, keep_lines=True), **options)
+
+
+class StderrConsole(VisibleConsole):
     """A console for stderr that stops printing when the pipe is closed; the default one ends the program."""
 
     def __init__(self) -> None:
@@ -31,11 +39,16 @@ class StderrConsole(Console):
 
 
 def print_result(text: str) -> None:
-    """Print a result on stdout; if the pipe is closed, stdout becomes the null device."""
+    """Print a result on stdout, without hidden characters; if the pipe is closed, stdout becomes the null device."""
     try:
-        print(text, flush=True)
+        print(visible_text(text, keep_lines=True), flush=True)
     except BrokenPipeError:
         redirect_stdout_to_null()
+
+
+def print_message(text: str) -> None:
+    """Print a message on stderr, without hidden characters."""
+    print(visible_text(text, keep_lines=True), file=sys.stderr)
 
 
 def print_table(heads: Sequence[str], rows: Iterable[Sequence[str]], *, wrap_columns: Collection[str] = ()) -> None:
@@ -65,7 +78,7 @@ def format_table(heads: Sequence[str], rows: Iterable[Sequence[str]], *, wrap_co
 
 def sanitize_line(text: str) -> str:
     """`text` on one line; control characters and characters that hide text are shown as U+FFFD."""
-    return re.sub(f"[{HIDDEN_CHARACTERS}]", "\N{REPLACEMENT CHARACTER}", text)
+    return replace_hidden(text)
 
 
 def redirect_stdout_to_null() -> None:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
+from dualbrain.cli.common.console import print_message
 from dualbrain.cli.common.exit_codes import ExitCode
 
 
@@ -58,22 +58,22 @@ def commission(
     robot_model, record_file = site_robot(load_robot(robot), file), record or checklist.with_suffix(".sealed.json")
     if check:
         answered = require_record(record_file, robot_model, site, kind)
-        print(f"{record_file}: valid; answered by {answered.answers.by}, {answered.answers.on}", file=sys.stderr)
+        print_message(f"{record_file}: valid; answered by {answered.answers.by}, {answered.answers.on}")
         return ExitCode.SUCCESS
     if not checklist.exists():
         with atomic_file(checklist) as temporary:
             temporary.write_text(TEMPLATE.format(robot=robot, driver=driver), encoding="utf-8")
-        print(f"{checklist}: written. Fill it in at the arm, then run this command again.", file=sys.stderr)
+        print_message(f"{checklist}: written. Fill it in at the arm, then run this command again.")
         return ExitCode.FAILED_SAFELY
     answers = read_checklist(checklist)
     if found := find_flaws(answers, robot_model, file.site, kind):
         for flaw in found:
-            print(f"{flaw.item}: got {flaw.got!r}, allowed: {flaw.allowed}", file=sys.stderr)
+            print_message(f"{flaw.item}: got {flaw.got!r}, allowed: {flaw.allowed}")
         return ExitCode.FAILED_SAFELY
     import msgspec
 
     whole = make_record(answers, robot_model, site, kind)
     with atomic_file(record_file) as temporary:
         temporary.write_bytes(msgspec.json.format(msgspec.json.encode(whole), indent=2) + b"\n")
-    print(f"commissioned: {record_file} ({whole.seal[:16]})", file=sys.stderr)
+    print_message(f"commissioned: {record_file} ({whole.seal[:16]})")
     return ExitCode.SUCCESS

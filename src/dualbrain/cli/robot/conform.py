@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -41,7 +40,7 @@ def conform(
     """
     import msgspec
 
-    from dualbrain.cli.common.console import print_result
+    from dualbrain.cli.common.console import print_message, print_result
     from dualbrain.control.gatekeeper.robot_link.simulated_driver import SimulatedDriver
     from dualbrain.drivers.catalogue import DRIVER_KINDS, find_driver_kind
     from dualbrain.drivers.commissioning.record import require_record
@@ -67,7 +66,7 @@ def conform(
     descriptions = {one.name: one.description for one in REQUIREMENTS}
     for finding in findings:
         reason = f" ({finding.reason})" if finding.reason else ""
-        print(f"{finding.status.value}: {descriptions[finding.requirement]}{reason}", file=sys.stderr)
+        print_message(f"{finding.status.value}: {descriptions[finding.requirement]}{reason}")
     if json:
         print_result(
             msgspec.json.encode(

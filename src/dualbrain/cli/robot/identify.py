@@ -14,6 +14,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from dualbrain import __version__
+from dualbrain.cli.common.console import VisibleConsole, print_message, print_result
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.core.storage.atomic_files import atomic_file
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError
@@ -79,9 +80,9 @@ def identify(
         data = encode_robot(msgspec.structs.replace(target.with_tracking(entry), base_lag=base_lag))
         with atomic_file(write) as temporary:
             temporary.write_bytes(data)
-        print(f"{write}: tracking model of the {drive} drive replaced", file=sys.stderr)
+        print_message(f"{write}: tracking model of the {drive} drive replaced")
     if json:
-        print(msgspec.json.format(msgspec.json.encode({"entry": entry, "found": found}), indent=1).decode())
+        print_result(msgspec.json.format(msgspec.json.encode({"entry": entry, "found": found}), indent=1).decode())
     else:
         _print_tracking_model(robot_model, entry, found, base_lag, written=write is not None)
     return ExitCode.SUCCESS
@@ -124,8 +125,8 @@ def _print_tracking_model(
     )
     if known is not None:
         table.add_row("stored model", f"lag {known.lag * 1e3:.3f} ms, e {known.position_error * 1e3:.3f} mrad")
-    Console().print(table)
+    VisibleConsole().print(table)
     if not written:
-        print(
+        print_result(
             "To use it: --write FILE replaces it in a robot model file; FilterConfig(tracking_error=...) overrides it."
         )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
+from dualbrain.cli.common.console import print_message, print_result
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.errors import UsageError
 
@@ -184,28 +184,30 @@ def _print_summary(folder: Path, imported: ImportResult, written: FolderWriteRes
 
     robot_model, report = written.robot_model, imported.report
     worst = max((link.worst for link in report.links), default=0.0)
-    print(f"{folder}: {robot_model.name}, {robot_model.n} joints, {len(robot_model.spheres)} spheres, {seconds:.0f} s")
-    print(
+    print_result(
+        f"{folder}: {robot_model.name}, {robot_model.n} joints, {len(robot_model.spheres)} spheres, {seconds:.0f} s"
+    )
+    print_result(
         f"  coverage: at least {report.coverage:.2%} of the surface of every link; spheres exceed it by at most "
         f"{worst * 1e3:.0f} mm; {len(robot_model.self_pairs.kept)} link pairs checked for self-collision"
     )
     for line in missing_information(robot_model, report):
-        print(f"  missing: {line}")
+        print_result(f"  missing: {line}")
     for title, lines in (
         ("changed by the import", summarize_changes(written.generator_changes)),
         ("your edits, kept", summarize_changes(written.kept_edits)),
         ("your edits, not applicable", summarize_changes(written.lost_edits)),
     ):
         for line in lines:
-            print(f"  {title}: {line}")
+            print_result(f"  {title}: {line}")
     if not written.is_new and not written.generator_changes:
-        print("  imported again: nothing changed")
+        print_result("  imported again: nothing changed")
     width = shutil.get_terminal_size().columns
-    print(f"Next: dualbrain robot inspect {folder} --view"[:width])
+    print_result(f"Next: dualbrain robot inspect {folder} --view"[:width])
 
 
 def _print_progress(text: str) -> None:
-    print(text, file=sys.stderr)
+    print_message(text)
 
 
 def _parse_chain(chain: str) -> tuple[str, str]:

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
-from rich.console import Console
 from rich.table import Table
 
+from dualbrain.cli.common.console import VisibleConsole, print_message, print_result
 from dualbrain.cli.common.exit_codes import ExitCode
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def inspect(
     robot_model = load_robot(robot)
     folder = Path(robot)
     report, _ = read_import_files(folder) if folder.is_dir() else (None, None)
-    console = Console()
+    console = VisibleConsole()
     console.print(_bounds_table(robot_model))
     if report:
         console.print(_coverage_table(report))
@@ -93,10 +93,10 @@ def _serve_view(robot_model: RobotModel, folder: Path, port: int) -> None:
 
     shapes, reason = _load_meshes(folder)
     if reason:
-        print(f"dualbrain: no meshes: {reason}", file=sys.stderr)
+        print_message(f"dualbrain: no meshes: {reason}")
     view = RobotViewer(robot_model, shapes, port)
     try:
-        print(f"view: {view.url}", flush=True)
+        print_result(f"view: {view.url}")
         if sys.stdin.isatty():
             input("Press Enter to close the view. ")
     finally:

@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from dualbrain.core.visible_text import visible_text
 from dualbrain.evaluation.report.captions import headline
 from dualbrain.evaluation.report.tables import Table, markdown_page
 from dualbrain.evaluation.results.episode_row import EpisodeRow
@@ -93,12 +94,13 @@ def standalone_svg(chart: Html) -> str:
     """A chart of a page as an SVG file of its own, with the page's colours and background."""
     background = '<rect width="100%" height="100%" fill="var(--card)"/>'
     start = chart.index(">") + 1
-    return f"{chart[:start]}<style>{palette_css()}</style>{background}{chart[start:]}\n"
+    svg = f"{chart[:start]}<style>{palette_css()}</style>{background}{chart[start:]}\n"
+    return visible_text(svg, keep_lines=True)
 
 
 def escape_markdown(text: str) -> str:
-    """Untrusted text with every Markdown character escaped, on one line."""
-    return MARKDOWN_SPECIAL_CHARACTERS.sub(r"\\\1", " ".join(text.split()))
+    """Untrusted text with every Markdown character escaped and every hidden character visible, on one line."""
+    return MARKDOWN_SPECIAL_CHARACTERS.sub(r"\\\1", visible_text(" ".join(text.split())))
 
 
 def _caption_lines(row: EpisodeRow, caption: str) -> list[str]:

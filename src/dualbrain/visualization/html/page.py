@@ -1,6 +1,7 @@
 """HTML pages as trees of elements that escape every plain text, and their common style sheet.
 
-Instructions, scene names and model answers are untrusted text. Only `Html`, made by `element`, is not escaped.
+Instructions, scene names and model answers are untrusted text. Only `Html`, made by `element`, is not escaped, and
+nowhere does a page contain characters that a reader does not see (`visible_text`).
 """
 
 from __future__ import annotations
@@ -8,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from html import escape
 from importlib import resources
+
+from dualbrain.core.visible_text import visible_text
 
 CONTENT_SECURITY_POLICY = (
     "default-src 'none'; img-src data:; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'"
@@ -25,7 +28,7 @@ class Html(str):
 
 def element(tag: str, *children: str, **attributes: str) -> Html:
     """`<tag attributes>children</tag>`; children that are not `Html` are escaped, `class_` is the attribute class."""
-    words = "".join(f' {name.rstrip("_").replace("_", "-")}="{escape(text)}"' for name, text in attributes.items())
+    words = "".join(f' {name.rstrip("_").replace("_", "-")}="{_escape(text)}"' for name, text in attributes.items())
     if tag in VOID_TAGS:
         return Html(f"<{tag}{words}>")
     return Html(f"<{tag}{words}>{join(children)}</{tag}>")
@@ -33,7 +36,7 @@ def element(tag: str, *children: str, **attributes: str) -> Html:
 
 def join(parts: Iterable[str]) -> Html:
     """Concatenation of the parts, escaped unless they are `Html`."""
-    return Html("".join(part if isinstance(part, Html) else escape(part) for part in parts))
+    return Html("".join(part if isinstance(part, Html) else _escape(part) for part in parts))
 
 
 def table(
@@ -71,13 +74,18 @@ def document(title: str, *content: str) -> str:
         element("title", title),
         element("style", Html(_stylesheet())),
     )
-    return "<!doctype html>\n" + element("html", head, element("body", element("main", *content)), lang="en") + "\n"
+    page = element("html", head, element("body", element("main", *content)), lang="en")
+    return f"<!doctype html>\n{visible_text(page, keep_lines=True)}\n"
 
 
 def palette_css() -> Html:
     """The colours of the page as CSS, for drawings in files of their own."""
     style = _stylesheet()
     return Html(style[style.index(":root") : style.index("* {")])
+
+
+def _escape(text: str) -> str:
+    return escape(visible_text(text, keep_lines=True))
 
 
 def _stylesheet() -> str:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dualbrain.core.geometry.shapes import Bowl, Box, Capsule, Cylinder, HalfSpace, Shape, Sphere
+from dualbrain.core.visible_text import visible_text
 from dualbrain.records import Place, SceneObject
 from dualbrain.visualization.live.view_state import ViewState
 
@@ -113,7 +114,9 @@ class LiveScene:
                 position=(x, y, z + PLACE_HALF_HEIGHT),
                 cast_shadow=False,
             )
-            self._scene.add_label(f"{path}/name", place.name, anchor="bottom-center", font_screen_scale=0.8)
+            self._scene.add_label(
+                f"{path}/name", visible_text(place.name), anchor="bottom-center", font_screen_scale=0.8
+            )
 
     def _update_object(self, scene_object: SceneObject, margin: float) -> None:
         node = self._objects.get(scene_object.name)

@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.core.geometry.rotations import matrix_to_quaternion
+from dualbrain.core.visible_text import visible_text
 from dualbrain.robots.assets.meshes import Mesh
 from dualbrain.robots.collision_model.self_collision import chain_frames, link_clearance, sphere_centres
 from dualbrain.robots.model import RobotModel
+from dualbrain.visualization.html.page import element
 from dualbrain.visualization.live.robot_view import simplify_mesh
 from dualbrain.visualization.live.view import HOST, MAX_PORTS_TRIED, find_free_port, start_server
 from dualbrain.visualization.robot.image import GROUP_COLOURS, home_posture
@@ -53,7 +55,7 @@ class RobotViewer:
             columns = sphere_centres(link, np.eye(3), turns, origins, 0.0)[0] - np.asarray(handle.position)
             handle.wxyz = matrix_to_quaternion(columns.T)
         self._nearest_text = describe_nearest_pair(self._robot_model, turns, origins)
-        self._nearest_label.content = self._nearest_text
+        self._nearest_label.content = element("p", self._nearest_text)
         return self._nearest_text
 
     def close(self) -> None:
@@ -81,14 +83,16 @@ class RobotViewer:
 
     def _add_controls(self) -> None:
         gui = self._server.gui
-        gui.add_markdown(f"**{self._robot_model.name}**: {len(self._robot_model.spheres)} spheres")
-        self._nearest_label = gui.add_markdown("")
+        gui.add_html(element("p", element("b", self._robot_model.name), f": {len(self._robot_model.spheres)} spheres"))
+        self._nearest_label = gui.add_html("")
         for label, handles in (("spheres", self._spheres), ("meshes", self._meshes)):
             box = gui.add_checkbox(label, initial_value=True)
             box.on_update(lambda event, handles=handles: _set_visible(handles, event.target.value))
         for i, joint in enumerate(self._robot_model.joints if self._robot_model.base == "fixed" else ()):
             low, high = max(joint.lower.value, -2 * np.pi), min(joint.upper.value, 2 * np.pi)
-            slider = gui.add_slider(joint.name, low, high, (high - low) / 200, float(np.clip(self._q[i], low, high)))
+            slider = gui.add_slider(
+                visible_text(joint.name), low, high, (high - low) / 200, float(np.clip(self._q[i], low, high))
+            )
             slider.on_update(lambda event, i=i: self._set_joint(i, float(event.target.value)))
 
     def _set_joint(self, i: int, value: float) -> None:
