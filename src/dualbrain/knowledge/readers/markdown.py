@@ -15,7 +15,9 @@ from typing import Any
 from dualbrain.errors import MissingDependencyError
 from dualbrain.knowledge.readers.hidden_text import HiddenText, Span, blank_spans, summarize_hidden
 
-_COMMENT = re.compile(r"<!--.*?(?:-->|\Z)|<\?.*?(?:\?>|\Z)|<!\[CDATA\[.*?(?:\]\]>|\Z)|<![A-Za-z][^>]*>", re.DOTALL)
+_COMMENT = re.compile(
+    r"<!--.*?(?:-->|\Z)|<\?.*?(?:\?>|\Z)|<!\[CDATA\[.*?(?:\]\]>|\Z)|<![A-Za-z][^>]*(?:>|\Z)", re.DOTALL
+)
 _DEFINITION = re.compile(r"^ {0,3}\[[^\]\n]{1,500}\]:[^\n]*(?:\n[ \t]+[\"'(][^\n]*)?", re.MULTILINE)
 _TARGET = re.compile(r"(?<=\])\([^()\n]{0,500}(?:\([^()\n]{0,200}\)[^()\n]{0,200}){0,4}\)")
 _TAG = re.compile(

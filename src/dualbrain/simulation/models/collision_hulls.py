@@ -13,7 +13,6 @@ two collision models are independent.
 
 from __future__ import annotations
 
-import re
 from importlib import metadata, resources
 from itertools import pairwise
 from pathlib import Path
@@ -145,10 +144,9 @@ def main() -> int:
         f'    <mesh name="{name}" vertex="{" ".join(f"{value:.4f}" for value in corners.ravel())}"/>'
         for name, corners in {**arm_hulls(), **hand_hulls()}.items()
     ]
-    text = re.sub(
-        r"  <asset>.*?</asset>", "  <asset>\n" + "\n".join(lines) + "\n  </asset>", path.read_text(), flags=re.S
-    )
-    path.write_text(text)
+    before, _, rest = path.read_text().partition("  <asset>")
+    after = rest.partition("</asset>")[2]
+    path.write_text(before + "\n".join(["  <asset>", *lines, "  </asset>"]) + after)
     return 0
 
 

@@ -49,7 +49,7 @@ def parse_goals(instruction: str, spec: SceneSpec) -> PlacementGoal | ArrivalGoa
     category; "if Y is free, A, else B" (also empty, occupied, full; without else no object may be moved); "go home".
     Raises `ConfigurationError` for another form and `UnknownNameError` for names that are not in the scene.
     """
-    text = instruction.strip().rstrip(".").lower()
+    text = " ".join(instruction.split()).rstrip(".").lower()  # single spaces: the expressions take linear time
     condition = re.fullmatch(
         r"if (?:the )?(.+?) is (free|empty|occupied|full),? (.+?)(?:,? (?:else|otherwise),? (.+))?", text
     )
@@ -57,7 +57,7 @@ def parse_goals(instruction: str, spec: SceneSpec) -> PlacementGoal | ArrivalGoa
         container, state, then, other = condition.groups()
         chosen = then if _is_empty(container.replace(" ", "_"), spec) == (state in ("free", "empty")) else other
         return parse_goals(chosen, spec) if chosen else GoalSequence(())
-    stages = tuple(_parse_stage(part, spec) for part in re.split(r"(?:, *|\b *and *|; *| +)then +", text))
+    stages = tuple(_parse_stage(part, spec) for part in re.split(r"(?:, ?|\b ?and ?|; ?| )then ", text))
     goals = [goal for stage in stages for goal in stage]
     return goals[0] if len(goals) == 1 and isinstance(goals[0], PlacementGoal | ArrivalGoal) else GoalSequence(stages)
 

@@ -48,7 +48,9 @@ def parse_goal(instruction: str, spec: SceneSpec) -> PlacementGoal | ArrivalGoal
     if spec.region and not (graspable and re.match(r"(?:put|place|move) ", instruction.strip().lower())):
         return _parse_arrival_goal(instruction, spec)
     match = re.fullmatch(
-        r"(?:put|place|move) (?:the )?(.+?) (?:in|into|on|onto|to|at) (?:the )?(.+?)\.?", instruction.strip().lower()
+        r"(?:put|place|move) (?:the )?(.+?) (?:in|into|on|onto|to|at) (?:the )?(.+?)\.?",
+        " ".join(instruction.split()).lower(),
+        flags=re.DOTALL,
     )
     if match is None:
         raise ConfigurationError(

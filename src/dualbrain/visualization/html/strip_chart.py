@@ -306,5 +306,6 @@ def apply_page_theme(svg: str, label: str) -> Html:
         lambda m: m[0].split("px")[0] + "px system-ui, 'DejaVu Sans', sans-serif",
         svg,
     )
-    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+    before, _, rest = svg.partition("<metadata>")
+    svg = before + rest.partition("</metadata>")[2] if rest else svg
     return Html(svg.replace("<svg ", f'<svg role="img" aria-label="{label}" ', 1))
