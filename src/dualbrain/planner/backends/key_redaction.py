@@ -1,6 +1,6 @@
 """Removal of an API key from everything that a server sends, also in the usual encodings of it.
 
-A server that repeats the key must not write it into records, logs or the memory, in whatever field it does so. A server
+A server that repeats the key must not write it into records, logs or the memory, in any of its fields. A server
 that is determined to hide the key can always invent one more encoding: the removal covers the encodings that programs
 use by themselves.
 """
