@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import subprocess
 import sys
@@ -27,6 +26,8 @@ from dualbrain.control.gatekeeper.timing.tick_profile import TickProfiler
 from dualbrain.control.gatekeeper.timing.tick_timing import TickTimingSummary
 from dualbrain.control.recording.recorder import Recorder
 from dualbrain.control.recording.trace import Trace
+from dualbrain.core.parent_pipe import ParentPipe, start_child
+from dualbrain.core.realtime_priority import release_realtime_priority, request_realtime_priority
 from dualbrain.errors import ConfigurationError
 
 SWITCH_INTERVAL = 1e-4
@@ -35,14 +36,20 @@ STARTUP_TIMEOUT = 60.0
 """Longest time [s] until a started gatekeeper listens."""
 
 
-def run_gatekeeper(config: GatekeeperConfig, on_ready: Callable[[], None] = lambda: None) -> TickTimingSummary:
+def run_gatekeeper(
+    config: GatekeeperConfig, on_ready: Callable[[], None] = lambda: None, parent: ParentPipe | None = None
+) -> TickTimingSummary:
     """Run a gatekeeper until the operator, SIGTERM or SIGINT shuts it down; returns the timing of its ticks.
 
-    `on_ready` is called before the first tick, once robot and server are ready. Raises what `Deployment.from_config`
-    raises, and `ConfigurationError` if the socket or the key file cannot be used.
+    With a `parent`, it also ends when its parent does, after the arm has braked. Without one, a person started it: it
+    ignores SIGHUP, so it continues when its terminal closes. `on_ready` is called before the first tick, once robot and
+    server are ready. Raises what `Deployment.from_config` raises, and `ConfigurationError` if the socket or the key
+    file cannot be used.
     """
+    if parent is None:
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
     sys.setswitchinterval(SWITCH_INTERVAL)
-    _request_realtime_priority()
+    request_realtime_priority()
     deployment, keys = Deployment.from_config(config), load_or_create_keys(Path(config.keys))
     robot_model = deployment.robot_model
     server = SocketServer(Path(config.socket))
@@ -87,11 +94,14 @@ def run_gatekeeper(config: GatekeeperConfig, on_ready: Callable[[], None] = lamb
             del number, frame
             gatekeeper.shut_down()
 
-        for number in (signal.SIGTERM, signal.SIGINT):
+        for number in (signal.SIGTERM, signal.SIGINT, *((signal.SIGHUP,) if parent else ())):
             signal.signal(number, stop)
         gate.wait_until_ready()
+        if parent is not None:
+            parent.on_end(gatekeeper.shut_down)
         on_ready()
         gatekeeper.run()
+        release_realtime_priority()
         timing = msgspec.structs.replace(robot.tick_timer.summary(), parts=profile.summary())
         if config.tick_timing:
             Path(config.tick_timing).write_bytes(msgspec.json.encode(timing))
@@ -107,23 +117,22 @@ def run_gatekeeper(config: GatekeeperConfig, on_ready: Callable[[], None] = lamb
 
 
 class GatekeeperProcess:
-    """A gatekeeper as a child process."""
+    """A gatekeeper as a child process, which ends with this process."""
 
     def __init__(self, config: GatekeeperConfig) -> None:
         """Start the process and wait until it listens; raises `ConfigurationError` if it does not start."""
-        flags = ["-S"] if sys.flags.no_site else []
         self.config = config
-        self.process = subprocess.Popen(
-            [sys.executable, *flags, "-m", "dualbrain.control.gatekeeper.process"],
-            stdin=subprocess.PIPE,
-            start_new_session=True,
-        )
-        if self.process.stdin:
-            self.process.stdin.write(msgspec.msgpack.encode(config))
-            self.process.stdin.close()
+        self.process = start_child(__name__, msgspec.msgpack.encode(config), config.robot, config.socket)
+        try:
+            self._wait_until_listening()
+        except BaseException:
+            self.stop()
+            raise
+
+    def _wait_until_listening(self) -> None:
         deadline = time.monotonic() + STARTUP_TIMEOUT
         while (
-            not (up := is_listening(Path(config.socket)))
+            not (up := is_listening(Path(self.config.socket)))
             and self.process.poll() is None
             and time.monotonic() < deadline
         ):
@@ -144,13 +153,11 @@ class GatekeeperProcess:
         if self.process.poll() is None:
             self.process.kill()
             self.process.wait()
+        if self.process.stdin:
+            self.process.stdin.close()
 
 
-def _request_realtime_priority() -> None:
-    """Request a real-time priority; without one, the tick timing shows the effect."""
-    with suppress(OSError, AttributeError):
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
-
-
-if __name__ == "__main__":
-    run_gatekeeper(msgspec.msgpack.decode(sys.stdin.buffer.read(), type=GatekeeperConfig))
+def main(arguments: list[str], parent: ParentPipe) -> None:
+    """Run the gatekeeper of `GatekeeperProcess`; `arguments` (robot and socket) only identify it in process lists."""
+    del arguments
+    run_gatekeeper(msgspec.msgpack.decode(parent.read_settings(), type=GatekeeperConfig), parent=parent)

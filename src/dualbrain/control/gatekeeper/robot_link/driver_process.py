@@ -1,17 +1,14 @@
 """The process of a driver, which replaces the simulated robot: the same packets, at the arm's own control period.
 
-    python -m dualbrain.control.gatekeeper.robot_link.driver_process FD        (one line of settings on standard input)
-
 The process sends each joint state as it arrives, waits for its command for most of a period and passes the command to
-the driver. If the link is closed, or no valid command arrives for `WATCHDOG_TIMEOUT`, the driver stops the arm; the
-arm's own watchdog is a second safeguard. There is no camera: the scene is the surveyed one, in which no object may
-move. Its objects keep the stamp of their survey.
+the driver. If the link is closed, the gatekeeper has ended, or no valid command arrives for `WATCHDOG_TIMEOUT`, the driver
+stops the arm; the arm's own watchdog is a second safeguard. There is no camera: the scene is the surveyed one, in which
+no object may move. Its objects keep the stamp of their survey.
 """
 
 from __future__ import annotations
 
 import socket
-import sys
 import time
 
 import msgspec
@@ -21,6 +18,7 @@ from dualbrain.control.gatekeeper.robot_link import packets
 from dualbrain.control.gatekeeper.robot_link.packet_socket import MalformedPacket, PacketSocket
 from dualbrain.control.gatekeeper.robot_link.simulated_robot import WATCHDOG_TIMEOUT, perception_period_ticks
 from dualbrain.core.geometry.shapes import Pose
+from dualbrain.core.parent_pipe import ParentPipe
 from dualbrain.core.real_time_pacer import RealTimePacer
 from dualbrain.drivers.catalogue import find_driver_kind
 from dualbrain.drivers.driver import Driver, command_fault
@@ -57,6 +55,10 @@ class DriverProcess:
         self._last_command_at, self._drive_on = time.monotonic(), False
         self._ticks, self._n_joints = 0, len(driver.read().q)
         self._scene_period_ticks = perception_period_ticks(driver.timing.period)
+
+    def lose_gatekeeper(self) -> None:
+        """Stop serving, from any thread: the gatekeeper has ended."""
+        self._packet_socket.mark_closed()
 
     def serve(self) -> None:
         """Run until shutdown, or until the link is closed."""
@@ -139,15 +141,13 @@ def surveyed_scene(spec: SceneSpec) -> Scene:
     return Scene(robot=spec.robot, stamp=0.0, version=1, objects=(TABLE_OBJECT, *objects), places=spec.places)
 
 
-def main(arguments: list[str]) -> None:
-    """Serve on the inherited socket."""
+def main(arguments: list[str], parent: ParentPipe) -> None:
+    """Serve on the inherited socket, whose number is the only argument, as a child of the gatekeeper."""
     link = socket.socket(fileno=int(arguments[0]))
-    settings = msgspec.json.decode(sys.stdin.buffer.readline(), type=DriverSettings)
+    settings = msgspec.json.decode(parent.read_settings(), type=DriverSettings)
     kind = find_driver_kind(settings.driver, settings.robot_model.name)
     scene = surveyed_scene(settings.scene)
     pace = RealTimePacer(tolerance=WATCHDOG_TIMEOUT)  # of a fake arm
-    DriverProcess(kind.open(settings.address, settings.robot_model, pace), scene, link).serve()
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])
+    process = DriverProcess(kind.open(settings.address, settings.robot_model, pace), scene, link)
+    parent.on_end(process.lose_gatekeeper)
+    process.serve()

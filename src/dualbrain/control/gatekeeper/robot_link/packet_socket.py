@@ -72,6 +72,10 @@ class PacketSocket(Generic[P]):
         time.sleep(seconds)
         return False
 
+    def mark_closed(self) -> None:
+        """Treat the link as closed, from any thread: the process at the other end has ended."""
+        self.is_open = False
+
     def close(self) -> None:
         """Close this end."""
         self.is_open = False

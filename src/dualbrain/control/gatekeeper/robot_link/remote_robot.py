@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 import time
 
 import msgspec
@@ -16,6 +15,7 @@ from dualbrain.control.gatekeeper.robot_link.packet_socket import MalformedPacke
 from dualbrain.control.gatekeeper.robot_link.simulated_robot import SimulatedRobotSettings
 from dualbrain.control.gatekeeper.timing.tick_profile import TickProfiler
 from dualbrain.control.gatekeeper.timing.tick_timing import TickTimer
+from dualbrain.core.parent_pipe import start_child
 from dualbrain.errors import ConfigurationError
 from dualbrain.records import Scene
 from dualbrain.robots.interface import Command, RobotState
@@ -39,15 +39,9 @@ class RemoteRobot:
         Raises `ConfigurationError` if the process ends or none arrives in time.
         """
         here, there = socket_pair()
-        self.process = subprocess.Popen(
-            [sys.executable, *_interpreter_flags(), "-m", _process_module(settings), str(there.fileno())],
-            stdin=subprocess.PIPE,
-            pass_fds=(there.fileno(),),
-        )
+        data, descriptor = msgspec.json.encode(settings), there.fileno()
+        self.process = start_child(_process_module(settings), data, str(descriptor), pass_fds=(descriptor,))
         there.close()
-        if self.process.stdin:
-            self.process.stdin.write(msgspec.json.encode(settings) + b"\n")
-            self.process.stdin.flush()
         self._packet_socket: PacketSocket[packets.FromRobot] = PacketSocket(here, packets.decode_from_robot)
         self._timing = timing
         self.tick_timer, self._profiler = TickTimer(timing), profiler or TickProfiler()
@@ -180,8 +174,3 @@ class RemoteRobot:
 def _process_module(settings: SimulatedRobotSettings | DriverSettings) -> str:
     process = "driver_process" if isinstance(settings, DriverSettings) else "simulated_robot"
     return f"dualbrain.control.gatekeeper.robot_link.{process}"
-
-
-def _interpreter_flags() -> list[str]:
-    """The flags of this interpreter that decide where packages are found."""
-    return ["-S"] if sys.flags.no_site else []

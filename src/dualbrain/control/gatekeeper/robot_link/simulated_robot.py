@@ -1,16 +1,13 @@
 """The process of the simulated robot: physics in real time, with its own watchdog and perception rate.
 
-    python -m dualbrain.control.gatekeeper.robot_link.simulated_robot FD        (one line of settings on standard input)
-
-If no valid command arrives for `WATCHDOG_TIMEOUT` seconds, or the link is closed, the drive is switched off and the
-brakes engage. Without a link, the simulation continues for `AFTERMATH_TIME` seconds, which the judgement then includes,
-and writes its report.
+If no valid command arrives for `WATCHDOG_TIMEOUT` seconds, the link is closed or the gatekeeper has ended, the drive is
+switched off and the brakes engage. Without a link, the simulation continues for `AFTERMATH_TIME` seconds, which the
+judgement then includes, and writes its report.
 """
 
 from __future__ import annotations
 
 import socket
-import sys
 import time
 from pathlib import Path
 
@@ -19,6 +16,8 @@ import numpy as np
 
 from dualbrain.control.gatekeeper.robot_link import packets
 from dualbrain.control.gatekeeper.robot_link.packet_socket import MalformedPacket, PacketSocket
+from dualbrain.core.parent_pipe import ParentPipe
+from dualbrain.core.realtime_priority import release_realtime_priority
 from dualbrain.drivers.driver import command_fault
 from dualbrain.records import Judgement
 from dualbrain.robots.interface import Command
@@ -97,6 +96,10 @@ class RobotProcess:
         self._off_cause, self._off_q = "", self.plant.read().q
         self._resynchronizations = self._ticks = 0
 
+    def lose_gatekeeper(self) -> None:
+        """Continue as without a link, from any thread: the gatekeeper has ended."""
+        self._packet_socket.mark_closed()
+
     def serve(self) -> None:
         """Run until shutdown or, without a link, until `AFTERMATH_TIME` is over."""
         due = time.monotonic()
@@ -134,6 +137,8 @@ class RobotProcess:
         silent = self._armed and now - self._last_command_at > WATCHDOG_TIMEOUT
         if self._off_at is None and (silent or not self._packet_socket.is_open):
             self._stop_drive("watchdog")
+            if not self._packet_socket.is_open:
+                release_realtime_priority()
 
     def _stop_drive(self, cause: str) -> None:
         self.plant.stop()
@@ -192,12 +197,10 @@ def perception_period_ticks(period: float) -> int:
     return max(1, round(PERCEPTION_PERIOD / period))
 
 
-def main(arguments: list[str]) -> None:
-    """Serve on the inherited socket."""
+def main(arguments: list[str], parent: ParentPipe) -> None:
+    """Serve on the inherited socket, whose number is the only argument, as a child of the gatekeeper."""
     link = socket.socket(fileno=int(arguments[0]))
-    settings = msgspec.json.decode(sys.stdin.buffer.readline(), type=SimulatedRobotSettings)
-    RobotProcess(settings, link).serve()
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])
+    settings = msgspec.json.decode(parent.read_settings(), type=SimulatedRobotSettings)
+    process = RobotProcess(settings, link)
+    parent.on_end(process.lose_gatekeeper)
+    process.serve()
