@@ -46,6 +46,9 @@ class Finding:
 def doctor(*, robot: str = "") -> int:
     """Check this installation: versions, kernel, filter latency, rendering, planners, model files, memory.
 
+    Lists every running gatekeeper of this user too: process, robot, socket, start, what started it, whether a commander
+    is connected, and how to end it.
+
     Exit code 0 unless a line has the state "problem"; optional parts that are not installed are not problems.
 
     Parameters
@@ -55,7 +58,7 @@ def doctor(*, robot: str = "") -> int:
     """
     if robot:
         return _print_findings(_robot(robot))
-    checks = (_versions, _extras, _kernel, _latency, _rendering, _planners, _model_files, _memory)
+    checks = (_versions, _extras, _kernel, _latency, _rendering, _planners, _model_files, _memory, _gatekeepers)
     return _print_findings([finding for check in checks for finding in _run_check(check)])
 
 
@@ -189,6 +192,16 @@ def _model_files() -> list[Finding]:
         return Finding(name, "optional", f"not downloaded: dualbrain models fetch {name}")
 
     return [finding(status) for status in weights.list_weights(cache_folder())]
+
+
+def _gatekeepers() -> list[Finding]:
+    """Every gatekeeper of this user that runs; one that does not answer is a problem."""
+    from dualbrain.cli.common.running_gatekeepers import running_gatekeepers
+
+    return [
+        Finding(f"gatekeeper {one.pid}", "problem" if one.commander is None else "ok", str(one))
+        for one in running_gatekeepers(dualbrain_home())
+    ] or [Finding("gatekeepers", "ok", "none is running")]
 
 
 def _memory() -> list[Finding]:

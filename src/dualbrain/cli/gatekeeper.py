@@ -35,7 +35,8 @@ def gatekeeper(
 ) -> int:
     """Control a robot until shut down, and execute the contracts that arrive at a Unix socket.
 
-    The robot is simulated unless a driver is given. A hardware driver needs a matching commissioning record.
+    It continues when its terminal closes and when its commander ends; `dualbrain doctor` lists it. The robot is
+    simulated unless a driver is given. A hardware driver needs a matching commissioning record.
 
     Parameters
     ----------
@@ -67,10 +68,13 @@ def gatekeeper(
     import msgspec
 
     from dualbrain.cli.common.console import print_result
+    from dualbrain.cli.common.running_gatekeepers import REGISTRATIONS, STARTED_BY_PERSON
+    from dualbrain.cli.common.signals import survive_closed_terminal
     from dualbrain.control.gatekeeper.config import GatekeeperConfig
     from dualbrain.control.gatekeeper.process import run_gatekeeper
     from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
+    survive_closed_terminal()
     where, secrets = socket or dualbrain_home() / "gatekeeper.sock", keys or dualbrain_home() / "keys.json"
     config = GatekeeperConfig(
         robot=robot,
@@ -84,6 +88,8 @@ def gatekeeper(
         driver=driver,
         address=address,
         commissioned=str(commissioned or ""),
+        registrations=str(dualbrain_home() / REGISTRATIONS),
+        started_by=STARTED_BY_PERSON,
     )
     ready = f"The gatekeeper of {robot} listens at {where}. Ctrl-C shuts it down."
     timing = run_gatekeeper(config, lambda: print(ready, file=sys.stderr))

@@ -84,6 +84,7 @@ class ParentPipe:
         try:
             callback()
         finally:
+            del callback  # what it belongs to may be cleaned up
             while (left := ended_at + self._grace - time.monotonic()) > 0.0:
                 time.sleep(left)
             _exit()

@@ -22,11 +22,13 @@ from dualbrain.cli.common.planner_choice import choose_planner
 
 NO_GRAPHICS_REASON = choose_graphics(os.environ)  # before MuJoCo is imported
 
+from dualbrain.cli.common.running_gatekeepers import REGISTRATIONS
 from dualbrain.cli.common.signals import interrupt_handler
 from dualbrain.cli.common.spinner import Spinner
 from dualbrain.cli.run.live_feed import LiveFeed
 from dualbrain.cli.run.snapshots import PhaseCamera
 from dualbrain.control.recording.trace import Event
+from dualbrain.core.paths import dualbrain_home
 from dualbrain.core.real_time_pacer import RealTimePacer
 from dualbrain.core.text import storable_text
 from dualbrain.memory.maintenance.projection import project_memories
@@ -73,7 +75,8 @@ def execute_run(config: RunConfig, view: RunView) -> ExitCode:
     console = StderrConsole()
     pace = RealTimePacer(tolerance=PACE_TOLERANCE_S, min_sleep=MIN_SLEEP_S) if view.live_view else None
     clocks = Clocks(time.monotonic, datetime.now(UTC).isoformat(timespec="seconds"), time.time, pace)
-    backend = GatekeeperBackend(view.speed_scale) if view.real_time else None
+    registrations = dualbrain_home() / REGISTRATIONS
+    backend = GatekeeperBackend(view.speed_scale, registrations=registrations) if view.real_time else None
     with _open_session(config, clocks, backend, console) as session:
         title = escape(storable_text(config.instruction, 400)) or "a given contract"
         console.print(f"[bold]{title}[/]  [dim]{config.robot}, scene {config.scene}, {config.out}[/]")

@@ -16,7 +16,8 @@ class GatekeeperConfig(
     `capability` narrows the planner's authority; `speed_scale` is the initial one, (0, 1]. `report` and `tick_timing`
     are files that the robot process and the gatekeeper write at their end. `site` is a site file. With a `driver`, the
     gatekeeper moves a real arm at `address` (or its fake) instead of the simulated one; hardware requires the
-    commissioning record `commissioned`.
+    commissioning record `commissioned`. The gatekeeper registers itself in the folder `registrations` while it runs, as
+    started by `started_by`.
     """
 
     robot: str
@@ -35,3 +36,5 @@ class GatekeeperConfig(
     driver: str = ""
     address: str = ""
     commissioned: str = ""
+    registrations: str = ""
+    started_by: str = ""

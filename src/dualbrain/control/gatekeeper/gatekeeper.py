@@ -216,6 +216,7 @@ class Gatekeeper:
             cause=decision.cause.value,
             check=decision.check,
             busy=self.busy,
+            commander=self._commander is not None,
         )
         for connection in self.server.connections:
             if connection.role == "stranger" and now - connection.last_received_at > AUTHENTICATION_TIMEOUT:

@@ -20,6 +20,7 @@ from dualbrain.control.gatekeeper.gate.exchange import GateSetup
 from dualbrain.control.gatekeeper.gate.gate_process import GateProcess
 from dualbrain.control.gatekeeper.gatekeeper import Gatekeeper, GatekeeperSettings
 from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys
+from dualbrain.control.gatekeeper.protocol.registration import registered
 from dualbrain.control.gatekeeper.protocol.server import SocketServer, is_listening
 from dualbrain.control.gatekeeper.robot_link.remote_robot import RemoteRobot
 from dualbrain.control.gatekeeper.timing.tick_profile import TickProfiler
@@ -46,10 +47,17 @@ def run_gatekeeper(
     server are ready. Raises what `Deployment.from_config` raises, and `ConfigurationError` if the socket or the key
     file cannot be used.
     """
-    if parent is None:
+    if parent is None and signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
     sys.setswitchinterval(SWITCH_INTERVAL)
     request_realtime_priority()
+    registration = registered(
+        Path(config.registrations) if config.registrations else None,
+        robot=config.robot,
+        socket=config.socket,
+        keys=config.keys,
+        started_by=config.started_by,
+    )
     deployment, keys = Deployment.from_config(config), load_or_create_keys(Path(config.keys))
     robot_model = deployment.robot_model
     server = SocketServer(Path(config.socket))
@@ -99,14 +107,17 @@ def run_gatekeeper(
         gate.wait_until_ready()
         if parent is not None:
             parent.on_end(gatekeeper.shut_down)
-        on_ready()
-        gatekeeper.run()
+        with registration:
+            on_ready()
+            gatekeeper.run()
         release_realtime_priority()
         timing = msgspec.structs.replace(robot.tick_timer.summary(), parts=profile.summary())
         if config.tick_timing:
             Path(config.tick_timing).write_bytes(msgspec.json.encode(timing))
         return timing
     finally:
+        if parent is not None:
+            parent.on_end(lambda: None)
         if robot is not None:
             robot.close()
         if gate is not None:

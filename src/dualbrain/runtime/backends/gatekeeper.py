@@ -38,9 +38,17 @@ ADDRESS_FILE = "gatekeeper.address"
 class GatekeeperBackend:
     """Starts a gatekeeper for a run. The filter cannot be switched off, and the plant of this process does not move."""
 
-    def __init__(self, speed_scale: float = 1.0, on_tick_report: Callable[[TickReport], None] | None = None) -> None:
-        """Begin at the speed scale `speed_scale`, (0, 1]; `on_tick_report` gets the gatekeeper's tick reports."""
-        self.speed_scale, self.on_tick_report = speed_scale, on_tick_report
+    def __init__(
+        self,
+        speed_scale: float = 1.0,
+        on_tick_report: Callable[[TickReport], None] | None = None,
+        registrations: Path | None = None,
+    ) -> None:
+        """Begin at the speed scale `speed_scale`, (0, 1]; `on_tick_report` gets the gatekeeper's tick reports.
+
+        The gatekeeper is registered in the folder `registrations` while it runs (None: it is not).
+        """
+        self.speed_scale, self.on_tick_report, self.registrations = speed_scale, on_tick_report, registrations
         self._operator: GatekeeperClient | None = None
         self._socket: Path | None = None
 
@@ -65,7 +73,7 @@ class GatekeeperBackend:
         out = context.config.out
         with ExitStack() as stack:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="dualbrain-")))
-            config = _gatekeeper_config(context, folder, self.speed_scale)
+            config = _gatekeeper_config(context, folder, self.speed_scale, self.registrations)
             self._socket = Path(config.socket)
             process = GatekeeperProcess(config)
             stack.callback(process.stop)
@@ -108,7 +116,9 @@ class GatekeeperBackend:
         return read_trace(context.config.out / "episode.mcap") or Trace(context.robot_model.n)
 
 
-def _gatekeeper_config(context: RunContext, folder: Path, speed_scale: float) -> GatekeeperConfig:
+def _gatekeeper_config(
+    context: RunContext, folder: Path, speed_scale: float, registrations: Path | None
+) -> GatekeeperConfig:
     config, out = context.config, context.config.out
     return GatekeeperConfig(
         robot=config.robot,
@@ -123,4 +133,6 @@ def _gatekeeper_config(context: RunContext, folder: Path, speed_scale: float) ->
         report=str(out / ROBOT_REPORT_FILE),
         tick_timing=str(out / TICK_TIMING_FILE),
         site=str(config.site or ""),
+        registrations=str(registrations or ""),
+        started_by=f"`dualbrain run` {out.name}",
     )

@@ -81,13 +81,17 @@ class Welcome(Message, frozen=True, kw_only=True):
 
 
 class StatusReport(Message, frozen=True, kw_only=True):
-    """Periodic status: the gatekeeper's time [s], the supervisor's decision, and whether a contract runs."""
+    """Periodic status: the gatekeeper's time [s], the supervisor's decision, and whether a contract runs.
+
+    `commander` is whether a commander is connected.
+    """
 
     now: float
     action: str
     cause: str
     check: str
     busy: bool
+    commander: bool = False
 
 
 class VerdictReport(Message, frozen=True, kw_only=True):
