@@ -31,6 +31,7 @@ def gatekeeper(
     driver: str = "",
     address: str = "",
     commissioned: Path | None = None,
+    unrecorded: Annotated[bool, Parameter(negative="")] = False,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
     """Control a robot until shut down, and execute the contracts that arrive at a Unix socket.
@@ -62,6 +63,9 @@ def gatekeeper(
         Network address of the arm's controller.
     commissioned
         Commissioning record, written by `dualbrain robot commission`.
+    unrecorded
+        Move on if the recording of --record cannot be written (disk full). Without this option the arm then comes to
+        rest.
     json
         At the end, print tick timing statistics as one JSON object on stdout.
     """
@@ -90,6 +94,7 @@ def gatekeeper(
         commissioned=str(commissioned or ""),
         registrations=str(dualbrain_home() / REGISTRATIONS),
         started_by=STARTED_BY_PERSON,
+        unrecorded=unrecorded,
     )
     ready = f"The gatekeeper of {robot} listens at {where}. Ctrl-C shuts it down."
     timing = run_gatekeeper(config, lambda: print(ready, file=sys.stderr))

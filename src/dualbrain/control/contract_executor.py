@@ -20,7 +20,7 @@ from dualbrain.robots.interface import RobotState
 from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.filter import FilterResult
 from dualbrain.safety.supervisor.actions import Cause, SafetyAction
-from dualbrain.safety.supervisor.checks import CHECKS
+from dualbrain.safety.supervisor.checks import CHECKS, Check
 from dualbrain.safety.supervisor.conditions import Condition
 from dualbrain.skills.registry import SkillExecution, skill_registry
 from dualbrain.skills.skill import HeldObject, SkillResult, SkillStatus
@@ -209,9 +209,15 @@ class ContractExecutor:
             return None
         tripped = self.loop.safety_controller.supervisor.tripped_checks
         check = next(one for one in reversed(CHECKS) if one.name in tripped and one.contract_outcome)
-        detail = f": {self._last_result.explain()}" if check.cause is Cause.FILTER and self._last_result else ""
+        detail = f": {explanation}" if (explanation := self._explain(check)) else ""
         status = SkillStatus.TAKEN_OVER if outcome == "taken_over" else SkillStatus.RUNNING
         return SkillResult(status, f"{check.description}{detail}")
+
+    def _explain(self, check: Check) -> str:
+        """What is known about the cause of a tripped check, beyond its description."""
+        if check.condition is Condition.RECORDING_LOST:
+            return self.loop.recording_failure
+        return self._last_result.explain() if check.cause is Cause.FILTER and self._last_result else ""
 
     def _stop_on_fault(self, error: Exception) -> SkillResult:
         """Switch the drive off at once after an exception, and record its type, text and traceback."""

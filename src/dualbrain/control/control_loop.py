@@ -68,7 +68,8 @@ class ControlLoopConfig:
 
     `guard` False writes the nominal control unfiltered (the paper's B1). `perception_period` [s] is the time between
     two perceived scenes, `snapshot_period` [s] that between two snapshots for observers, `settle_time` [s] the time at
-    rest after a contract. `timing` holds the limits on delays of the robot's interface.
+    rest after a contract. `timing` holds the limits on delays of the robot's interface. `unrecorded`: the arm may move
+    on if its recording cannot be written.
     """
 
     guard: bool = True
@@ -76,6 +77,7 @@ class ControlLoopConfig:
     snapshot_period: float = 0.020
     settle_time: float = 0.6
     timing: Timing = SIMULATED
+    unrecorded: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,6 +135,7 @@ class ControlLoop:
         self._ground_obstacles = (GROUND_PLANE,) if robot_model.is_mobile_manipulator else ()
         self.safety_controller = SafetyController(safety, timing=config.timing)
         self.checks_during_contract: set[str] = set()
+        self.recording_failure = ""
         self._drive_on = True
         self._paused_time = 0.0
         self._last_decision = NO_ACTION
@@ -265,7 +268,7 @@ class ControlLoop:
 
     def _decide(self, now: float) -> SupervisorDecision:
         """The supervisor's decision of this tick, reported when it changes; the drive follows it."""
-        conditions = self.inputs.external_conditions()
+        conditions = self.inputs.external_conditions() | self._recording_conditions()
         self._mark_part("door")
         if self.inputs.interrupted():
             conditions |= Condition.INTERRUPT
@@ -281,6 +284,15 @@ class ControlLoop:
             self._switch_drive(on=self.safety_controller.drive_wanted)
         self._mark_part("supervisor")
         return decision
+
+    def _recording_conditions(self) -> int:
+        """Report a recording that cannot be written when that begins; the arm stops because of it."""
+        failure = self.log.recording_failure
+        if failure != self.recording_failure:
+            self.recording_failure = failure
+            if failure:
+                self.log.note(self.state.stamp, "fault", failure)
+        return Condition.RECORDING_LOST if failure and not self.config.unrecorded else 0
 
     def _switch_drive(self, *, on: bool) -> None:
         self._drive_on = on

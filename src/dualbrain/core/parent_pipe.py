@@ -21,6 +21,8 @@ from importlib import import_module
 from threading import Lock, Thread
 from typing import NoReturn
 
+from dualbrain.errors import DualbrainError
+
 STDIN = 0
 LENGTH_BYTES = 8
 """Bytes of the length in front of the settings."""
@@ -116,7 +118,10 @@ def main(arguments: list[str]) -> None:
     """Run the module named on the command line."""
     parent, module, *rest = arguments
     pipe = ParentPipe(int(parent))
-    import_module(module).main(rest, pipe)
+    try:
+        import_module(module).main(rest, pipe)
+    except DualbrainError as error:
+        sys.exit(f"{module}: {error}")
 
 
 if __name__ == "__main__":

@@ -55,12 +55,16 @@ class RunConfig:
     """Whether the weights of memory are constant: episodes are retrieved and stored, but no weight is updated."""
     epsilon: float = EPSILON
     """Intervention threshold ε: a successful episode with Δ > ε lowers the weights of the memories it used."""
+    unrecorded: bool = False
+    """Whether the arm may move on if the recording cannot be written."""
     adapters: Path | None = None
     """Folder of the adapter registry; None: the folder `adapters` beside the ledger."""
 
     def encode(self) -> bytes:
-        """The content of `config.json`, with the field names of earlier versions."""
+        """The content of `config.json`, with the field names of earlier versions; `unrecorded` only if it is set."""
         fields = msgspec.to_builtins(self, enc_hook=str)
+        if not self.unrecorded:
+            del fields["unrecorded"]
         stored = {STORED_NAMES.get(name, name): value for name, value in fields.items()}
         return msgspec.json.format(msgspec.json.encode(stored), indent=2)
 

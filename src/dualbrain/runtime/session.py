@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+from collections.abc import Callable, Generator, Mapping
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
@@ -18,7 +18,8 @@ from dualbrain.contracts.registry import is_narrower
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.trace import Trace
 from dualbrain.core import weights
-from dualbrain.core.storage.atomic_files import atomic_file
+from dualbrain.core.storage.atomic_files import atomic_file, translated_write_errors, write_atomically
+from dualbrain.core.storage.reserved_space import ReservedSpace
 from dualbrain.core.text import storable_text
 from dualbrain.errors import ConfigurationError
 from dualbrain.grounding.document_retrieval import retrieve_passages
@@ -58,6 +59,8 @@ from dualbrain.simulation.world import make_world
 from dualbrain.skills.registry import skill_registry
 
 TryResult = tuple[Episode, StoreReport]
+RESERVED_BYTES = 8_000_000
+"""Space [bytes] that is reserved in the run folder, beside that for the recording, and beside the memory ledger."""
 RUN_FILES = ("config.json", "scene.json", "episode.mcap", "episode.json", "report.html")
 """Files of a run folder."""
 __all__ = ["RUN_FILES", "Clocks", "RunConfig", "RunObserver", "RunResult", "Session"]
@@ -115,8 +118,7 @@ class Session:
         self.planner = planner or self._open_planner(environ)
         if planner is None:
             self._stack.callback(self.planner.close)
-        config.out.mkdir(parents=True, exist_ok=True)
-        config.ledger.parent.mkdir(parents=True, exist_ok=True)
+        self._open_space()
         ledger = Ledger(config.ledger, holder=f"dualbrain run {config.out.name}", now=self.clocks.now())
         self._stack.callback(ledger.close)
         self.ledger = ledger
@@ -129,6 +131,35 @@ class Session:
         )
         self.plant = self.world.plant
         self.interrupted_runs: tuple[InterruptedRun, ...] = ()
+
+    def _open_space(self) -> None:
+        """Make the folders and reserve the space that the end of the run needs, so that a full disk loses no episode.
+
+        A run that may move unrecorded needs no reserved space.
+        """
+        self._reserves: list[ReservedSpace] = []
+        for folder, purpose in (
+            (self.config.out, "the files at the end of the run"),
+            (self.config.ledger.parent, "the memory ledger"),
+        ):
+            with translated_write_errors(folder):
+                folder.mkdir(parents=True, exist_ok=True)
+            try:
+                reserve = ReservedSpace(folder, RESERVED_BYTES, purpose)
+            except ConfigurationError:
+                if not self.config.unrecorded:
+                    raise
+                continue
+            self._reserves.append(reserve)
+            self._stack.callback(reserve.release)
+
+    @contextmanager
+    def _reserved_space(self) -> Generator[None]:
+        """Free the reserved space for the writes of the body."""
+        with ExitStack() as stack:
+            for reserve in self._reserves:
+                stack.enter_context(reserve.lent())
+            yield
 
     def _open_library(self, encoder: MiniLmEncoder) -> Library | None:
         """The documents, if passages or a map are requested."""
@@ -161,10 +192,11 @@ class Session:
     def run(self, observer: RunObserver) -> RunResult:
         """Run the instruction; afterwards the run folder holds configuration, scene, recording and episodes."""
         config, out = self.config, self.config.out
-        out.joinpath("config.json").write_bytes(config.encode())
-        save_scene(self.spec, out / "scene.json")
-        about = {"instruction": config.instruction}
-        self.interrupted_runs = self.ledger.start_run(out.name, about, now=self.clocks.now())
+        with self._reserved_space():
+            write_atomically(out / "config.json", config.encode(), private=False)
+            save_scene(self.spec, out / "scene.json")
+            about = {"instruction": config.instruction}
+            self.interrupted_runs = self.ledger.start_run(out.name, about, now=self.clocks.now())
         context = self._context()
         with self.backend.start(context, observer) as robot:
             results = self._run_tries(robot)
@@ -190,7 +222,7 @@ class Session:
     def _run_tries(self, robot: RunningRobot) -> list[TryResult]:
         """Run every try of the instruction; a given contract is tried once."""
         given = self._agent or Agent(self.planner, self.memory, self._retrieve_passages)
-        agent = replace(given, memory=_SavingMemory(given.memory, self._save_episode))
+        agent = replace(given, memory=_SavingMemory(given.memory, self._save_episode, self._reserved_space))
         log, executor = robot.executor.log, robot.executor
         results: list[TryResult] = []
         episodes: list[Episode] = []
@@ -223,6 +255,8 @@ class Session:
 
     def _finish(self, results: list[TryResult], trace: Trace) -> RunResult:
         """The result of the run: its last try, with the use of the memories in its prompt if that was requested."""
+        for reserve in self._reserves:  # for the rest of the ledger, the report and the images
+            reserve.release()
         *earlier, (episode, stored) = results
         episode = self._with_memory_uses(episode)
         self.ledger.end_run({"outcome": episode.outcome.kind}, now=self.clocks.now())
@@ -287,15 +321,24 @@ class Session:
 
 
 class _SavingMemory:
-    """A memory whose episodes are saved before they are stored, so that an error of the ledger loses no episode."""
+    """A memory whose episodes are saved before they are stored, so that an error of the ledger loses no episode.
 
-    def __init__(self, memory: EpisodicMemory, save: Callable[[Episode], None]) -> None:
-        self._memory, self._save = memory, save
+    Both happen in the context `space`, in which the reserved space is free.
+    """
+
+    def __init__(
+        self,
+        memory: EpisodicMemory,
+        save: Callable[[Episode], None],
+        space: Callable[[], AbstractContextManager[None]],
+    ) -> None:
+        self._memory, self._save, self._space = memory, save, space
         self.retrieve = memory.retrieve
 
     def store(self, episode: Episode, state: Posture, *, now: float, image: ImageFeatures | None = None) -> StoreReport:
-        self._save(episode)
-        return self._memory.store(episode, state, now=now, image=image)
+        with self._space():
+            self._save(episode)
+            return self._memory.store(episode, state, now=now, image=image)
 
 
 def _log_weight_changes(log: FlightLog, t: float, stored: StoreReport) -> None:

@@ -42,6 +42,7 @@ def run(
     map: str = "",
     live: Annotated[bool, Parameter(negative="")] = False,
     speed: str = "100%",
+    unrecorded: Annotated[bool, Parameter(negative="")] = False,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
     """Run one instruction on a simulated robot, and write a run folder with recording, episode and report.
@@ -99,6 +100,9 @@ def run(
         Run in real time in two processes: a gatekeeper owns robot, filter and supervisor, and survives the planner.
     speed
         With --live: initial speed scale, as 10% or 0.1; `dualbrain operate` changes it.
+    unrecorded
+        Move on if the recording cannot be written (disk full). Without this option the arm then comes to rest, and a
+        run does not start without reserved space on the disk.
     json
         Print one JSON object on stdout.
     """
@@ -140,6 +144,7 @@ def run(
         image_memory=image_memory,
         utility=utility,
         epsilon=epsilon,
+        unrecorded=unrecorded,
     )
     view = RunView(
         live_view=not headless,

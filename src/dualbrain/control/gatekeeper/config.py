@@ -17,7 +17,7 @@ class GatekeeperConfig(
     are files that the robot process and the gatekeeper write at their end. `site` is a site file. With a `driver`, the
     gatekeeper moves a real arm at `address` (or its fake) instead of the simulated one; hardware requires the
     commissioning record `commissioned`. The gatekeeper registers itself in the folder `registrations` while it runs, as
-    started by `started_by`.
+    started by `started_by`. With `unrecorded` the arm may move on if the recording cannot be written.
     """
 
     robot: str
@@ -38,3 +38,4 @@ class GatekeeperConfig(
     commissioned: str = ""
     registrations: str = ""
     started_by: str = ""
+    unrecorded: bool = False

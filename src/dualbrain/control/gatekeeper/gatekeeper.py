@@ -41,6 +41,7 @@ from dualbrain.control.gatekeeper.protocol.server import DISCONNECTED, FLOOD, Co
 from dualbrain.control.gatekeeper.robot_link.interface import RobotLink
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.recorder import Recorder
+from dualbrain.control.recording.recording_pause import UNATTENDED_TIME, RecordingPause
 from dualbrain.control.recording.trace import Event, Trace
 from dualbrain.records import Outcome
 from dualbrain.robots.model import RobotModel
@@ -73,7 +74,7 @@ class GatekeeperSettings:
 
     `timing`: limits on delays of the robot's interface. `speed_scale`: initial speed scale, (0, 1]. `fixed_obstacles`:
     obstacles of the site. `filter_config`: settings of the filter for this robot. `drive_initially_off`: the drive has
-    to be switched on first.
+    to be switched on first. `unrecorded`: the arm may move on if the recording cannot be written.
     """
 
     timing: Timing
@@ -81,6 +82,7 @@ class GatekeeperSettings:
     fixed_obstacles: tuple[Obstacle, ...] = ()
     filter_config: FilterConfig | None = None
     drive_initially_off: bool = False
+    unrecorded: bool = False
 
 
 class Gatekeeper:
@@ -114,6 +116,7 @@ class Gatekeeper:
         self._log = FlightLog(self._trace, recorder, self._broadcast_event)
         self._commander: Connection | None = None
         self._had_commander = False
+        self._recording_pause = RecordingPause()
         self._flood_until = self._refused_until = -1.0
         self._next_contract: Contract | None = None
         self._proposer: Connection | None = None
@@ -131,7 +134,9 @@ class Gatekeeper:
             robot,
             SafetyFilter(robot_model, settings.filter_config, obstacles=settings.fixed_obstacles),
             self._log,
-            ControlLoopConfig(snapshot_period=TICK_REPORT_PERIOD, timing=settings.timing),
+            ControlLoopConfig(
+                snapshot_period=TICK_REPORT_PERIOD, timing=settings.timing, unrecorded=settings.unrecorded
+            ),
             LoopObserver(on_tick=self._broadcast_tick, on_phase=robot.set_phase, mark_part=mark_part),
             LoopInputs(external_conditions=self._service_connections, clock=robot.clock),
         )
@@ -194,7 +199,17 @@ class Gatekeeper:
         if self._ticks % self._status_period_ticks == 0:
             self._send_status(now)
         self.loop.safety_controller.speed_scale = self.operator_commands.speed_scale
+        self._pause_or_resume_recording(now)
         return self._conditions(now)
+
+    def _pause_or_resume_recording(self, now: float) -> None:
+        """Record nothing while the arm is at rest without a commander for long; a replay is exact across the pause."""
+        controller, stamp = self.loop.safety_controller, self.robot.read().stamp
+        moving = controller.commanded_speed > controller.enforcement.limits.rest_velocity
+        if self._recording_pause.update(now, active=self._commander is not None or self.busy or moving):
+            self._log.pause(stamp, f"no commander was connected for {UNATTENDED_TIME:.0f} s, and the arm is at rest")
+        elif self._log.resume(stamp):
+            self._log.call(stamp, "reset", u_prev=controller.clear_filter_memory())
 
     def _conditions(self, now: float) -> int:
         flags = self.operator_commands.conditions() | self.robot.conditions()

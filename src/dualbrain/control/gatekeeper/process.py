@@ -26,9 +26,11 @@ from dualbrain.control.gatekeeper.robot_link.remote_robot import RemoteRobot
 from dualbrain.control.gatekeeper.timing.tick_profile import TickProfiler
 from dualbrain.control.gatekeeper.timing.tick_timing import TickTimingSummary
 from dualbrain.control.recording.recorder import Recorder
+from dualbrain.control.recording.recording_file import reserve_for_recording
 from dualbrain.control.recording.trace import Trace
 from dualbrain.core.parent_pipe import ParentPipe, start_child
 from dualbrain.core.realtime_priority import release_realtime_priority, request_realtime_priority
+from dualbrain.core.storage.atomic_files import write_atomically
 from dualbrain.errors import ConfigurationError
 
 SWITCH_INTERVAL = 1e-4
@@ -76,7 +78,8 @@ def run_gatekeeper(
         robot = RemoteRobot(deployment.process_settings(config), deployment.timing, profile)
         trace = Trace(robot_model.n, robot_model.nq)
         if config.recording:
-            recorder = Recorder(Path(config.recording), trace)
+            path = Path(config.recording)
+            recorder = Recorder(path, trace, reserve=reserve_for_recording(path, unrecorded=config.unrecorded))
             recorder.episode(0.0, deployment.recording_metadata(config))
         settings = GatekeeperSettings(
             timing=deployment.timing,
@@ -84,6 +87,7 @@ def run_gatekeeper(
             fixed_obstacles=deployment.fixed_obstacles,
             filter_config=deployment.filter_config,
             drive_initially_off=deployment.driver is not None,
+            unrecorded=config.unrecorded,
         )
         gatekeeper = Gatekeeper(
             robot_model,
@@ -112,9 +116,6 @@ def run_gatekeeper(
             gatekeeper.run()
         release_realtime_priority()
         timing = msgspec.structs.replace(robot.tick_timer.summary(), parts=profile.summary())
-        if config.tick_timing:
-            Path(config.tick_timing).write_bytes(msgspec.json.encode(timing))
-        return timing
     finally:
         if parent is not None:
             parent.on_end(lambda: None)
@@ -125,6 +126,9 @@ def run_gatekeeper(
         if recorder is not None:
             recorder.close()
         server.close()
+    if config.tick_timing:  # after the recording has released its reserved space
+        write_atomically(Path(config.tick_timing), msgspec.json.encode(timing), private=False)
+    return timing
 
 
 class GatekeeperProcess:

@@ -53,7 +53,9 @@ class AttemptMade(msgspec.Struct, frozen=True):
 
 
 class FilterCall(msgspec.Struct, frozen=True):
-    """A call that changes the filter's tables (observe, permit, attach, detach, constrain), with all its arguments.
+    """A call that changes the filter's tables or memory, with all its arguments.
+
+    The calls are observe, permit, attach, detach, constrain and, after a pause of the recording, reset.
 
     `constrain` holds every additional row of the following ticks, including those that live barriers add per tick.
     """

@@ -19,6 +19,10 @@ from dualbrain.safety.cbf.rows import ConstraintRow
 Array = NDArray[np.float64]
 
 
+TABLE_OF_CALL = {"attach": "grasp", "detach": "grasp"}
+"""Table of the filter that a call replaces, where its name is another one."""
+TABLE_ORDER = ("constrain", "grasp", "observe", "permit")
+"""Tables of the filter in the order in which they are set again; permits refer to obstacles."""
 RECENT_TIME, MAX_CONSTRAINTS = 3.0, 2
 """Constraint rows that were active within this time [s] before the end of an action are named; at most so many."""
 
@@ -40,6 +44,34 @@ class FlightLog:
         self.binding: Counter[str] = Counter()
         self._last_binding: tuple[float, FilterResult] | None = None
         self._rows: tuple[ConstraintRow, ...] = ()
+        self._tables: dict[str, tuple[str, dict[str, Any]]] = {}
+        self._paused = False
+
+    @property
+    def recording_failure(self) -> str:
+        """Why ticks are or may be lost in the recording, as a sentence; "" if they are not, or if nothing records."""
+        return self.recorder.failure if self.recorder else ""
+
+    def pause(self, t: float, reason: str) -> None:
+        """Record no ticks, calls and scenes from now on, only events; the recording states the `reason`."""
+        if self.recorder and not self._paused:
+            self.note(t, "recorder", f"the recording pauses: {reason}")
+            self._paused = True
+
+    def resume(self, t: float) -> bool:
+        """End a pause; returns whether there was one. The newest tables of the filter are recorded again.
+
+        The caller then resets the memory of the filter and logs that as the call "reset", so that a replay is exact.
+        """
+        if not self._paused:
+            return False
+        self._paused = False
+        self.note(t, "recorder", "the recording continues")
+        for kind in TABLE_ORDER:
+            if kind in self._tables:
+                name, arguments = self._tables[kind]
+                self.call(t, name, **arguments)
+        return True
 
     def tick(
         self,
@@ -60,13 +92,15 @@ class FlightLog:
         if action >= 0 and result.binding_rows:
             self.binding.update(result.barriers)
             self._last_binding = now, result
-        if self.recorder:
+        if self.recorder and not self._paused:
             self.recorder.tick(row)
 
     def call(self, t: float, name: str, **arguments: Any) -> None:
         """Log a call that changes the filter's tables, so that a replay can repeat it."""
         if self.recorder:
-            self.recorder.call(t, name, **arguments)
+            self._tables[TABLE_OF_CALL.get(name, name)] = name, arguments
+            if not self._paused:
+                self.recorder.call(t, name, **arguments)
 
     def extra_rows(self, t: float, rows: tuple[ConstraintRow, ...]) -> None:
         """Log the rows of live barriers, if they are not those of the last tick."""
@@ -84,7 +118,7 @@ class FlightLog:
 
     def scene(self, scene: Scene) -> None:
         """Log a perceived scene."""
-        if self.recorder:
+        if self.recorder and not self._paused:
             self.recorder.scene(scene)
 
     def attempt(self, t: float, attempt: Attempt) -> None:

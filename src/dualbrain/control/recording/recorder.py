@@ -12,7 +12,7 @@ from pathlib import Path
 from queue import Full, Queue
 from threading import Thread
 from types import TracebackType
-from typing import Any, Literal, Self, cast
+from typing import Any, BinaryIO, Literal, Self, cast
 
 import msgspec
 import numpy as np
@@ -31,7 +31,9 @@ from dualbrain.control.recording.channels import (
     Ticks,
     encode,
 )
+from dualbrain.control.recording.recording_file import RecordingFile
 from dualbrain.control.recording.trace import Event, Trace
+from dualbrain.core.storage.reserved_space import ReservedSpace
 from dualbrain.records import Attempt, Scene
 
 Array = NDArray[np.float64]
@@ -40,6 +42,9 @@ BATCH_TICKS = 50
 """Ticks of one /tick message."""
 FLUSH_PERIOD = 0.5
 """Recorded time [s] between two flushes of the file."""
+
+SLOW_DISK = "the disk was slower than the control loop"
+"""Reason of lost messages."""
 
 Item = Message | list[Array]
 """An item of the queue: a message or a batch of rows; the number of items lost just before it goes with it."""
@@ -53,9 +58,18 @@ class Recorder:
     """
 
     def __init__(
-        self, path: Path, trace: Trace, *, capacity: int = 1024, when_full: Literal["drop", "wait"] = "drop"
+        self,
+        path: Path,
+        trace: Trace,
+        *,
+        capacity: int = 1024,
+        when_full: Literal["drop", "wait"] = "drop",
+        reserve: ReservedSpace | None = None,
     ) -> None:
-        """Create the file; rows given to `tick` must come from `trace`."""
+        """Create the file; rows given to `tick` must come from `trace`. Raises `FileWriteError`.
+
+        `reserve` is the space for the end of the recording on a disk that has become full; it is released at the end.
+        """
         self.path = path
         self.dropped = self._reported_drops = 0
         self._trace = trace
@@ -63,9 +77,17 @@ class Recorder:
         self._queue: Queue[tuple[int, Item] | None] = Queue(capacity)
         self._pending: list[Array] = []
         self._state: RecordingState | None = None
-        self._file = _McapFile(path)
+        self._overflows = False
+        self._file = _McapFile(path, reserve)
         self._thread = Thread(target=self._drain, name="recorder", daemon=True)
         self._thread.start()
+
+    @property
+    def failure(self) -> str:
+        """Why ticks are or may be lost, as a sentence; "" while everything is recorded. Costs no waiting."""
+        if failure := self._file.failure:
+            return failure
+        return f"The recording {self.path} is incomplete: {SLOW_DISK}." if self._overflows else ""
 
     # --- called by the control thread ---------------------------------------------------------------------------
 
@@ -125,8 +147,10 @@ class Recorder:
         try:
             self._queue.put((self.dropped - self._reported_drops, item), block=self._blocking)
             self._reported_drops = self.dropped
+            self._overflows = False
         except Full:
             self.dropped += 1
+            self._overflows = True
 
     # --- the writer's thread -------------------------------------------------------------------------------------
 
@@ -135,12 +159,12 @@ class Recorder:
             try:
                 self._write(*entry)
             except Exception as error:  # the thread must continue to empty the queue: the control loop may wait for it
-                self._file.problem = self._file.problem or f"{type(error).__name__}: {error}"
+                self._file.fail(error)
 
     def _write(self, lost: int, item: Item) -> None:
         message = self._ticks(item) if isinstance(item, list) else item
         if lost:
-            gap = f"{lost} messages were lost here: the disk was slower than the control loop"
+            gap = f"{lost} messages were lost here: {SLOW_DISK}"
             self._file.write(Event(message.t, "recorder", gap, {"lost": lost}))
         self._file.write(message)
 
@@ -160,14 +184,15 @@ class Recorder:
 
 
 class _McapFile:
-    """An open MCAP file. An error such as a full disk is stored as `problem` and not raised: the robot still moves."""
+    """An open MCAP file. An error is stored as `problem`, which ends the recording, and not raised: the robot moves."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, reserve: ReservedSpace | None) -> None:
         from mcap.writer import CompressionType, Writer  # noqa: PLC0415  (heavy imports are lazy)
 
         self.problem = ""
-        self._stream = path.open("wb")
-        self._writer = Writer(self._stream, compression=CompressionType.ZSTD)
+        self._path = path
+        self._stream = RecordingFile(path, reserve)
+        self._writer = Writer(cast("BinaryIO", self._stream), compression=CompressionType.ZSTD)
         self._writer.start(profile="", library=FORMAT)
         self._channels = {topic: self._channel(kind, topic) for kind, topic in CHANNELS.items()}
         self._sequence, self._last_flush = 0, 0.0
@@ -177,6 +202,16 @@ class _McapFile:
         schema = msgspec.json.encode(msgspec.json.schema(kind))
         identity = self._writer.register_schema(kind.__name__, "jsonschema", schema)
         return self._writer.register_channel(topic, "json", identity)
+
+    @property
+    def failure(self) -> str:
+        """The first failed write, from which the reserved space may have saved the recording, or the problem."""
+        if self._stream.failure or not self.problem:
+            return self._stream.failure
+        return f"The recording {self._path} cannot be written: {self.problem}."
+
+    def fail(self, error: Exception) -> None:
+        self.problem = self.problem or f"{type(error).__name__}: {error}"
 
     def write(self, message: Message) -> None:
         if self.problem:
@@ -191,14 +226,16 @@ class _McapFile:
                 self._writer.flush()
                 self._last_flush = message.t
         except Exception as error:  # no failure of the recording may reach the control loop
-            self.problem = f"{type(error).__name__}: {error}"
+            self.fail(error)
 
     def finish(self, dropped: int) -> RecordingState:
+        state = RecordingState(not dropped and not self.problem, dropped, self.problem)
         try:
-            with self._stream:
-                state = RecordingState(not dropped and not self.problem, dropped, self.problem)
+            try:
                 self._writer.add_metadata(METADATA, {"format": FORMAT, "state": msgspec.json.encode(state).decode()})
                 self._writer.finish()
+            finally:
+                self._stream.close()
         except OSError as error:
             state = RecordingState(complete=False, dropped=dropped, problem=self.problem or str(error))
         return state

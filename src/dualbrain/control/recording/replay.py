@@ -107,9 +107,11 @@ class _ReplayFilter:
                 self._filter.detach()
             case "constrain":
                 self._filter.constrain(msgspec.convert(arguments["rows"], tuple[ConstraintRow, ...]))
+            case "reset":
+                self._filter.reset(np.asarray(arguments["u_prev"], np.float64))
             case _:
                 raise ConfigurationError(
-                    "recorded call", got=name, allowed="observe, permit, attach, detach, constrain"
+                    "recorded call", got=name, allowed="observe, permit, attach, detach, constrain, reset"
                 )
 
     def _recompute(self, state: RobotState, part: dict[str, Array], now: float, scale: float) -> FilterResult | None:

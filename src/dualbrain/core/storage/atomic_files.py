@@ -13,8 +13,14 @@ from pathlib import Path
 
 from dualbrain.errors import DualbrainError
 
-_DISK_FULL_MESSAGES = tuple(os.strerror(code) for code in (errno.ENOSPC, errno.EDQUOT))
-"""Messages of the operating system for a full disk; some libraries report only the message, not the error number."""
+_REMEDIES = {
+    errno.ENOSPC: "Free some space.",
+    errno.EDQUOT: "Free some space, or raise the quota of this user.",
+    errno.EFBIG: "Raise the limit on the size of files (`ulimit -f`).",
+    errno.EROFS: "Mount its disk for writing, or give another path.",
+    errno.EIO: "Check its disk, which reports errors, or give another path.",
+}
+"""Remedy of a failed write by error number."""
 
 
 class FileWriteError(DualbrainError):
@@ -24,12 +30,25 @@ class FileWriteError(DualbrainError):
         """Report the path and the reason that `error` gives."""
         reason = getattr(error, "strerror", None) or str(error)
         self.path, self.reason = path, reason
-        fix = (
-            "Free some space."
-            if any(words in reason for words in _DISK_FULL_MESSAGES)
-            else "Fix this, or give another path."
-        )
-        super().__init__(f"not written: {reason}. The previous content is unchanged. {fix} {path}")
+        super().__init__(f"{path} was not written: {reason}. The previous content is unchanged. {write_remedy(error)}")
+
+
+def write_remedy(error: Exception) -> str:
+    """The remedy of a failed write; some libraries report only the system's message, without the error number."""
+    number, text = getattr(error, "errno", None), str(error)
+    for code, remedy in _REMEDIES.items():
+        if code == number or os.strerror(code) in text:
+            return remedy
+    return "Fix this, or give another path."
+
+
+@contextmanager
+def translated_write_errors(path: Path) -> Generator[None]:
+    """In the body, every `OSError` becomes a `FileWriteError` that names `path`."""
+    try:
+        yield
+    except OSError as error:
+        raise FileWriteError(path, error) from error
 
 
 def require_writable(path: Path) -> None:
@@ -46,11 +65,16 @@ def require_writable(path: Path) -> None:
         raise FileWriteError(path, error) from error
 
 
-def write_atomically(path: Path, data: bytes) -> None:
+def write_atomically(path: Path, data: bytes, *, private: bool = True) -> None:
     """Write `data` to `path`. Promise: readers, also after a crash at any moment, find the whole old or new content.
 
-    Raises `FileWriteError` if the file cannot be written.
+    Only the user may read the file; if it is not `private`, its permissions follow the umask. Raises `FileWriteError`
+    if the file cannot be written.
     """
+    if not private:
+        with atomic_file(path) as sibling:
+            sibling.write_bytes(data)
+        return
     try:
         descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
         temporary = Path(name)

@@ -23,6 +23,7 @@ from dualbrain.control.gatekeeper.robot_link.simulated_robot import RobotReport
 from dualbrain.control.recording.channels import read_trace
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.trace import Event, Trace
+from dualbrain.core.storage.atomic_files import write_atomically
 from dualbrain.records import Judgement
 from dualbrain.runtime.backends.backend import RunContext, RunningRobot
 from dualbrain.runtime.config import RunObserver
@@ -78,8 +79,8 @@ class GatekeeperBackend:
             process = GatekeeperProcess(config)
             stack.callback(process.stop)
             address = out / ADDRESS_FILE
-            address.write_text(f"{config.socket}\n{config.keys}\n", encoding="utf-8")
-            stack.callback(address.unlink)
+            write_atomically(address, f"{config.socket}\n{config.keys}\n".encode(), private=False)
+            stack.callback(address.unlink, missing_ok=True)
             yield self._connect(context, observer, process)
 
     def _connect(self, context: RunContext, observer: RunObserver, process: GatekeeperProcess) -> RunningRobot:
@@ -135,4 +136,5 @@ def _gatekeeper_config(
         site=str(config.site or ""),
         registrations=str(registrations or ""),
         started_by=f"`dualbrain run` {out.name}",
+        unrecorded=config.unrecorded,
     )

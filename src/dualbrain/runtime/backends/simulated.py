@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dualbrain.control.control_loop import ControlLoopConfig, LoopInputs, LoopObserver
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.recorder import Recorder
+from dualbrain.control.recording.recording_file import reserve_for_recording
 from dualbrain.control.recording.trace import Trace
 from dualbrain.runtime.assembly import SimulatedCell
 from dualbrain.runtime.backends.backend import RunContext, RunningRobot
@@ -29,7 +30,9 @@ class SimulatedBackend:
         """The simulated robot; every tick is recorded in `episode.mcap` of the run folder."""
         config, model = context.config, context.robot_model
         trace = self._trace = Trace(model.n, model.nq)
-        with Recorder(config.out / "episode.mcap", trace, when_full="wait") as recorder:
+        path = config.out / "episode.mcap"
+        reserve = reserve_for_recording(path, unrecorded=config.unrecorded)
+        with Recorder(path, trace, when_full="wait", reserve=reserve) as recorder:
             log = FlightLog(trace, recorder, observer.on_event)
             recorder.episode(0.0, {**_recording_metadata(context), "versions": context.versions})
             world = context.world
@@ -38,7 +41,7 @@ class SimulatedBackend:
                 world,
                 safety=SafetyFilter(model, obstacles=context.fixed_obstacles),
                 log=log,
-                config=ControlLoopConfig(guard=config.guard),
+                config=ControlLoopConfig(guard=config.guard, unrecorded=config.unrecorded),
                 observer=LoopObserver(on_tick=observer.on_tick, on_phase=lambda phase, roles: observer.on_phase(phase)),
                 inputs=LoopInputs(interrupted=context.interrupted, clock=lambda: world.plant.now),
             )

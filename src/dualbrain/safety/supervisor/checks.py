@@ -316,6 +316,16 @@ CHECKS: tuple[Check, ...] = (
         contract_outcome="stopped",
     ),
     Check(
+        name="recording_lost",
+        condition=C.RECORDING_LOST,
+        action=SafetyAction.CONTROLLED_STOP,
+        cause=Cause.PROGRAM,
+        description="the recording cannot be written, so the arm would move unrecorded",
+        release=0.5,
+        clears=ON_CONTINUE,
+        contract_outcome="stopped",
+    ),
+    Check(
         name="interrupted",
         condition=C.INTERRUPT,
         action=SafetyAction.CONTROLLED_STOP,

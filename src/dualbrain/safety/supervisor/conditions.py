@@ -47,6 +47,7 @@ class Condition(IntFlag):
     ESTOP = auto()
     ESTOP_DISAGREE = auto()
     PROGRAM_ERROR = auto()
+    RECORDING_LOST = auto()
     RESET = auto()
     RESUME = auto()
     CONTINUE = auto()

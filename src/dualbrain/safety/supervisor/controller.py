@@ -107,6 +107,16 @@ class SafetyController:
             self._pending |= Condition.DRIVE_DROPPED
         return decision
 
+    @property
+    def commanded_speed(self) -> float:
+        """Largest speed of a joint in the last control [rad/s]."""
+        return max(map(abs, self._u.tolist()))
+
+    def clear_filter_memory(self) -> Array:
+        """Clear the memory of the filter except for the last control (n,) [rad/s], which is returned."""
+        self.safety.reset(self._u)
+        return self._u
+
     def expect_drive_on(self, state: RobotState, now: float) -> None:
         """Record that the drive was requested on at `now` [s]; it must be on within `Timing.drive_on_timeout`."""
         self._drive_came_on, self._drive_request_stamp, self._drive_request_time = False, state.stamp, now
@@ -133,7 +143,7 @@ class SafetyController:
 
     def _loop_delay_conditions(self, now: float, stamp: float) -> int:
         """Bits for commands that stay in force too long by the robot's stamps and by the clock of the control loop."""
-        moving = max(map(abs, self._u.tolist())) > self.enforcement.limits.rest_velocity
+        moving = self.commanded_speed > self.enforcement.limits.rest_velocity
         delay = self.loop_delay.update(now, stamp, moving=moving)
         return Condition.LOOP_BEHIND if delay > self.monitor.timing.max_loop_delay else 0
 

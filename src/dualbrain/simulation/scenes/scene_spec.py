@@ -12,6 +12,7 @@ from pathlib import Path
 import msgspec
 
 from dualbrain.core.geometry.shapes import IDENTITY_QUATERNION, Box, Pose, Quaternion, Shape, Vector
+from dualbrain.core.storage.atomic_files import write_atomically
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError, UnknownNameError
 from dualbrain.records import Place, Role, SceneObject
 
@@ -142,8 +143,8 @@ def keep_out_objects(spec: SceneSpec, stamp: float) -> tuple[SceneObject, ...]:
 
 
 def save_scene(spec: SceneSpec, path: Path) -> None:
-    """Write `spec` as indented JSON."""
-    path.write_bytes(msgspec.json.format(msgspec.json.encode(spec), indent=2) + b"\n")
+    """Write `spec` as indented JSON. Raises `FileWriteError`."""
+    write_atomically(path, msgspec.json.format(msgspec.json.encode(spec), indent=2) + b"\n", private=False)
 
 
 def load_scene(path: Path) -> SceneSpec:

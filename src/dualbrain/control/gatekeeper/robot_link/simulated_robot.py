@@ -18,6 +18,7 @@ from dualbrain.control.gatekeeper.robot_link import packets
 from dualbrain.control.gatekeeper.robot_link.packet_socket import MalformedPacket, PacketSocket
 from dualbrain.core.parent_pipe import ParentPipe
 from dualbrain.core.realtime_priority import release_realtime_priority
+from dualbrain.core.storage.atomic_files import write_atomically
 from dualbrain.drivers.driver import command_fault
 from dualbrain.records import Judgement
 from dualbrain.robots.interface import Command
@@ -189,7 +190,7 @@ class RobotProcess:
             ticks=self._ticks,
             judgement=self.world.judgement(),
         )
-        Path(self._settings.report).write_bytes(msgspec.json.encode(report))
+        write_atomically(Path(self._settings.report), msgspec.json.encode(report), private=False)
 
 
 def perception_period_ticks(period: float) -> int:
