@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
@@ -16,6 +16,7 @@ from dualbrain import __version__
 from dualbrain.adaptation.serving.open_planner import open_planner, planner_provenance
 from dualbrain.contracts.registry import is_narrower
 from dualbrain.control.recording.flight_log import FlightLog
+from dualbrain.control.recording.recording_file import RECORDING_RESERVE
 from dualbrain.control.recording.trace import Trace
 from dualbrain.core import weights
 from dualbrain.core.storage.atomic_files import atomic_file, translated_write_errors, write_atomically
@@ -61,6 +62,8 @@ from dualbrain.skills.registry import skill_registry
 TryResult = tuple[Episode, StoreReport]
 RESERVED_BYTES = 8_000_000
 """Space [bytes] that is reserved in the run folder, beside that for the recording, and beside the memory ledger."""
+RECORDING = 2
+"""Index of the space for the recording among the reserved ones."""
 RUN_FILES = ("config.json", "scene.json", "episode.mcap", "episode.json", "report.html")
 """Files of a run folder."""
 __all__ = ["RUN_FILES", "Clocks", "RunConfig", "RunObserver", "RunResult", "Session"]
@@ -137,21 +140,24 @@ class Session:
 
         A run that may move unrecorded needs no reserved space.
         """
-        self._reserves: list[ReservedSpace] = []
-        for folder, purpose in (
-            (self.config.out, "the files at the end of the run"),
-            (self.config.ledger.parent, "the memory ledger"),
-        ):
+        out, ledger = self.config.out, self.config.ledger.parent
+        for folder in (out, ledger):
             with translated_write_errors(folder):
                 folder.mkdir(parents=True, exist_ok=True)
-            try:
-                reserve = ReservedSpace(folder, RESERVED_BYTES, purpose)
-            except ConfigurationError:
-                if not self.config.unrecorded:
-                    raise
-                continue
-            self._reserves.append(reserve)
-            self._stack.callback(reserve.release)
+        self._reserves: list[ReservedSpace] = []
+        try:
+            for folder, size, purpose in (
+                (out, RESERVED_BYTES, "the files at the end of the run"),
+                (ledger, RESERVED_BYTES, "the memory ledger"),
+                (out, RECORDING_RESERVE, "the end of the recording"),
+            ):
+                self._reserves.append(ReservedSpace(folder, size, purpose))
+                self._stack.callback(self._reserves[-1].release)
+        except ConfigurationError:
+            if not self.config.unrecorded:
+                with suppress(OSError):  # not empty: it is not the folder that was made above
+                    out.rmdir()
+                raise
 
     @contextmanager
     def _reserved_space(self) -> Generator[None]:
@@ -198,6 +204,8 @@ class Session:
             about = {"instruction": config.instruction}
             self.interrupted_runs = self.ledger.start_run(out.name, about, now=self.clocks.now())
         context = self._context()
+        for reserve in self._reserves[RECORDING:]:  # the recorder reserves its own space
+            reserve.release()
         with self.backend.start(context, observer) as robot:
             results = self._run_tries(robot)
         return self._finish(results, self.backend.trace(context))

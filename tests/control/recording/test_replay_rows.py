@@ -12,11 +12,12 @@ from dualbrain.control.recording.channels import FilterCall, read_recording
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.recorder import Recorder
 from dualbrain.control.recording.replay import replay
-from dualbrain.control.recording.trace import Trace
+from dualbrain.control.recording.trace import Event, Trace
 from dualbrain.robots.interface import home_state
 from dualbrain.robots.loader import load_robot
 from dualbrain.safety.barriers.singularity import SingularityBarrier
 from dualbrain.safety.cbf.filter import ConstraintRow, SafetyFilter
+from dualbrain.safety.cbf.obstacles import Contact
 from tests.grounding.perceived_scenes import scene
 
 MODEL = load_robot("panda")
@@ -97,3 +98,44 @@ def test_unchanged_rows_are_recorded_once(tmp_path):
     calls = [m for m in read_recording(path) if isinstance(m, FilterCall) and m.name == "constrain"]
     assert len(calls) == 1
     assert replay(path).identical
+
+
+def record_with_pause(folder):
+    """A recording with a pause while the arm moves and all tables of the filter change, and all its ticks."""
+    path, robot, trace = folder / "episode.mcap", Follower(), Trace(MODEL.n)
+    safety = SafetyFilter(MODEL, barriers=(SwayBarrier(),))
+    with Recorder(path, trace, when_full="wait") as recorder:
+        recorder.episode(0.0, {"robot": "panda", "guard": True, "instruction": ""})
+        log = FlightLog(trace, recorder)
+        loop = ControlLoop(MODEL, robot, robot, safety, log, ControlLoopConfig())
+        loop.hold(0.1)
+        log.pause(robot.state.stamp, "a test")
+        log.pause(robot.state.stamp, "a test")
+        loop.hold(0.1)
+        spheres, permits = np.array([[0.0, 0.0, 0.2, 0.15]]), [Contact("hand", "table", 0.1)]
+        log.call(0.0, "attach", spheres=spheres, error=0.001)
+        safety.attach(spheres, 0.001)
+        log.call(0.0, "permit", permits=permits)
+        safety.permit(permits)
+        loop.hold(0.1)
+        assert log.resume(robot.state.stamp)
+        assert not log.resume(robot.state.stamp)
+        log.call(robot.state.stamp, "reset", u_prev=loop.safety_controller.clear_filter_memory())
+        assert loop.safety_controller.commanded_speed > 0.01
+        loop.hold(0.2)
+    return path, trace
+
+
+def test_a_replay_is_exact_across_a_pause_in_which_all_tables_changed(tmp_path, monkeypatch):
+    path, trace = record_with_pause(tmp_path)
+    result = replay(path)
+    assert (result.identical, result.complete) == (True, True)
+    assert result.ticks == len(trace) - 200
+    messages = list(read_recording(path))
+    resumed = next(k for k, m in enumerate(messages) if isinstance(m, Event) and "continues" in m.text)
+    calls = [m.name for m in messages[resumed + 1 :] if isinstance(m, FilterCall)]
+    assert calls[:5] == ["constrain", "attach", "observe", "permit", "reset"]
+    for left_out in ("reset", "attach"):
+        rest = [m for m in messages if not (isinstance(m, FilterCall) and m.name == left_out)]
+        monkeypatch.setattr(replay_module, "read_recording", lambda _, rest=rest: iter(rest))
+        assert not replay(path).identical, left_out
