@@ -25,11 +25,11 @@ from dualbrain.errors import ConfigurationError
 from dualbrain.robots.loader import load_robot
 from dualbrain.runtime.assembly import CellOptions, SimulatedCell, open_world
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
+from experiments.gatekeeper.commander_messages import PICK_AND_PLACE
 from tests.control.recording.sample_ticks import append_ticks
 from tests.support.small_disk import fill, mounted_disk
 
-HOME = {"speed": 0.3}
-ROUND_TRIP = (Action("home", HOME), Action("hold", {"duration": 8.0}))
+ACTIONS = tuple(Action(skill, params) for skill, params in PICK_AND_PLACE[:1])
 STOPPED = ("stopped", "CONTROLLED_STOP")
 
 
@@ -71,18 +71,27 @@ def run(folder, at_event, *, unrecorded=False, reserve=True):
             log=FlightLog(trace, recorder, at_event),
             config=ControlLoopConfig(unrecorded=unrecorded),
         )
-        outcome = cell.execute(Contract("c-1", Context("panda", ""), ROUND_TRIP))
+        outcome = cell.execute(Contract("c-1", Context("panda", ""), ACTIONS))
     cell.close()
     return cell, outcome, recorder
 
 
-def at_the_first_phase(act):
-    """An observer of events that calls `act` once, when the arm begins to move."""
-    done = []
+def wait_until(condition):
+    deadline = time.monotonic() + 10.0
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.001)
+
+
+def at_the_first_phase(act, number=1):
+    """An observer of events that calls `act` once, when the arm begins to move or in a later phase."""
+    phases = []
 
     def on_event(event):
-        if event.kind == "phase" and not done:
-            done.append(act())
+        if event.kind == "phase":
+            phases.append(event.text)
+            if len(phases) == number:
+                act()
 
     return on_event
 
@@ -129,7 +138,7 @@ def test_every_failed_write_stops_the_arm_and_all_rows_before_it_can_be_replayed
     def break_disk():
         disk.code, disk.left = code, 1000  # the last write is a short one
 
-    cell, outcome, recorder = run(tmp_path, at_the_first_phase(break_disk))
+    cell, outcome, recorder = run(tmp_path, at_the_first_phase(break_disk, number=3))
     assert (outcome.kind, cell.loop.safety_controller.decision.action.name) == STOPPED
     assert os.strerror(code) in outcome.reason
     state = recording_state(tmp_path / "episode.mcap")
@@ -137,6 +146,7 @@ def test_every_failed_write_stops_the_arm_and_all_rows_before_it_can_be_replayed
     assert not recorder.close().complete
     assert os.strerror(code) in recorder.close().problem
     assert rows_are_equal(tmp_path / "episode.mcap", cell.log.trace)
+    assert replay(tmp_path / "episode.mcap").ticks > 500
     assert replay(tmp_path / "episode.mcap").identical
 
 
@@ -144,12 +154,12 @@ def test_what_could_not_be_written_is_written_once_the_disk_works_again(tmp_path
     disk = Disk(monkeypatch)
     trace = Trace(7)
     recorder = Recorder(tmp_path / "a.mcap", trace, when_full="wait")
-    for row in append_ticks(trace, 3000):
-        recorder.tick(row)
-        if len(trace) == 1500:
+    for k, row in enumerate(append_ticks(trace, 3000)):
+        if k == 1500:
+            wait_until(recorder._queue.empty)
             disk.code, disk.left = errno.ENOSPC, 100
-    while not recorder.failure:
-        time.sleep(0.01)
+        recorder.tick(row)
+    wait_until(lambda: recorder.failure)
     disk.code = 0
     state = recorder.close()
     assert not state.complete
@@ -212,8 +222,7 @@ def test_a_disk_that_is_too_slow_is_a_failure_while_it_loses_messages(tmp_path, 
         recorder.call(k * 0.01, "reset")
     assert "slower than the control loop" in recorder.failure
     gate.set()
-    while not recorder._queue.empty():
-        time.sleep(0.001)
+    wait_until(recorder._queue.empty)
     recorder.call(1.0, "reset")
     assert recorder.failure == ""
     recorder.close()
