@@ -15,6 +15,7 @@ from dualbrain import __version__
 from dualbrain.cli.common.console import print_message, redirect_stdout_to_null
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.core.lazy_exports import missing_dependency
+from dualbrain.core.storage.atomic_files import WRITE_REMEDIES, write_remedy
 from dualbrain.core.visible_text import visible_text
 from dualbrain.errors import DualbrainError, UsageError
 
@@ -273,5 +274,7 @@ def _describe_os_error(error: OSError) -> str:
             return f"{name} is a folder. Name a file."
         case PermissionError(filename=str(name)):
             return f"{name} may not be read or written by this user. Change its permissions, or name another path."
+        case _ if error.errno in WRITE_REMEDIES:
+            return f"{error.filename or 'A file'} cannot be written: {error.strerror}. {write_remedy(error)}"
         case _:
             return f"{error.strerror or error}: {error.filename or ''}".rstrip(": ")

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from dualbrain.errors import DualbrainError
 
-_REMEDIES = {
+WRITE_REMEDIES = {
     errno.ENOSPC: "Free some space.",
     errno.EDQUOT: "Free some space, or raise the quota of this user.",
     errno.EFBIG: "Raise the limit on the size of files (`ulimit -f`).",
@@ -36,7 +36,7 @@ class FileWriteError(DualbrainError):
 def write_remedy(error: Exception) -> str:
     """The remedy of a failed write; some libraries report only the system's message, without the error number."""
     number, text = getattr(error, "errno", None), str(error)
-    for code, remedy in _REMEDIES.items():
+    for code, remedy in WRITE_REMEDIES.items():
         if code == number or os.strerror(code) in text:
             return remedy
     return "Fix this, or give another path."

@@ -1,8 +1,8 @@
 """The process of a driver, which replaces the simulated robot: the same packets, at the arm's own control period.
 
 The process sends each joint state as it arrives, waits for its command for most of a period and passes the command to
-the driver. If the link is closed, the gatekeeper has ended, or no valid command arrives for `WATCHDOG_TIMEOUT`, the driver
-stops the arm; the arm's own watchdog is a second safeguard. There is no camera: the scene is the surveyed one, in which
+the driver. If the link is closed, the gatekeeper has ended, or no valid command arrives for `WATCHDOG_TIMEOUT`, the
+driver stops the arm; the arm's own watchdog is a second safeguard. There is no camera: the scene is the surveyed one, in which
 no object may move. Its objects keep the stamp of their survey.
 """
 

@@ -1,7 +1,7 @@
 """The process of the simulated robot: physics in real time, with its own watchdog and perception rate.
 
-If no valid command arrives for `WATCHDOG_TIMEOUT` seconds, the link is closed or the gatekeeper has ended, the drive is
-switched off and the brakes engage. Without a link, the simulation continues for `AFTERMATH_TIME` seconds, which the
+If no valid command arrives for `WATCHDOG_TIMEOUT` seconds, the link is closed or the gatekeeper has ended, the drive
+is switched off and the brakes engage. Without a link, the simulation continues for `AFTERMATH_TIME` seconds, which the
 judgement then includes, and writes its report.
 """
 
