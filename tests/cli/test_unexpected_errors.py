@@ -1,5 +1,10 @@
 """An unexpected exception is reported with its traceback, and is neither a success nor a task that failed safely."""
 
+import errno
+import os
+
+import pytest
+
 from dualbrain.cli import main
 from dualbrain.cli.common.exit_codes import ExitCode
 
@@ -11,3 +16,19 @@ def test_a_defect_is_no_safe_failure(monkeypatch, capsys):
     monkeypatch.setattr(main, "app", broken)
     assert main.run_command_line(["doctor"]) == ExitCode.SETUP
     assert "ZeroDivisionError: no such thing" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("code", "remedy"),
+    [(errno.ENOSPC, "Free some space"), (errno.EDQUOT, "quota"), (errno.EROFS, "for writing"), (errno.EIO, "its disk")],
+)
+@pytest.mark.parametrize("name", ["/data/run/file.json", None])
+def test_a_failed_write_is_a_sentence_with_a_remedy(monkeypatch, capsys, code, remedy, name):
+    def fail(arguments, **_):
+        raise OSError(code, os.strerror(code), name)
+
+    monkeypatch.setattr(main, "app", fail)
+    assert main.run_command_line(["doctor"]) == ExitCode.SETUP
+    err = capsys.readouterr().err
+    assert f"dualbrain: {name or 'A file'} cannot be written: {os.strerror(code)}. " in err
+    assert remedy in err
