@@ -17,7 +17,7 @@ from dualbrain.contracts.skill_spec import (
     SkillSpec,
     TextParameter,
 )
-from dualbrain.core.text import has_hidden_characters
+from dualbrain.core.untrusted.hidden_characters import has_hidden_characters
 
 PRINCIPAL = "planner"
 NAMES = SceneNames(("red_cube", "blue_cube", "tall_cup"), ("bowl", "left_spot"))

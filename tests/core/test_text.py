@@ -1,9 +1,7 @@
 """Every text of a planner has a printable form: bounded, in plain ASCII, with look-alike letters escaped."""
 
 import json
-import unicodedata
 
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -11,7 +9,6 @@ from dualbrain.core.text import (
     MAX_PRINTED_LENGTH,
     closest_name_hint,
     count_noun,
-    has_hidden_characters,
     json_pointer,
     to_printable,
 )
@@ -36,23 +33,6 @@ def test_a_look_alike_letter_is_escaped() -> None:
 def test_a_container_is_replaced_by_its_size() -> None:
     assert (to_printable({"a": "secret"}), to_printable([1, 2])) == ("object of 1", "array of 2")
     assert [to_printable(value) for value in (None, True, 3, 0.5)] == [None, True, 3, 0.5]
-
-
-@settings(deadline=None)
-@given(st.characters(categories=["Cc", "Zl", "Zp"]))
-def test_control_characters_and_line_breaks_are_hidden(character: str) -> None:
-    assert has_hidden_characters(f"a{character}b")
-
-
-@pytest.mark.parametrize("character", ["\u200b", "\u202e", "\u2066", "\ufeff", "\U000e0041", "\u2060", "\x1b"])
-def test_invisible_and_direction_characters_are_hidden(character: str) -> None:
-    assert unicodedata.category(character) in ("Cf", "Cc")
-    assert has_hidden_characters(character)
-
-
-@pytest.mark.parametrize("text", ["the cup is out of reach", "Größe 3 °", "手が届かない", "naïve — “quoted”"])
-def test_plain_words_of_any_language_have_no_hidden_characters(text: str) -> None:
-    assert not has_hidden_characters(text)
 
 
 def test_the_hint_has_the_closest_name_or_all_names() -> None:

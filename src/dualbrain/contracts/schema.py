@@ -14,7 +14,7 @@ from dualbrain.contracts.skill_spec import (
     SkillSpec,
     TextParameter,
 )
-from dualbrain.core.text import HIDDEN_CHARACTERS
+from dualbrain.core.untrusted.hidden_characters import HIDDEN_CHARACTERS, every_hidden_character
 
 MAX_ACTIONS = 8
 ID_PATTERN = "^c-[0-9]{4}$"
@@ -121,7 +121,8 @@ def _domain_schema(parameter: Parameter, names: SceneNames) -> Schema:
         case NameParameter():
             schema = {"type": "string", "enum": list(names.names_of_kind(parameter.of))}
         case TextParameter():
-            schema = {"type": "string", "maxLength": parameter.max_length, "not": {"pattern": f"[{HIDDEN_CHARACTERS}]"}}
+            hidden = {"pattern": f"[{every_hidden_character()}]"}
+            schema = {"type": "string", "maxLength": parameter.max_length, "not": hidden}
     return schema | {"description": _description(parameter)}
 
 

@@ -1,26 +1,17 @@
-"""Safe handling of untrusted text: characters that a reader cannot see, printable forms of values, JSON pointers."""
+"""Safe handling of untrusted text: printable forms of values, JSON pointers, stored text.
+
+The list of hidden characters is in `core.untrusted.hidden_characters`.
+"""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from difflib import get_close_matches
 from typing import Any, cast
 
-HIDDEN_CHARACTERS = "\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\U000e0000-\U000e007f"
-"""Body of a regular expression's character class: control characters (terminal escapes), zero-width characters,
-direction overrides and tag characters. These change the displayed text, or carry text that is not displayed."""
-
 MAX_PRINTED_LENGTH = 64
 
-_HIDDEN_PATTERN = re.compile(f"[{HIDDEN_CHARACTERS}]")
-
 PrintableValue = str | int | float | bool | None
-
-
-def has_hidden_characters(text: str) -> bool:
-    """Whether `text` contains a character that is not displayed as itself."""
-    return _HIDDEN_PATTERN.search(text) is not None
 
 
 def to_printable(value: object) -> PrintableValue:

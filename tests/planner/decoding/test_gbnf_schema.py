@@ -4,7 +4,7 @@ import jsonschema_rs
 import pytest
 
 from dualbrain.contracts.schema import decoding_schema
-from dualbrain.core.text import has_hidden_characters
+from dualbrain.core.untrusted.hidden_characters import has_hidden_characters
 from dualbrain.grounding.vocabulary import load_skill_registry
 from dualbrain.planner.decoding.gbnf_schema import replace_text_patterns
 from dualbrain.planner.decoding.llguidance_grammar import strip_annotations

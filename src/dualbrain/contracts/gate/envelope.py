@@ -9,7 +9,8 @@ from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.skill_spec import ChoiceParameter, NameParameter, NumberParameter, Parameter, TextParameter
 from dualbrain.contracts.verdict import Rejected
-from dualbrain.core.text import closest_name_hint, has_hidden_characters, json_pointer, to_printable
+from dualbrain.core.text import closest_name_hint, json_pointer, to_printable
+from dualbrain.core.untrusted.hidden_characters import has_hidden_characters
 
 
 class EnvelopeStage:

@@ -8,10 +8,11 @@ idempotent, and the result contains no control characters except line feed and t
 from __future__ import annotations
 
 import re
-import unicodedata
 from collections.abc import Iterable, Sequence
 
 import msgspec
+
+from dualbrain.core.untrusted.hidden_characters import is_hidden_character
 
 Span = tuple[int, int]
 
@@ -19,10 +20,7 @@ MAX_SAMPLE_CHARACTERS = 80
 _PASSES = 4
 """Number of passes, because blanking a nested token can produce another one; deeper nesting blanks all brackets."""
 
-_INVISIBLE_CATEGORIES = frozenset({"Cc", "Cf", "Co", "Cs", "Cn", "Zl", "Zp"})
 _ALLOWED_CONTROLS = "\n\t"
-_FILLERS = frozenset("\u034f\u115f\u1160\u17b4\u17b5\u180b\u180c\u180d\u180f\u2800\u3164\uffa0")
-_VARIATION_SELECTORS = (range(0xFE00, 0xFE10), range(0xE0100, 0xE01F0))
 _CHAT_TOKENS = re.compile(
     r"<[|\uff5c][^<>\n]{0,60}[|\uff5c]>"  # <|im_start|>, <|start_header_id|>, and with full-width bars
     r"|</?s>|\[/?(?:INST|SYS|AVAILABLE_TOOLS|TOOL_CALLS|TOOL_RESULTS|SYSTEM_PROMPT)\]|<</?SYS>>"
@@ -56,7 +54,7 @@ def blank_spans(text: str, spans: Iterable[Span]) -> str:
 
 def blank_hidden(text: str) -> tuple[str, tuple[HiddenText, ...]]:
     """`text` with blanks for invisible characters and chat tokens, and a summary of the blanked text."""
-    invisible = [character for character in dict.fromkeys(text) if _is_invisible(character)]
+    invisible = [one for one in dict.fromkeys(text) if one not in _ALLOWED_CONTROLS and is_hidden_character(one)]
     count = sum(map(text.count, invisible)) - text.count("\r\n")
     visible = text.translate(dict.fromkeys(map(ord, invisible), " "))
     hidden = [HiddenText("unseen characters", count, ascii("".join(invisible[:12]))[1:-1])] if count else []
@@ -77,10 +75,3 @@ def summarize_hidden(kind: str, pieces: Sequence[str]) -> tuple[HiddenText, ...]
         return ()
     sample = " ".join(kept[:20])[:MAX_SAMPLE_CHARACTERS]
     return (HiddenText(kind, sum(map(len, kept)), ascii(sample)[1:-1]),)
-
-
-def _is_invisible(character: str) -> bool:
-    if character in _ALLOWED_CONTROLS:
-        return False
-    special = character in _FILLERS or any(ord(character) in block for block in _VARIATION_SELECTORS)
-    return special or unicodedata.category(character) in _INVISIBLE_CATEGORIES

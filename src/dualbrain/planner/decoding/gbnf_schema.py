@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from dualbrain.core.text import HIDDEN_CHARACTERS
+from dualbrain.core.untrusted.hidden_characters import HIDDEN_CHARACTERS
 from dualbrain.planner.decoding.llguidance_grammar import strip_annotations
 
 _TEXT_PATTERN = re.compile(re.escape(f"^[^{HIDDEN_CHARACTERS}]{{0,") + r"(\d+)" + re.escape("}$"))

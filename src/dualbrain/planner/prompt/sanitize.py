@@ -12,11 +12,12 @@ import re
 import unicodedata
 from typing import Any
 
+from dualbrain.core.untrusted.hidden_characters import remove_hidden_characters
+
 MAX_STRING_CHARACTERS = 160
 """Largest length of one string in external JSON."""
 
 _REPLACEMENTS = (("->", " to "), ("<", " under "), (">", " over "), ("[", "("), ("]", ")"))
-_INVISIBLE = frozenset({"Cc", "Cf", "Co", "Cs", "Cn", "Zl", "Zp"})
 
 
 def sanitize(text: str, *, limit: int, lines: int = 1) -> str:
@@ -49,8 +50,7 @@ def compact_json(value: Any, *, limit: int) -> str:
 def _clean_line(row: str) -> str:
     for mark, word in _REPLACEMENTS:
         row = row.replace(mark, word)
-    visible = "".join(" " if unicodedata.category(c) in _INVISIBLE else c for c in row)
-    return " ".join(visible.split())
+    return " ".join(remove_hidden_characters(row, replacement=" ").split())
 
 
 def _clean_value(value: Any) -> Any:

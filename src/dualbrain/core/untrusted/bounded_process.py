@@ -1,0 +1,216 @@
+"""Running of a parser in a process with bounded memory, time and output, for untrusted files.
+
+The process gets the argument in memory, inherits no other open file and only named environment variables, cannot write
+files, and ends with the process that started it. Result and argument are bytes that the caller encodes with msgspec,
+never pickles. Everything that a hostile file can do to the process is a value (`ProcessFailure`); an exception of
+dualbrain that the function raises (a refused file, a missing package) is raised in the caller.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import msgspec
+
+from dualbrain.core.untrusted.bounded_file import byte_size
+from dualbrain.errors import DECODE_ERRORS, ConfigurationError, DualbrainError, MissingDependencyError
+
+READY = b"\x01"
+"""First byte of the output: the modules are imported, and the clock starts."""
+START_SECONDS = 120.0
+"""Largest time until the process is ready [s]: imports on a loaded machine."""
+_ENVIRONMENT = ("PATH", "HOME", "LANG", "LC_ALL", "LD_LIBRARY_PATH", "TMPDIR", "PYTHONPATH", "PYTHONHOME", "MUJOCO_GL")
+_ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "MALLOC_ARENA_MAX": "2"}
+_START = (
+    "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
+    "from dualbrain.core.untrusted import bounded_process_child as child; child.main()"
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProcessLimits:
+    """Limits of one call: memory beyond the imported modules [bytes], processor and wall time [s], output [bytes]."""
+
+    memory_bytes: int = 512 << 20
+    seconds: float = 20.0
+    output_bytes: int = 256 << 20
+
+
+DEFAULT_LIMITS = ProcessLimits()
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessFailure:
+    """Why a call has no result; `reason` completes a sentence about the file: "needs more than 512 MB of memory"."""
+
+    kind: Literal["memory", "time", "output", "nesting", "signal", "exception", "start"]
+    reason: str
+
+
+class ChildRequest(msgspec.Struct, frozen=True, kw_only=True):
+    """The head of what the process reads: the function ("module:name"), its limits, the process that started it."""
+
+    function: str
+    memory_bytes: int
+    cpu_seconds: float
+    parent: int
+
+
+class ChildReply(msgspec.Struct, frozen=True, kw_only=True):
+    """What the process writes: the result, or the kind of error, its fields and its message."""
+
+    result: bytes | None = None
+    error: Literal["", "memory", "nesting", "exception", "refused", "missing"] = ""
+    what: str = ""
+    got: str = ""
+    allowed: str = ""
+    fix: str = ""
+    message: str = ""
+
+
+def run_bounded(function: str, argument: bytes, limits: ProcessLimits = DEFAULT_LIMITS) -> bytes | ProcessFailure:
+    """The result of the `function` ("package.module:name", bytes to bytes) for `argument`, or why there is none.
+
+    Raises `ConfigurationError` or `MissingDependencyError` if the function raises it (as the same type, with the same
+    message).
+    """
+    request = ChildRequest(
+        function=function, memory_bytes=limits.memory_bytes, cpu_seconds=limits.seconds, parent=os.getpid()
+    )
+    process = _start(msgspec.msgpack.encode(request), argument)
+    try:
+        return _await_reply(process, limits)
+    finally:
+        _end(process)
+
+
+def _start(request: bytes, argument: bytes) -> subprocess.Popen[bytes]:
+    flags = ["-S"] if sys.flags.no_site else []  # so that the process finds the same packages
+    folders = [os.path.abspath(folder) for folder in sys.path]  # the process runs in another folder
+    command = [sys.executable, "-P", *flags, "-c", _START, msgspec.json.encode(folders).decode()]
+    handle = os.memfd_create("argument")
+    with os.fdopen(handle, "r+b") as source:
+        source.write(len(request).to_bytes(8, "little") + request + argument)
+        source.seek(0)
+        return subprocess.Popen(
+            command,
+            stdin=source,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env=_environment(os.environ),
+            cwd="/",
+            start_new_session=True,
+            bufsize=0,
+        )
+
+
+def _environment(variables: Mapping[str, str]) -> dict[str, str]:
+    """The few variables that Python and its libraries need: no keys and no secrets."""
+    return {name: variables[name] for name in _ENVIRONMENT if name in variables} | _ONE_THREAD
+
+
+def _await_reply(process: subprocess.Popen[bytes], limits: ProcessLimits) -> bytes | ProcessFailure:
+    assert process.stdout is not None
+    out = process.stdout.fileno()
+    ready = _read_until(out, 1, time.monotonic() + START_SECONDS)
+    if ready is None:
+        return ProcessFailure("start", f"cannot be read: its reader did not start within {START_SECONDS:g} s")
+    if ready != READY:
+        return _failure_of_end(process, limits)
+    data = _read_until(out, limits.output_bytes + 1, time.monotonic() + limits.seconds)
+    if data is None:
+        return _time_failure(limits)
+    if len(data) > limits.output_bytes:
+        return ProcessFailure("output", f"contains more than {byte_size(limits.output_bytes)}")
+    try:
+        reply = msgspec.msgpack.decode(data, type=ChildReply)
+    except DECODE_ERRORS:
+        return _failure_of_end(process, limits)
+    return _result_of(reply, limits)
+
+
+def _read_until(handle: int, limit: int, deadline: float) -> bytes | None:
+    """At most `limit` bytes up to the end of the pipe; None if the `deadline` (monotonic) passes first."""
+    parts: list[bytes] = []
+    poll = select.poll()
+    poll.register(handle, select.POLLIN)
+    while limit:
+        left = deadline - time.monotonic()
+        if left <= 0.0 or not poll.poll(left * 1e3):
+            return None
+        if not (part := os.read(handle, min(limit, 1 << 20))):
+            break
+        parts.append(part)
+        limit -= len(part)
+    return b"".join(parts)
+
+
+def _failure_of_end(process: subprocess.Popen[bytes], limits: ProcessLimits) -> ProcessFailure:
+    """The failure of a process that ended without a reply."""
+    try:
+        code = process.wait(limits.seconds)
+    except subprocess.TimeoutExpired:
+        return _time_failure(limits)
+    if code == -signal.SIGXCPU:
+        return _time_failure(limits)
+    if code < 0:
+        return ProcessFailure("signal", f"cannot be read: its reader ended with signal {-code}")
+    return ProcessFailure("exception", f"cannot be read: its reader ended with code {code}")
+
+
+def _time_failure(limits: ProcessLimits) -> ProcessFailure:
+    return ProcessFailure("time", f"took longer than {limits.seconds:g} s")
+
+
+def _result_of(reply: ChildReply, limits: ProcessLimits) -> bytes | ProcessFailure:
+    match reply.error:
+        case "":
+            return reply.result or b""
+        case "memory":
+            return ProcessFailure("memory", f"needs more than {byte_size(limits.memory_bytes)} of memory")
+        case "nesting":
+            return ProcessFailure("nesting", "is nested too deeply")
+        case "exception":
+            return ProcessFailure("exception", f"cannot be read: {reply.message}")
+        case "missing":
+            raise MissingDependencyError(reply.what, fix=reply.fix)
+        case "refused":
+            raise ConfigurationError(
+                reply.what, got=reply.got, allowed=reply.allowed, fix=reply.fix, sentence=reply.message
+            )
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End the process and all that it started."""
+    try:
+        os.killpg(process.pid, signal.SIGKILL)
+    except (ProcessLookupError, PermissionError):
+        process.kill()
+    process.wait()
+    if process.stdout is not None:
+        process.stdout.close()
+
+
+def refused(error: DualbrainError) -> ChildReply:
+    """The reply for an exception that is raised again in the caller."""
+    if isinstance(error, MissingDependencyError):
+        return ChildReply(error="missing", what=error.what, fix=error.fix)
+    if isinstance(error, ConfigurationError):
+        message = str(error).removesuffix(error.fix).rstrip() if error.fix else str(error)
+        return ChildReply(
+            error="refused",
+            what=error.what,
+            got=str(error.got),
+            allowed=error.allowed,
+            fix=error.fix,
+            message=message,
+        )
+    return ChildReply(error="refused", what=type(error).__name__, message=str(error))

@@ -1,0 +1,112 @@
+"""Bounded processes: a result for an honest argument, a failure as a value for every way to misbehave."""
+
+import os
+import time
+
+import pytest
+
+from dualbrain.core.untrusted.bounded_process import ProcessFailure, ProcessLimits, run_bounded
+from dualbrain.errors import ConfigurationError, MissingDependencyError
+
+PARSERS = "tests.core.untrusted.hostile_parsers"
+SMALL = ProcessLimits(memory_bytes=64 << 20, seconds=1.0, output_bytes=1 << 20)
+
+
+def run(name, argument=b"", limits=SMALL):
+    return run_bounded(f"{PARSERS}:{name}", argument, limits)
+
+
+@pytest.mark.parametrize("argument", [b"", b"a", b"\0\xff" * 400_000])
+def test_an_honest_function_returns_its_bytes(argument):
+    assert run("echo", argument) == argument
+
+
+@pytest.mark.parametrize(
+    ("name", "argument", "kind", "reason"),
+    [
+        ("allocate", b"100000000", "memory", "needs more than 64 MB of memory"),
+        ("sleep", b"60", "time", "took longer than 1 s"),
+        ("compute", b"", "time", "took longer than 1 s"),
+        ("flood", b"1048577", "output", "contains more than 1 MB"),
+        ("nest", b"", "nesting", "is nested too deeply"),
+        ("crash", b"", "signal", "cannot be read: its reader ended with signal 11"),
+        ("kill_itself", b"", "signal", "cannot be read: its reader ended with signal 15"),
+        ("leave", b"", "exception", "cannot be read: its reader ended with code 7"),
+        ("raise_value_error", b"", "exception", "cannot be read: ValueError: three lines of text"),
+        ("panic", b"", "exception", "cannot be read: PanicError: a panic of an extension"),
+        ("no_such_function", b"", "exception", "cannot be read: its reader ended with code 1"),
+    ],
+)
+def test_every_misbehaviour_is_a_failure_with_a_reason(name, argument, kind, reason):
+    start = time.monotonic()
+    assert run(name, argument) == ProcessFailure(kind, reason)
+    assert time.monotonic() - start < 30.0
+
+
+def test_an_allocation_within_the_limit_is_no_failure():
+    assert isinstance(run("allocate", b"30000000"), bytes)
+
+
+def test_processor_time_ends_a_process_whose_parent_waits_longer():
+    from dualbrain.core.untrusted import bounded_process  # noqa: PLC0415
+
+    request = bounded_process.ChildRequest(
+        function=f"{PARSERS}:compute", memory_bytes=64 << 20, cpu_seconds=0.1, parent=os.getpid()
+    )
+    process = bounded_process._start(bounded_process.msgspec.msgpack.encode(request), b"")
+    try:
+        assert bounded_process._await_reply(process, ProcessLimits(seconds=60.0)).kind == "time"
+    finally:
+        bounded_process._end(process)
+
+
+def test_refusals_of_the_function_are_raised_with_the_same_message():
+    with pytest.raises(ConfigurationError) as refused:
+        run("refuse")
+    assert str(refused.value) == str(
+        ConfigurationError("size of a.stl", got="9 bytes", allowed="8 bytes", fix="Use a smaller one.")
+    )
+    with pytest.raises(MissingDependencyError, match=r"The package x is missing\. Install it\."):
+        run("lack_package")
+
+
+def test_the_process_gets_no_open_file_and_no_secret(tmp_path, monkeypatch):
+    monkeypatch.setenv("SECRET_KEY", "k")
+    secret = tmp_path / "secret"
+    secret.write_text("x")
+    with secret.open() as file:
+        os.set_inheritable(file.fileno(), True)
+        assert b"secret" not in run("open_files")
+    assert b"SECRET_KEY" not in run("environment").split()
+
+
+def test_the_process_cannot_write_files_and_its_prints_are_not_its_result(tmp_path):
+    assert run("write_file", os.fsencode(tmp_path / "x")).kind == "exception"
+    assert run("print_much") == b"result"
+
+
+def test_no_process_remains():
+    number = int(run("process_id"))
+    with pytest.raises(ProcessLookupError):
+        os.kill(number, 0)
+
+
+def test_the_process_ends_with_the_process_that_started_it(tmp_path):
+    channel = tmp_path / "channel"
+    os.mkfifo(channel)
+    parent = os.fork()
+    if parent == 0:
+        run("announce_and_sleep", os.fsencode(channel), ProcessLimits(seconds=60.0))
+        os._exit(0)
+    with channel.open("rb") as announced:
+        child = int(announced.read())
+    os.kill(parent, 9)
+    os.waitpid(parent, 0)
+    deadline = time.monotonic() + 10.0
+    while time.monotonic() < deadline and os.path.exists(f"/proc/{child}"):
+        with open(f"/proc/{child}/stat", encoding="ascii") as state:
+            if state.read().split()[2] == "Z":  # ended; whoever adopted it has not collected it
+                break
+        time.sleep(0.02)
+    else:
+        assert not os.path.exists(f"/proc/{child}")
