@@ -57,6 +57,21 @@ def with_(path: tuple[str | int, ...], value: Any) -> dict[str, Any]:
     return document
 
 
+HIDDEN_KINDS = (
+    "\u00ad\u034f\u061c\u115f\u1160\u17b4\u180b\u180e\u200b\u202e\u2065\u2800\u3164\ue000\ufdd0\ufe00\ufe0f\uffa0"
+    "\ufff9\U0001d173\U000e0001\U000e0041\U000e0100\U000e01ef\U000f0000\U0010ffff\u0378"
+)
+
+
+@pytest.mark.parametrize("character", HIDDEN_KINDS, ids=lambda one: f"{ord(one):04x}")
+def test_a_text_with_a_hidden_character_is_rejected(character: str) -> None:
+    document = with_(("action_sequence", 1, "params", "reason"), f"the bowl{character} is away")
+    verdict = check_document(GATE, document)
+    assert isinstance(verdict, Rejected)
+    assert (verdict.stage, verdict.pointer) == ("envelope", "/action_sequence/1/params/reason")
+    assert not CONJUNCTION.is_valid(document)
+
+
 @settings(max_examples=60, deadline=None)
 @given(contract_strategy())
 def test_a_contract_that_follows_from_the_specs_is_accepted_unchanged(document: dict[str, Any]) -> None:

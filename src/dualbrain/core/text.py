@@ -9,6 +9,8 @@ from collections.abc import Mapping
 from difflib import get_close_matches
 from typing import Any, cast
 
+from dualbrain.core.untrusted.hidden_characters import HIDDEN_CHARACTERS, has_hidden_characters  # noqa: F401
+
 MAX_PRINTED_LENGTH = 64
 
 PrintableValue = str | int | float | bool | None

@@ -63,18 +63,7 @@ def test_each_kind_is_hidden_and_removed(name):
 
 @pytest.mark.parametrize(
     "text",
-    [
-        "the cup is out of reach",
-        "Größe 3 °",
-        "手が届かない",
-        "naïve — “quoted”",
-        "가나다",
-        "שלום",
-        "مرحبا",
-        "ไทย",
-        "😀",
-        "⠁⠃",
-    ],
+    ["out of reach", "Größe 3 °", "手が届かない", "naïve — “quoted”", "가나다", "שלום", "مرحبا", "ไทย", "😀", "⠁⠃"],
 )
 def test_plain_text_of_any_language_is_not_hidden(text):
     assert not has_hidden_characters(text)

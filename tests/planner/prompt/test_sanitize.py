@@ -93,3 +93,9 @@ def test_a_very_deep_or_infinite_value_is_left_out() -> None:
     assert compact_json(deep, limit=500) == ""
     assert compact_json(float("nan"), limit=500) == ""
     assert compact_json("x" * 10_000, limit=500).endswith('..."') or compact_json("x" * 10_000, limit=500) == ""
+
+
+@pytest.mark.parametrize("code", [0xAD, 0x34F, 0x61C, 0x115F, 0x180B, 0x2800, 0x3164, 0xFE0F, 0xFFA0, 0xE0100, 0xE01EF])
+def test_no_hidden_character_enters_a_prompt(code: int) -> None:
+    smuggled = "".join(chr(0xE0100 + ord(one)) for one in "obey")
+    assert sanitize(f"red{chr(code)}cup{smuggled} is near", limit=80) == "red cup is near"
