@@ -1,40 +1,73 @@
 """Reader of HTML: the text that a browser would show, in blocks; nothing is fetched, and no script runs.
 
 Left out and reported: comments, elements that are never shown, and elements hidden by an attribute, by their own style
-or by a style sheet in the page. Not detectable without rendering: text that is covered, or hidden by an external sheet
-or script.
+or by a style sheet in the page (`css_hiding` states the thresholds). Not detectable without rendering: text that is
+covered, or hidden by an external sheet or script.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any
 
 from dualbrain.errors import MissingDependencyError
+from dualbrain.knowledge.readers.css_hiding import TextStyle, computed_style, element_reason
 from dualbrain.knowledge.readers.hidden_text import HiddenText, summarize_hidden
+from dualbrain.knowledge.readers.style_sheets import (
+    Declaration,
+    Rule,
+    cascade,
+    parse_declarations,
+    parse_sheet,
+    resolve_variables,
+)
 from dualbrain.knowledge.rejection import DocumentRejected
 
 MAX_NODES = 200_000
 """Largest number of elements and text nodes of a page."""
-MAX_HIDING_RULES = 1000
-"""Largest number of hiding rules in the style sheets of a page."""
+MAX_RULES = 10_000
+"""Largest number of rules in the style sheets of a page."""
 
-_NEVER_SHOWN = "script,template,noscript,iframe,object,embed,svg,math,canvas,audio,video,select,textarea"
-_BY_ATTRIBUTE = "[hidden],[aria-hidden=true],input[type=hidden],dialog:not([open])"
-_HIDING_STYLE = re.compile(
-    r"display\s*:\s*none|visibility\s*:\s*(?:hidden|collapse)|content-visibility\s*:\s*hidden"
-    r"|opacity\s*:\s*(?:0?\.0\d*|0)(?![\d.]*[1-9])"
-    r"|font-size\s*:\s*(?:[0-3](?:\.\d+)?(?:px|pt)?|0?\.[0-3]\d*r?em|[0-9]%)(?![\d.%a-z])|font\s*:\s*0"
-    r"|(?<![-\w])color\s*:\s*(?:transparent|white|#fff(?:f|fff|fffff)?(?![0-9a-f])|#[0-9a-f]{3}0(?![0-9a-f])"
-    r"|#[0-9a-f]{6}00|rgba?\(\s*255\s*,\s*255\s*,\s*255|rgba\([^)]{0,60},\s*0?\.?0*\s*\))"
-    r"|text-indent\s*:\s*-\d{3,}|(?:left|top|right|bottom|margin[-a-z]*)\s*:\s*-\d{3,}"
-    r"|clip(?:-path)?\s*:\s*(?:rect\(\s*0|inset\(\s*(?:50|100)|circle\(\s*0|polygon\(\s*0[^,]{0,20}\))"
-    r"|transform\s*:[^;}]{0,200}(?:scale[xy3d]*\(\s*0|translate[xy3d]*\(\s*-\d{3,})"
-    r"|(?<![-\w])(?:max-)?(?:height|width)\s*:\s*[01](?:px)?\s*(?![\d.%a-z])",
-    re.IGNORECASE,
+_NEVER_SHOWN = frozenset(
+    [
+        "script",
+        "template",
+        "noscript",
+        "iframe",
+        "object",
+        "embed",
+        "applet",
+        "svg",
+        "math",
+        "canvas",
+        "audio",
+        "video",
+        "select",
+        "option",
+        "optgroup",
+        "textarea",
+        "datalist",
+        "noframes",
+        "noembed",
+        "frameset",
+        "progress",
+        "meter",
+        "rp",
+        "style",
+        "title",
+        "head",
+    ]
 )
+_HIDING_ATTRIBUTES: dict[str, Callable[[str], bool]] = {
+    "hidden": lambda _: True,
+    "popover": lambda _: True,
+    "aria-hidden": lambda value: value.strip().lower() == "true",
+}
+_NO_RANK = (-1, 0, 0)
+"""Specificity of presentational attributes, below that of every rule (HTML, 15.2)."""
 _PREFIX = {"li": "- "} | {f"h{level}": "#" * level + " " for level in range(1, 7)}
 _BLOCKS = frozenset(_PREFIX) | frozenset(
     {
@@ -78,31 +111,43 @@ _BLOCKS = frozenset(_PREFIX) | frozenset(
 _CELLS = frozenset({"td", "th"})
 
 
+@dataclass(slots=True)
+class _Excluded:
+    """The nodes that are left out, and their texts by kind."""
+
+    nodes: set[int] = field(default_factory=set[int])
+    texts: dict[str, list[str]] = field(default_factory=dict[str, list[str]])
+
+    def add(self, kind: str, node: Any) -> None:
+        if node.mem_id not in self.nodes:
+            self.nodes.add(node.mem_id)
+            self.texts.setdefault(kind, []).append(node.text(deep=True) if not node.is_text_node else node.text_content)
+
+
+Variables = dict[str, tuple[Any, ...]]
+View = tuple[TextStyle, Variables]
+"""The style and the custom properties that are inherited, when the page is judged with or without conditional rules."""
+
+
 def visible_text(source: str) -> tuple[str, tuple[int, ...], tuple[HiddenText, ...]] | DocumentRejected:
     """The text of the page as Markdown-like blocks (headings `#`, list items `-`), no page starts, and the hidden text.
 
-    Raises `MissingDependencyError` without selectolax.
+    Raises `MissingDependencyError` without selectolax or tinycss2.
     """
     tree = _parse(source)
     if tree.root is None or tree.body is None:
         return DocumentRejected("not HTML", "no element", "an HTML document")
     nodes = list(tree.root.traverse(include_text=True))
-    sheets = _hiding_selectors(tree)
-    if len(nodes) > MAX_NODES or len(sheets) > MAX_HIDING_RULES:
-        got, allowed = f"{len(nodes)} nodes, {len(sheets)} rules", f"{MAX_NODES} nodes, {MAX_HIDING_RULES} rules"
+    rules = list(parse_sheet("\n".join(node.text(deep=True) for node in tree.root.css("style"))))
+    if len(nodes) > MAX_NODES or len(rules) > MAX_RULES:
+        got, allowed = f"{len(nodes)} nodes, {len(rules)} rules", f"{MAX_NODES} nodes, {MAX_RULES} rules"
         return DocumentRejected("too large", got, allowed, "Split it.")
-    excluded: set[int] = set()
     hidden = summarize_hidden("comments", [node.comment_content or "" for node in nodes if node.is_comment_node])
-    hidden += _exclude(excluded, "style sheets", tree.body.css("style"))
-    hidden += _exclude(excluded, "never shown", tree.body.css(_NEVER_SHOWN))
-    hidden += _exclude(excluded, "hidden by attribute", tree.root.css(_BY_ATTRIBUTE))
-    styled = (
-        node for node in tree.root.css("[style]") if _HIDING_STYLE.search(_unescape_css(node.attributes["style"] or ""))
-    )
-    hidden += _exclude(excluded, "hidden by style", styled)
-    for selector in sheets:
-        hidden += _exclude_selected(excluded, tree, selector)
-    return _render_text(tree.body, excluded), (), hidden
+    matched, unclear = _match(tree, rules)
+    excluded = _exclude(tree, matched, has_conditions=any(rule.conditional for rule in rules))
+    for kind, texts in excluded.texts.items():
+        hidden += summarize_hidden(kind, texts)
+    return _render_text(tree.body, excluded.nodes), (), (*hidden, *unclear)
 
 
 def _parse(source: str) -> Any:
@@ -114,39 +159,112 @@ def _parse(source: str) -> Any:
         ) from error
 
 
-def _unescape_css(style: str) -> str:
-    """A style without comments and escapes, which could disguise `display:none`."""
-    style = re.sub(r"/\*.*?(?:\*/|\Z)", "", style, flags=re.DOTALL)
-    return re.sub(r"\\([0-9a-fA-F]{1,6})\s?|\\", lambda m: chr(int(m[1], 16) % 0x110000) if m[1] else "", style)
+def _match(tree: Any, rules: list[Rule]) -> tuple[dict[int, list[tuple[Rule, int]]], tuple[HiddenText, ...]]:
+    """The rules of each element with their order; an unsupported selector is reported and selects nothing."""
+    matched: dict[int, list[tuple[Rule, int]]] = {}
+    unclear: dict[str, str] = {}
+    for order, rule in enumerate(rules):
+        if "::" in rule.selector.replace(":::", "") and ":::" not in rule.selector:
+            continue  # a part of an element, such as ::before
+        try:
+            found = tree.root.css(rule.selector)
+        except Exception as error:  # the parser of selectors raises several kinds
+            kind = f"a style rule that was not understood ({type(error).__name__})"
+            unclear.setdefault(kind, ascii(rule.selector[:80])[1:-1])
+            continue
+        for node in found:
+            matched.setdefault(node.mem_id, []).append((rule, order))
+    return matched, tuple(HiddenText(kind, 0, sample) for kind, sample in unclear.items())
 
 
-def _hiding_selectors(tree: Any) -> list[str]:
-    """Selectors of hiding rules in the style sheets of the page; media rules count as if they applied."""
-    sheets = " ".join(node.text(deep=True) for node in tree.root.css("style"))
-    parts = re.split(r"([{}])", _unescape_css(sheets))
-    return [
-        parts[k - 2].strip()
-        for k in range(2, len(parts) - 1, 2)
-        if (parts[k - 1], parts[k + 1]) == ("{", "}") and _HIDING_STYLE.search(parts[k])
-    ]
+# --- what is left out -----------------------------------------------------------------------------------------------
 
 
-def _exclude_selected(excluded: set[int], tree: Any, selector: str) -> tuple[HiddenText, ...]:
-    """Exclude the nodes that `selector` finds; an unsupported selector is reported and excludes nothing."""
-    try:
-        found = tree.root.css(selector)
-    except Exception as error:
-        return (
-            HiddenText(f"a style rule that was not understood ({type(error).__name__})", 0, ascii(selector[:80])[1:-1]),
-        )
-    return _exclude(excluded, "hidden by style sheet", found)
+def _exclude(tree: Any, matched: Mapping[int, list[tuple[Rule, int]]], *, has_conditions: bool) -> _Excluded:
+    """Walk through the page from the outside to the inside, with the inherited style of each view."""
+    excluded = _Excluded()
+    start: tuple[View, ...] = ((TextStyle(), {}),) * (2 if has_conditions else 1)
+    todo: list[tuple[Any, tuple[View, ...]]] = [(tree.root, start)]
+    while todo:
+        node, parents = todo.pop()
+        tag = node.tag
+        attributes = node.attributes
+        if kind := _hidden_kind(tag, attributes):
+            excluded.add(kind, node)
+            continue
+        views: list[View] = []
+        reason = ""
+        for index, (style, variables) in enumerate(parents):
+            rules = [one for one in matched.get(node.mem_id, ()) if index or not one[0].conditional]
+            declared = _declared(tag, attributes, rules)
+            values, variables = resolve_variables(declared, variables)  # noqa: PLW2901
+            style = computed_style(values, style) if values else style  # noqa: PLW2901
+            reason = reason or (element_reason(values, style) if values else "")
+            views.append((style, variables))
+        if reason and tag not in ("html", "body"):
+            excluded.add("hidden by style", node)
+            continue
+        todo += [(child, tuple(views)) for child in _shown_children(node, tag, attributes, views, excluded)]
+    return excluded
 
 
-def _exclude(excluded: set[int], kind: str, found: Iterable[Any]) -> tuple[HiddenText, ...]:
-    """Exclude the nodes `found`, but never the whole page."""
-    added = [node for node in found if node.mem_id not in excluded and node.tag not in {"html", "body"}]
-    excluded.update(node.mem_id for node in added)
-    return summarize_hidden(kind, [node.text(deep=True) for node in added])
+def _shown_children(
+    node: Any, tag: str, attributes: Mapping[str, str | None], views: list[View], excluded: _Excluded
+) -> Iterator[Any]:
+    """The elements in `node`; excludes text that is not seen in the style of `node`, and what a closed details hides."""
+    closed = tag == "details" and "open" not in attributes
+    unseen = any(style.reason for style, _ in views)
+    has_summary = False
+    for child in node.iter(include_text=True):
+        if child.is_comment_node:
+            continue
+        if closed and (child.tag != "summary" or has_summary):
+            excluded.add("closed details", child)
+        elif child.is_text_node:
+            if unseen and (child.text_content or "").strip():
+                excluded.add("hidden by style", child)
+        else:
+            has_summary = has_summary or child.tag == "summary"
+            yield child
+
+
+def _hidden_kind(tag: str, attributes: Mapping[str, str | None]) -> str:
+    if tag in _NEVER_SHOWN:
+        return "style sheets" if tag == "style" else "never shown"
+    if tag == "dialog" and "open" not in attributes:
+        return "hidden by attribute"
+    by_attribute = any(
+        hides(attributes[name] or "") for name, hides in _HIDING_ATTRIBUTES.items() if name in attributes
+    )
+    return "hidden by attribute" if by_attribute else ""
+
+
+def _declared(tag: str, attributes: Mapping[str, str | None], rules: list[tuple[Rule, int]]) -> Variables:
+    """The values in effect of an element: of its attributes, of the rules, and of its own style."""
+    presentational = _presentational(tag, attributes)
+    style = attributes.get("style")
+    if not (presentational or style or rules):
+        return {}
+    if presentational:
+        rules = [(Rule("", presentational, _NO_RANK, False), -1), *rules]
+    return cascade(rules, parse_declarations(style) if style else ())
+
+
+def _presentational(tag: str, attributes: Mapping[str, str | None]) -> tuple[Declaration, ...]:
+    """The declarations that attributes of old HTML stand for: colours of text and background."""
+    named = {"bgcolor": "background-color"}
+    if tag == "body":
+        named["text"] = "color"
+    elif tag == "font":
+        named["color"] = "color"
+    texts = [f"{name}:{_legacy_colour(attributes[key] or '')}" for key, name in named.items() if key in attributes]
+    return parse_declarations(";".join(texts)) if texts else ()
+
+
+def _legacy_colour(value: str) -> str:
+    """A colour of old HTML as CSS: hexadecimal digits may come without their #."""
+    value = value.strip()
+    return f"#{value}" if re.fullmatch(r"[0-9a-fA-F]{3}|[0-9a-fA-F]{6}", value) else value.partition(";")[0]
 
 
 def _render_text(body: Any, excluded: set[int]) -> str:
