@@ -27,13 +27,20 @@ def pdf_dictionary(**entries: PdfObject) -> DictionaryObject:
 def make_pdf(*contents: str, off: str = "", password: str = "", compress: bool = False, form: str = "") -> bytes:
     """A PDF with one page for each content stream.
 
-    Resources: font /F1, /Ghost (a transparent graphics state), /MC0 (a layer with the name `off` that is switched off),
+    Resources: font /F1, graphics states (/Ghost is transparent, /Faint for strokes, /Masked by a soft mask, /Plain),
+    /MC0 (a layer with the name `off` that is switched off),
     /Form (a form that draws `form`).
     """
     writer: Any = PdfWriter()
     font = pdf_dictionary(Type=NameObject("/Font"), Subtype=NameObject("/Type1"), BaseFont=NameObject("/Helvetica"))
     resources = pdf_dictionary(
-        Font=pdf_dictionary(F1=font), ExtGState=pdf_dictionary(Ghost=pdf_dictionary(ca=FloatObject(0.0)))
+        Font=pdf_dictionary(F1=font),
+        ExtGState=pdf_dictionary(
+            Ghost=pdf_dictionary(ca=FloatObject(0.0)),
+            Faint=pdf_dictionary(CA=FloatObject(0.02)),
+            Masked=pdf_dictionary(SMask=pdf_dictionary(S=NameObject("/Alpha"))),
+            Plain=pdf_dictionary(ca=FloatObject(1.0), CA=FloatObject(1.0), SMask=NameObject("/None")),
+        ),
     )
     if off:
         layer = writer._add_object(pdf_dictionary(Type=NameObject("/OCG"), Name=TextStringObject(off)))

@@ -1,12 +1,14 @@
 """Readers: visible text keeps its offsets, hidden text is removed and reported, unreadable files are rejected."""
 
+import time
 import unicodedata
 
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from dualbrain.knowledge.readers import html, markdown, pdf
+from dualbrain.core.untrusted.bounded_process import ProcessLimits
+from dualbrain.knowledge.readers import html, markdown, pdf, reader
 from dualbrain.knowledge.readers.hidden_text import blank_hidden, blank_spans
 from dualbrain.knowledge.readers.reader import MAX_FILE_BYTES, MAX_TEXT_CHARACTERS, READERS, DocumentText, read_document
 from dualbrain.knowledge.rejection import DocumentRejected
@@ -177,6 +179,65 @@ HIDDEN_IN_PDF = {
 }
 
 
+HIDING_OPERATORS = [
+    "0 Tz",
+    "1 Tz",
+    "3 Tr",
+    "7 Tr",
+    "1 g",
+    "1 1 1 rg",
+    "0 0 0 0 k",
+    "/DeviceRGB cs 1 1 1 sc",
+    "/DeviceCMYK cs 0 0 0 0 scn",
+    "1 Tr 1 1 1 RG",
+    "1 Tr 1 G",
+    "1 Tr 0 0 0 0 K",
+    "1 Tr /DeviceRGB CS 1 1 1 SC",
+    "2 Tr 1 g 1 G",
+    "2 Tr 1 g /Faint gs",
+    "5 Tr 1 G",
+    "/Ghost gs",
+    "/Faint gs 1 Tr",
+    "/Masked gs",
+    "-12 Tc",
+    "5000 Ts",
+    "0.001 0 0 1 0 0 Tm",
+    "0.01 0 0 0.01 72 700 Tm",
+    "1 0 0 1 9999 0 Tm",
+]
+SHOWING_OPERATORS = [
+    "100 Tz",
+    "80 Tz",
+    "0 Tr 1 G",
+    "1 Tr 1 g",
+    "2 Tr 1 g 0 G",
+    "2 Tr 0 g 1 G",
+    "0.5 g",
+    "0 0 0 1 k",
+    "/Faint gs",
+    "/Plain gs",
+    "-0.2 Tc",
+    "4 Ts",
+    "1 g 0 g",
+]
+
+
+@pytest.mark.parametrize("operators", HIDING_OPERATORS)
+def test_a_hiding_state_of_a_pdf_removes_the_text(operators: str) -> None:
+    found = pdf.visible_text(make_pdf(show_text(FILLING) + show_text(EVIL, before=operators)))
+    assert not isinstance(found, DocumentRejected)
+    assert FILLING in found[0]
+    assert "IGNORE" not in found[0]
+    assert found[2]
+
+
+@pytest.mark.parametrize("operators", SHOWING_OPERATORS)
+def test_an_ordinary_state_of_a_pdf_hides_nothing(operators: str) -> None:
+    found = pdf.visible_text(make_pdf(show_text(FILLING, before=operators)))
+    assert not isinstance(found, DocumentRejected)
+    assert FILLING in found[0]
+
+
 @pytest.mark.parametrize("kind", HIDDEN_IN_PDF)
 def test_text_hidden_in_a_pdf_is_removed_and_reported(kind: str) -> None:
     data = make_pdf(show_text(FILLING) + HIDDEN_IN_PDF[kind] + show_text("last line", y=500), off="layer")
@@ -238,10 +299,44 @@ def test_no_bytes_raise(data: bytes, suffix: str) -> None:
 
 
 def test_a_process_that_exceeds_its_time_is_a_rejection(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pdf, "WALL_LIMIT_S", 0.001)
-    found = read_document(make_pdf(show_text(FILLING)), "a.pdf")
+    monkeypatch.setattr(reader, "LIMITS", ProcessLimits(seconds=0.0))
+    for data, name in (
+        (make_pdf(show_text(FILLING)), "a.pdf"),
+        (FILLING.encode(), "a.md"),
+        (FILLING.encode(), "a.html"),
+    ):
+        found = read_document(data, name)
+        assert isinstance(found, DocumentRejected)
+        assert (found.what, "took longer than 0 s" in found.got) == ("too costly", True)
+
+
+COSTLY = {
+    "emphasis.md": "*a **a " * 15_000,
+    "stars.md": "**x* " * 20_000,
+    "brackets.md": "[a](" * 60_000,
+    "quotes.md": ">" * 200_000 + "a",
+    "declarations.md": "<!a " * 100_000,
+    "nested.html": "<div>" * 200_000,
+    "attributes.html": "<p " + " ".join(f"a{k}=1" for k in range(100_000)) + ">",
+    "selectors.html": "<style>" + ":is(" * 2_000 + "a" + ")" * 2_000 + "{display:none}</style>",
+    "blocks.html": "<p style='color:" + "(" * 100_000 + "'>",
+}
+
+
+@pytest.mark.parametrize("name", COSTLY)
+def test_a_costly_document_ends_within_the_limits(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    monkeypatch.setattr(reader, "LIMITS", ProcessLimits(memory_bytes=64 << 20, seconds=2.0))
+    start = time.monotonic()
+    found = read_document(f"{FILLING}\n\n{COSTLY[name]}\n".encode(), name)
+    assert isinstance(found, DocumentRejected | DocumentText)
+    assert time.monotonic() - start < 12.0
+
+
+def test_a_document_that_needs_too_much_memory_is_a_rejection(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reader, "LIMITS", ProcessLimits(memory_bytes=32 << 20))
+    found = read_document((FILLING + "\n\n" + "a *b* `c`\n\n" * 60_000).encode(), "a.md")
     assert isinstance(found, DocumentRejected)
-    assert found.what == "too costly"
+    assert "needs more than 32 MB of memory" in str(found)
 
 
 def test_a_byte_order_mark_and_line_ends_change_no_text() -> None:

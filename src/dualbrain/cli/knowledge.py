@@ -18,9 +18,11 @@ from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.common.spinner import Spinner
 from dualbrain.core.paths import cache_folder, dualbrain_home
 from dualbrain.core.text import count_noun
+from dualbrain.core.untrusted.bounded_file import FileRefusal, byte_size, read_regular_file
 from dualbrain.errors import ConfigurationError, UsageError
 from dualbrain.knowledge.document import DOCUMENT_KINDS, ChunkHit, Document, DocumentKind, TrustLevel, parse_citation
 from dualbrain.knowledge.library import Addition, Library, SearchMode, Submission
+from dualbrain.knowledge.readers.reader import MAX_FILE_BYTES
 from dualbrain.knowledge.rejection import DocumentRejected
 
 Json = Annotated[bool, Parameter(negative="", help="Print one JSON object on stdout.")]
@@ -66,16 +68,20 @@ def add(
     if not files or (name and len(files) > 1):
         raise UsageError("files", got=len(files), allowed="at least one; with --name exactly one")
     for file in files:
-        if not file.is_file():
+        if not file.exists():
             raise ConfigurationError.stating(f"There is no file {file}.", fix="Check the path of the document.")
     robot = tuple(map(_robot_name, robot))
     done: list[Addition | DocumentRejected] = []
     with _open_library(store, write=True) as library:
         for file in files:
-            submission = Submission(
-                file=file.name, data=file.read_bytes(), trust=trust, name=name, kind=kind, title=title, robots=robot
-            )
-            one = _unusable_templates(submission) or library.add(submission, now=time.time())
+            data = _read_file(file)
+            if isinstance(data, DocumentRejected):
+                one = data
+            else:
+                submission = Submission(
+                    file=file.name, data=data, trust=trust, name=name, kind=kind, title=title, robots=robot
+                )
+                one = _unusable_templates(submission) or library.add(submission, now=time.time())
             done.append(one)
             if isinstance(one, DocumentRejected):
                 _print_stderr(f"{file}: rejected: {one}")
@@ -242,6 +248,15 @@ def _encoder() -> Any:
     from dualbrain.memory.embedding.text_encoder import MiniLmEncoder
 
     return MiniLmEncoder.from_cache(cache_folder())
+
+
+def _read_file(file: Path) -> bytes | DocumentRejected:
+    """The bytes of a document; a file that is not regular or too large is a rejection, as a wrong format is."""
+    data = read_regular_file(file, MAX_FILE_BYTES)
+    if isinstance(data, FileRefusal):
+        allowed = f"a regular file of at most {byte_size(MAX_FILE_BYTES)}"
+        return DocumentRejected("a file that cannot be used", data.sentence.rstrip("."), allowed, data.fix)
+    return data
 
 
 def _unusable_templates(submission: Submission) -> DocumentRejected | None:

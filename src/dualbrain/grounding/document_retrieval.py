@@ -5,13 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import PurePath
 
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.errors import UnknownNameError
 from dualbrain.grounding.vocabulary import load_skill_registry
 from dualbrain.knowledge.document import ChunkHit, TrustLevel
 from dualbrain.knowledge.library import Library, Submission
-from dualbrain.knowledge.readers.reader import read_document
+from dualbrain.knowledge.readers.reader import STRUCTURED_SUFFIXES, read_document
 from dualbrain.knowledge.rejection import DocumentRejected
 from dualbrain.knowledge.structured.kinds import default_kind
 from dualbrain.knowledge.structured.parsing import parse_structured
@@ -121,6 +122,8 @@ def check_templates(
 
     Templates for robots without a known registry are not checked here, but before they enter a prompt.
     """
+    if submission.kind != "template" and PurePath(submission.file).suffix.lower() not in STRUCTURED_SUFFIXES:
+        return None
     reading = read_document(submission.data, submission.file)
     if isinstance(reading, DocumentRejected) or (submission.kind or default_kind(reading)) != "template":
         return None

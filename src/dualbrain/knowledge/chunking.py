@@ -9,11 +9,11 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from itertools import pairwise
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 from dualbrain.knowledge.readers.hidden_text import Span
-from dualbrain.knowledge.readers.markdown import line_starts, parse_blocks
-from dualbrain.knowledge.readers.reader import DocumentText
+from dualbrain.knowledge.readers.markdown import TextBlock
+from dualbrain.knowledge.readers.reader import BLOCK_MEDIA, DocumentText
 
 MAX_CHUNK_CHARACTERS = 480
 """Largest length of a chunk: about 120 tokens, so that three chunks are a small part of a prompt."""
@@ -38,18 +38,11 @@ class Chunk(NamedTuple):
     path: tuple[str, ...]
 
 
-class _Block(NamedTuple):
-    start: int
-    end: int
-    path: tuple[str, ...]
-
-
 def split_chunks(document_text: DocumentText) -> tuple[Chunk, ...]:
     """All chunks of `document_text` in their order."""
-    find_blocks = {"markdown": _markdown_blocks, "html": _markdown_blocks, "toml": _toml_tables}.get(
-        document_text.media, _paragraphs
-    )
-    blocks = [block for block in find_blocks(document_text.text) if document_text.text[block.start : block.end].strip()]
+    find_blocks = {"toml": _toml_tables}.get(document_text.media, _paragraphs)
+    found = document_text.blocks if document_text.media in BLOCK_MEDIA else find_blocks(document_text.text)
+    blocks = [block for block in found if document_text.text[block.start : block.end].strip()]
     by_page = (part for block in blocks for part in _split_at_pages(document_text, block))
     longest = MAX_ENTRY_CHARACTERS if document_text.media == "toml" else MAX_CHUNK_CHARACTERS
     short = [part for block in by_page for part in _split_long(document_text.text, block, longest)]
@@ -59,55 +52,38 @@ def split_chunks(document_text: DocumentText) -> tuple[Chunk, ...]:
     )
 
 
-def _markdown_blocks(text: str) -> Iterator[_Block]:
-    """Top-level blocks with the headings above them."""
-    starts, path = line_starts(text), list[tuple[int, str]]()
-    tokens = parse_blocks(text)
-    for token, after in zip(tokens, [*tokens[1:], None], strict=True):
-        if token.level or token.map is None or token.nesting < 0:
-            continue
-        first, last = cast("tuple[int, int]", token.map)
-        start, end = starts[first], starts[min(last, len(starts) - 1)]
-        if token.type == "heading_open":
-            level = int(token.tag[1:])
-            title = " ".join(after.content.split()) if after is not None else ""
-            path = [*(above for above in path if above[0] < level), (level, title)]
-        else:
-            yield _Block(start, end, tuple(title for _, title in path if title))
-
-
-def _toml_tables(text: str) -> Iterator[_Block]:
+def _toml_tables(text: str) -> Iterator[TextBlock]:
     """The tables of a TOML file: each entry of a map or template document is one chunk."""
     starts = [0, *(match.start() for match in _TABLE.finditer(text) if match.start()), len(text)]
     for start, end in pairwise(starts):
         name = re.search(r"^(?:name|title)\s*=\s*\"([^\"\n]*)\"", text[start:end], re.MULTILINE)
-        yield _Block(start, end, (name[1],) if name else ())
+        yield TextBlock(start, end, (name[1],) if name else ())
 
 
-def _paragraphs(text: str) -> Iterator[_Block]:
+def _paragraphs(text: str) -> Iterator[TextBlock]:
     for match in _PARAGRAPH.finditer(text):
-        yield _Block(*match.span(), ())
+        yield TextBlock(*match.span(), ())
 
 
-def _split_at_pages(document_text: DocumentText, block: _Block) -> Iterator[_Block]:
+def _split_at_pages(document_text: DocumentText, block: TextBlock) -> Iterator[TextBlock]:
     """`block`, cut at the starts of pages."""
     cuts = [start for start in document_text.pages if block.start < start < block.end]
     edges = [block.start, *cuts, block.end]
     for start, end in pairwise(edges):
-        yield _Block(start, end, block.path)
+        yield TextBlock(start, end, block.path)
 
 
-def _split_long(text: str, block: _Block, longest: int) -> Iterator[_Block]:
+def _split_long(text: str, block: TextBlock, longest: int) -> Iterator[TextBlock]:
     """`block` without surrounding white space, cut into pieces of at most `longest` characters."""
     start, end = _strip_span(text, block.start, block.end)
     while end - start > longest:
         cut = _find_cut(text, start, longest)
         piece = _strip_span(text, start, cut)
         if piece[0] < piece[1]:
-            yield _Block(*piece, block.path)
+            yield TextBlock(*piece, block.path)
         start, end = _strip_span(text, cut, end)
     if start < end:
-        yield _Block(start, end, block.path)
+        yield TextBlock(start, end, block.path)
 
 
 def _find_cut(text: str, start: int, longest: int) -> int:
@@ -125,12 +101,12 @@ def _strip_span(text: str, start: int, end: int) -> Span:
     return start + left, start + max(left, len(inner.rstrip()))
 
 
-def _merge_adjacent(document_text: DocumentText, parts: list[_Block], *, join: bool) -> Iterator[_Block]:
+def _merge_adjacent(document_text: DocumentText, parts: list[TextBlock], *, join: bool) -> Iterator[TextBlock]:
     """Merge adjacent blocks with the same headings and page, up to the largest length of a chunk."""
-    merged: _Block | None = None
+    merged: TextBlock | None = None
     for part in parts:
         if merged is not None and join and _can_merge(document_text, merged, part):
-            merged = _Block(merged.start, part.end, merged.path)
+            merged = TextBlock(merged.start, part.end, merged.path)
             continue
         if merged is not None:
             yield merged
@@ -139,6 +115,6 @@ def _merge_adjacent(document_text: DocumentText, parts: list[_Block], *, join: b
         yield merged
 
 
-def _can_merge(document_text: DocumentText, merged: _Block, part: _Block) -> bool:
+def _can_merge(document_text: DocumentText, merged: TextBlock, part: TextBlock) -> bool:
     same_place = merged.path == part.path and document_text.page_at(merged.start) == document_text.page_at(part.start)
     return same_place and part.end - merged.start <= MAX_CHUNK_CHARACTERS

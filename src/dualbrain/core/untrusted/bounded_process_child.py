@@ -56,7 +56,7 @@ def _import_function(name: str) -> Callable[[bytes], bytes]:
     imported = import_module(module)
     prepare = getattr(imported, "prepare_process", None)
     if prepare is not None:
-        prepare()
+        prepare(attribute)
     return getattr(imported, attribute)
 
 

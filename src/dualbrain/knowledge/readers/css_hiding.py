@@ -289,7 +289,7 @@ def _is_legacy_filter(token: Any) -> bool:
     return token.type == "ident" and token.lower_value == "progid"
 
 
-def _filter_hides(token: Any) -> bool:
+def _filter_hides(token: Any) -> bool:  # noqa: PLR0911  (a case for each function)
     if token.type != "function":
         return True
     arguments = significant(token.arguments)
@@ -495,7 +495,7 @@ def _transform(value: Tokens, style: TextStyle) -> bool:
     return not tokens or any(_function_hides(token, style) for token in tokens)
 
 
-def _function_hides(token: Any, style: TextStyle) -> bool:
+def _function_hides(token: Any, style: TextStyle) -> bool:  # noqa: PLR0911  (a case for each function)
     if token.type != "function":
         return True
     arguments = [one for one in significant(token.arguments) if one.type != "literal"]

@@ -114,7 +114,7 @@ def length_px(token: Any, size: Size) -> float | None:
     return value if value is None or isfinite(value) else None
 
 
-def float_unit(unit: str, size: Size) -> float | None:
+def float_unit(unit: str, size: Size) -> float | None:  # noqa: PLR0911  (a case for each unit)
     """One `unit` of length in px; None for an unknown one."""
     if unit in _PX:
         return _PX[unit]

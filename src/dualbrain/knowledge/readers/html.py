@@ -183,7 +183,7 @@ def _match(tree: Any, rules: list[Rule]) -> tuple[dict[int, list[tuple[Rule, int
 def _exclude(tree: Any, matched: Mapping[int, list[tuple[Rule, int]]], *, has_conditions: bool) -> _Excluded:
     """Walk through the page from the outside to the inside, with the inherited style of each view."""
     excluded = _Excluded()
-    start: tuple[View, ...] = ((TextStyle(), {}),) * (2 if has_conditions else 1)
+    start: tuple[View, ...] = ((TextStyle(), Variables()),) * (2 if has_conditions else 1)
     todo: list[tuple[Any, tuple[View, ...]]] = [(tree.root, start)]
     while todo:
         node, parents = todo.pop()
@@ -211,7 +211,7 @@ def _exclude(tree: Any, matched: Mapping[int, list[tuple[Rule, int]]], *, has_co
 def _shown_children(
     node: Any, tag: str, attributes: Mapping[str, str | None], views: list[View], excluded: _Excluded
 ) -> Iterator[Any]:
-    """The elements in `node`; excludes text that is not seen in the style of `node`, and what a closed details hides."""
+    """The elements in `node`; excludes its own text where that is not seen, and what a closed details hides."""
     closed = tag == "details" and "open" not in attributes
     unseen = any(style.reason for style, _ in views)
     has_summary = False

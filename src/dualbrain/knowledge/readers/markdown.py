@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from importlib import import_module
-from typing import Any
+from typing import Any, NamedTuple, cast
 
 from dualbrain.errors import MissingDependencyError
 from dualbrain.knowledge.readers.hidden_text import HiddenText, Span, blank_spans, summarize_hidden
@@ -24,8 +24,33 @@ _TAG = re.compile(
     r"<(?P<closes>/?)(?P<name>[A-Za-z][A-Za-z0-9-]*)"
     r"(?P<attributes>(?:\s(?:\"[^\"]{0,2000}\"|'[^']{0,2000}'|[^'\"<>])*)?)/?>"
 )
-_NEVER_SHOWN = frozenset({"script", "style", "template", "head", "title", "noscript", "iframe", "object", "svg"})
+_NEVER_SHOWN = frozenset(
+    {
+        *("script", "style", "template", "head", "title", "noscript", "noframes", "noembed", "iframe", "object", "svg"),
+        *(
+            "math",
+            "canvas",
+            "audio",
+            "video",
+            "select",
+            "textarea",
+            "datalist",
+            "dialog",
+            "details",
+            "meter",
+            "progress",
+        ),
+    }
+)
 _VOID = frozenset({"br", "hr", "img", "input", "wbr", "meta", "link", "source", "area", "base", "col", "embed"})
+
+
+class TextBlock(NamedTuple):
+    """Characters `start` to `end` of a text; `path` contains the headings above, outermost first."""
+
+    start: int
+    end: int
+    path: tuple[str, ...]
 
 
 def parse_blocks(text: str) -> list[Any]:
@@ -55,6 +80,23 @@ def visible_text(text: str) -> tuple[str, tuple[int, ...], tuple[HiddenText, ...
     spans = list(_raw_elements(blank_spans(text, code)))
     hidden += summarize_hidden("raw HTML", [text[start:end] for start, end in spans])
     return blank_spans(text, spans), (), hidden
+
+
+def find_blocks(text: str) -> Iterator[TextBlock]:
+    """The top-level blocks of Markdown, apart from headings, with the headings above them."""
+    starts, path = line_starts(text), list[tuple[int, str]]()
+    tokens = parse_blocks(text)
+    for token, after in zip(tokens, [*tokens, None][1:], strict=True):
+        if token.level or token.map is None or token.nesting < 0:
+            continue
+        first, last = cast("tuple[int, int]", token.map)
+        start, end = starts[first], starts[min(last, len(starts) - 1)]
+        if token.type == "heading_open":
+            level = int(token.tag[1:])
+            title = " ".join(after.content.split()) if after is not None else ""
+            path = [*(above for above in path if above[0] < level), (level, title)]
+        else:
+            yield TextBlock(start, end, tuple(title for _, title in path if title))
 
 
 def _code_spans(text: str) -> Iterator[Span]:

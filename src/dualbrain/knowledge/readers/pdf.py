@@ -1,76 +1,70 @@
-"""Reader of PDF: the visible text of each page, read in a separate process with bounded time and memory.
+"""Reader of PDF: the visible text of each page; runs in a bounded process, because a PDF may be malicious.
 
-A PDF may be malicious (a kilobyte that unpacks to gigabytes, circular references), so every failure of the process
-becomes a rejection.
+Left out and reported: text that is invisible by rendering mode, of no width, tiny, white, transparent, off the page, or
+in a layer that is switched off. Not detectable without rendering: covered text, clipped text, and glyphs that show
+other letters than they encode. Annotations, form fields and attachments are not read.
 """
 
 from __future__ import annotations
 
-import subprocess
-import sys
-from importlib.util import find_spec
+from importlib import import_module
+from io import BytesIO
+from typing import Any
 
-import msgspec
-
-from dualbrain.errors import DECODE_ERRORS, ConfigurationError, MissingDependencyError
-from dualbrain.knowledge.readers.hidden_text import HiddenText
+from dualbrain.errors import MissingDependencyError
+from dualbrain.knowledge.readers.hidden_text import HiddenText, summarize_hidden
+from dualbrain.knowledge.readers.pdf_visibility import VisibleTextFilter, disabled_layers
 from dualbrain.knowledge.rejection import DocumentRejected
 
-CPU_LIMIT_S, WALL_LIMIT_S = 30, 60
-MEMORY_LIMIT_BYTES = 1 << 30
 MAX_PAGES = 1000
-
-
-class PdfPages(msgspec.Struct, frozen=True):
-    """Reply of the process: the text of each page and the hidden text, or the reason of a rejection."""
-
-    pages: tuple[str, ...] = ()
-    hidden: tuple[HiddenText, ...] = ()
-    rejection: DocumentRejected | None = None
-
-
-def visible_text(data: bytes) -> tuple[str, tuple[int, ...], tuple[HiddenText, ...]] | DocumentRejected:
-    """The text of all pages, the offset of each page, and the hidden text (see `pdf_worker`).
-
-    Raises `MissingDependencyError` without pypdf, and `ConfigurationError` if the process sends no reply.
-    """
-    if find_spec("pypdf") is None:
-        raise MissingDependencyError("The package pypdf", fix="Install it with `pip install 'dualbrain[knowledge]'`.")
-    if not data.lstrip()[:5].startswith(b"%PDF-"):
-        return DocumentRejected("not a PDF", ascii(data[:8])[2:-1], "a file that begins with %PDF-")
-    found = _read_in_worker(data)
-    if isinstance(found, DocumentRejected):
-        return found
-    starts, length = list[int](), 0
-    for page in found.pages:
-        starts.append(length)
-        length += len(page) + len(PAGE_SEPARATOR)
-    return PAGE_SEPARATOR.join(found.pages), tuple(starts), found.hidden
-
-
+MAX_PDF_CHARACTERS = 2_000_000
 PAGE_SEPARATOR = "\n\n"
 """Separator between two pages in a document text."""
 
 
-def _read_in_worker(data: bytes) -> PdfPages | DocumentRejected:
-    """The reply of the process; a process that exceeds its limits and is killed is a rejection."""
-    too_costly = DocumentRejected(
-        "too costly",
-        f"more than {CPU_LIMIT_S} s or {MEMORY_LIMIT_BYTES >> 20} MB to read",
-        "less",
-        "Print it to a new PDF.",
-    )
-    flags = ["-S"] if sys.flags.no_site else []  # so that the process finds the same packages
-    command = [sys.executable, *flags, "-m", "dualbrain.knowledge.readers.pdf_worker"]
+def visible_text(data: bytes) -> tuple[str, tuple[int, ...], tuple[HiddenText, ...]] | DocumentRejected:
+    """The text of all pages, the offset of each page, and the hidden text.
+
+    Raises `MissingDependencyError` without pypdf.
+    """
     try:
-        done = subprocess.run(command, input=data, capture_output=True, timeout=WALL_LIMIT_S, check=False)
-    except subprocess.TimeoutExpired:
-        return too_costly
-    if done.returncode < 0:
-        return too_costly
+        pypdf = import_module("pypdf")
+    except ImportError as error:
+        fix = "Install it with `pip install 'dualbrain[knowledge]'`."
+        raise MissingDependencyError("The package pypdf", fix=fix) from error
+    if not data.lstrip()[:5].startswith(b"%PDF-"):
+        return DocumentRejected("not a PDF", ascii(data[:8])[2:-1], "a file that begins with %PDF-")
     try:
-        found = msgspec.json.decode(done.stdout, type=PdfPages)
-    except DECODE_ERRORS as error:
-        stderr = done.stderr.decode("utf-8", "replace")[-300:]
-        raise ConfigurationError.stating(f"The reader of PDF files sent no reply. Its output: {stderr}") from error
-    return found.rejection or found
+        return _read_pages(pypdf.PdfReader(BytesIO(data)))
+    except (MemoryError, RecursionError):
+        raise  # the limits of the process
+    except Exception as error:  # a broken file may cause any error, which is a rejection
+        return _reject("a broken PDF", f"{type(error).__name__}: {error}"[:200], "a PDF that can be read")
+
+
+def _read_pages(reader: Any) -> tuple[str, tuple[int, ...], tuple[HiddenText, ...]] | DocumentRejected:
+    if reader.is_encrypted:
+        return _reject("an encrypted PDF", "a password", "no password")
+    if len(reader.pages) > MAX_PAGES:
+        return _reject("too large", f"{len(reader.pages)} pages", f"{MAX_PAGES} pages")
+    disabled = disabled_layers(reader)
+    pages: list[str] = []
+    starts: list[int] = []
+    length = 0
+    hidden: dict[str, list[str]] = {}
+    for page in reader.pages:
+        text_filter = VisibleTextFilter(page, disabled, hidden)
+        text: Any = page.extract_text(
+            visitor_operand_before=text_filter.visit_before, visitor_operand_after=text_filter.visit_after
+        )
+        pages.append(str(text).strip())
+        starts.append(length)
+        length += len(pages[-1]) + len(PAGE_SEPARATOR)
+        if length > MAX_PDF_CHARACTERS:
+            return _reject("too large", f"over {MAX_PDF_CHARACTERS} characters", f"{MAX_PDF_CHARACTERS} characters")
+    summary = tuple(one for kind, pieces in hidden.items() for one in summarize_hidden(kind, pieces))
+    return PAGE_SEPARATOR.join(pages), tuple(starts), summary
+
+
+def _reject(what: str, got: str, allowed: str) -> DocumentRejected:
+    return DocumentRejected(what, got, allowed, "Print it to a new PDF, or convert it to Markdown.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, field
 from math import sqrt
@@ -9,12 +10,16 @@ from typing import Any, cast
 
 MIN_TEXT_HEIGHT_PT = 2.0
 """Text with a smaller height [pt] counts as hidden."""
-MIN_OPACITY = 0.05
+MIN_WIDTH_SHARE = 0.1
+"""Text that is scaled to a smaller share of its width counts as hidden."""
+MAX_OVERLAP = 0.4
+"""Text whose characters are moved back by a larger share of the font size counts as hidden."""
+MIN_OPACITY = 0.1
 """Text with a smaller opacity counts as hidden."""
 WHITE_THRESHOLD = 0.97
 """Text whose colour components are all at least this value counts as white."""
-INVISIBLE_RENDERING_MODES = (3, 7)
-"""Text rendering modes that fill and stroke nothing (ISO 32000-1, 9.3.6)."""
+FILLING_MODES, STROKING_MODES = (0, 2, 4, 6), (1, 2, 5, 6)
+"""Text rendering modes that fill and that stroke; the others (3, 7) show nothing (ISO 32000-1, 9.3.6)."""
 MAX_FORM_DEPTH = 6
 """Largest nesting of forms whose resources are read."""
 TEXT_OPERATORS = (b"Tj", b"TJ", b"'", b'"')
@@ -26,18 +31,29 @@ class _GraphicsState:
 
     mode: int = 0
     size: float = 12.0
-    white: bool = False
-    transparent: bool = False
+    width: float = 1.0
+    spacing: float = 0.0
+    rise: float = 0.0
+    white_fill: bool = False
+    white_stroke: bool = False
+    clear_fill: bool = False
+    clear_stroke: bool = False
     layer: bool = False
     content: list[bool] = field(default_factory=list)
 
     def hidden_reason(self) -> str:
         """The reason why text is invisible in this state; "" if it is visible."""
+        paints = (
+            (self.mode in FILLING_MODES, self.white_fill, self.clear_fill),
+            (self.mode in STROKING_MODES, self.white_stroke, self.clear_stroke),
+        )
+        used = [(white, clear) for used, white, clear in paints if used]
         reasons = {
-            "invisible text": self.mode in INVISIBLE_RENDERING_MODES,
-            "white text": self.white,
-            "transparent text": self.transparent,
             "a layer that is off": self.layer or any(self.content),
+            "invisible text": not used,
+            "text without width": abs(self.width) < MIN_WIDTH_SHARE or self.spacing <= -MAX_OVERLAP * abs(self.size),
+            "white text": all(white for white, _ in used),
+            "transparent text": all(white or clear for white, clear in used),
         }
         return next((reason for reason, holds in reasons.items() if holds), "")
 
@@ -50,8 +66,8 @@ class VisibleTextFilter:
         self._hidden, self._disabled = hidden, disabled
         self._state, self._stack = _GraphicsState(), list[_GraphicsState]()
         self._box = [float(value) for value in page.cropbox]
-        self._layers, self._transparent, self._forms = dict[str, Any](), dict[str, bool](), dict[str, Any]()
-        _collect_resources(_resolve(page, "/Resources"), self._layers, self._transparent, self._forms, MAX_FORM_DEPTH)
+        self._layers, self._states, self._forms = dict[str, Any](), dict[str, _Opacity](), dict[str, Any]()
+        _collect_resources(_resolve(page, "/Resources"), self._layers, self._states, self._forms, MAX_FORM_DEPTH)
 
     def visit_before(self, operator: bytes, operands: list[Any], cm: list[float], tm: list[float]) -> None:
         """Apply `operator` to the state; clear the operands of an operator that shows invisible text."""
@@ -85,17 +101,21 @@ class VisibleTextFilter:
             self._state.mode = int(numbers[0])
         elif operator == b"Tf" and numbers:
             self._state.size = numbers[-1]
-        elif operator in {b"g", b"rg", b"sc", b"scn"} and numbers:
-            self._state.white = len(numbers) in {1, 3} and min(numbers) >= WHITE_THRESHOLD
-        elif operator == b"k" and numbers:
-            self._state.white = max(numbers) <= 1.0 - WHITE_THRESHOLD
-        elif operator == b"cs":
-            self._state.white = False
+        elif operator in _TEXT_STATE and numbers:
+            name, unit = _TEXT_STATE[operator]
+            setattr(self._state, name, numbers[0] * unit)
+        elif operator in _FILL_OPERATORS:
+            self._state.white_fill = _is_white(_FILL_OPERATORS[operator], numbers)
+        elif operator in _STROKE_OPERATORS:
+            self._state.white_stroke = _is_white(_STROKE_OPERATORS[operator], numbers)
         elif operator == b"gs" and operands:
-            self._state.transparent = self._transparent.get(str(operands[0]), self._state.transparent)
+            opacity = self._states.get(str(operands[0]), _Opacity())
+            fill, stroke = opacity.fill, opacity.stroke
+            self._state.clear_fill = self._state.clear_fill if fill is None else fill < MIN_OPACITY
+            self._state.clear_stroke = self._state.clear_stroke if stroke is None else stroke < MIN_OPACITY
 
     def _filter_text(self, operands: list[Any], cm: list[float], tm: list[float]) -> None:
-        a, b, c, d, e, f = _multiply(tm, cm)
+        a, b, c, d, e, f = _multiply((1.0, 0.0, 0.0, 1.0, 0.0, self._state.rise), _multiply(tm, cm))
         scale = sqrt(abs(a * d - b * c))
         left, bottom, right, top = self._box
         on_page = left - 1.0 <= e <= right + 1.0 and bottom - 1.0 <= f <= top + 1.0
@@ -123,6 +143,28 @@ class VisibleTextFilter:
         return bool(numbers) and self._disabled.issuperset(numbers)
 
 
+@dataclass(frozen=True, slots=True)
+class _Opacity:
+    """The opacities that a graphics state sets; None if it sets none."""
+
+    fill: float | None = None
+    stroke: float | None = None
+
+
+_TEXT_STATE = {b"Tz": ("width", 0.01), b"Tc": ("spacing", 1.0), b"Ts": ("rise", 1.0)}
+_FILL_OPERATORS = {b"g": "gray", b"rg": "rgb", b"k": "cmyk", b"sc": "any", b"scn": "any", b"cs": "space"}
+_STROKE_OPERATORS = {b"G": "gray", b"RG": "rgb", b"K": "cmyk", b"SC": "any", b"SCN": "any", b"CS": "space"}
+
+
+def _is_white(kind: str, numbers: list[float]) -> bool:
+    """Whether the operands of a colour operator are white; in a space of four components, no ink is white."""
+    if not numbers or kind == "space":
+        return False
+    if kind == "cmyk" or len(numbers) == 4:
+        return max(numbers) <= 1.0 - WHITE_THRESHOLD
+    return len(numbers) in {1, 3} and min(numbers) >= WHITE_THRESHOLD
+
+
 def disabled_layers(reader: Any) -> frozenset[int]:
     """Object numbers of the layers that are switched off when the document is opened."""
     properties = _resolve(reader.trailer["/Root"], "/OCProperties")
@@ -143,22 +185,32 @@ class _EmptyDictionary(dict[str, Any]):
 
 
 def _collect_resources(
-    resources: Any, layers: dict[str, Any], transparent: dict[str, bool], forms: dict[str, Any], depth: int
+    resources: Any, layers: dict[str, Any], opacities: dict[str, _Opacity], forms: dict[str, Any], depth: int
 ) -> None:
     """Collect layers, opacities and forms by name from the page and its forms; for a name the lower opacity counts."""
     named = _resolve(resources, "/Properties")
     layers.update({str(name): named.raw_get(name) for name in named})
     states = _resolve(resources, "/ExtGState")
     for name in states:
-        alpha: Any = states[name].get_object().get("/ca")
-        if alpha is not None:
-            transparent[str(name)] = transparent.get(str(name), False) or float(alpha) < MIN_OPACITY
+        known, state = opacities.get(str(name), _Opacity()), states[name].get_object()
+        fill, stroke = _lower(known.fill, state.get("/ca")), _lower(known.stroke, state.get("/CA"))
+        if not isinstance(state.get("/SMask", ""), str):  # a mask other than /None: what it leaves is not known
+            fill = stroke = 0.0
+        opacities[str(name)] = _Opacity(fill, stroke)
     inner = _resolve(resources, "/XObject")
     for name in inner:
         form = inner[name].get_object()
         forms[str(name)] = form
         if depth:
-            _collect_resources(_resolve(form, "/Resources"), layers, transparent, forms, depth - 1)
+            _collect_resources(_resolve(form, "/Resources"), layers, opacities, forms, depth - 1)
+
+
+def _lower(known: float | None, declared: Any) -> float | None:
+    """The lower of two opacities, of which one or both may not be declared."""
+    if declared is None:
+        return known
+    value = float(declared.get_object() if hasattr(declared, "get_object") else declared)
+    return value if known is None else min(known, value)
 
 
 def _copy_state(state: _GraphicsState) -> _GraphicsState:
@@ -167,7 +219,7 @@ def _copy_state(state: _GraphicsState) -> _GraphicsState:
     return duplicate
 
 
-def _multiply(m: list[float], n: list[float]) -> tuple[float, ...]:
+def _multiply(m: Sequence[float], n: Sequence[float]) -> tuple[float, ...]:
     """Product m n of two affine maps (a, b, c, d, e, f), rows first (ISO 32000-1, 8.3.4)."""
     return (
         m[0] * n[0] + m[1] * n[2],

@@ -4,16 +4,24 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
+from functools import partial
 from pathlib import PurePath
 
 import msgspec
 
-from dualbrain.knowledge.readers import html, markdown, pdf
+from dualbrain.core.untrusted.bounded_file import byte_size
+from dualbrain.core.untrusted.bounded_process import ProcessFailure, ProcessLimits, run_bounded
+from dualbrain.knowledge.readers.extraction import Extraction
 from dualbrain.knowledge.readers.hidden_text import HiddenText, blank_hidden
+from dualbrain.knowledge.readers.markdown import TextBlock
 from dualbrain.knowledge.rejection import DocumentRejected
 
-ExtractedText = tuple[str, tuple[int, ...], tuple[HiddenText, ...]] | DocumentRejected
-"""Text, the offset of the start of each page (empty: no pages), and the hidden text."""
+LIMITS = ProcessLimits(output_bytes=64 << 20)
+"""Limits of the process that reads Markdown, HTML and PDF."""
+STRUCTURED_SUFFIXES = frozenset({".toml", ".json"})
+"""Suffixes of the files that can be maps or templates."""
+BLOCK_MEDIA = frozenset({"markdown", "html"})
+"""Media types whose texts have blocks."""
 
 
 class DocumentText(msgspec.Struct, frozen=True, kw_only=True):
@@ -21,7 +29,8 @@ class DocumentText(msgspec.Struct, frozen=True, kw_only=True):
 
     `version` is the SHA-256 of media, text and pages, so that a citation with it refers to exactly this text. `source`
     is the SHA-256 of the original bytes. For Markdown and plain text, `text` has the length of the source and the same
-    offsets, because hidden text is replaced by blanks.
+    offsets, because hidden text is replaced by blanks. `blocks` are those of Markdown and HTML as they were read; a
+    text that comes from the store has none.
     """
 
     media: str
@@ -30,6 +39,7 @@ class DocumentText(msgspec.Struct, frozen=True, kw_only=True):
     hidden: tuple[HiddenText, ...]
     source: str
     version: str
+    blocks: tuple[TextBlock, ...] = ()
 
     def page_at(self, offset: int) -> int | None:
         """The page, counted from 1, of the character at `offset`; None without pages."""
@@ -49,12 +59,11 @@ def read_document(data: bytes, name: str) -> DocumentText | DocumentRejected:
         return DocumentRejected("too large", f"{len(data)} bytes", f"{MAX_FILE_BYTES} bytes", "Split it.")
     media, extract = reader
     extracted = extract(data)
-    return extracted if isinstance(extracted, DocumentRejected) else _build_text(media, data, *extracted)
+    return extracted if isinstance(extracted, DocumentRejected) else _build_text(media, data, extracted)
 
 
-def _build_text(
-    media: str, data: bytes, text: str, pages: tuple[int, ...], hidden: tuple[HiddenText, ...]
-) -> DocumentText | DocumentRejected:
+def _build_text(media: str, data: bytes, extracted: Extraction) -> DocumentText | DocumentRejected:
+    text, pages, hidden = extracted.text, extracted.pages, extracted.hidden
     if len(text) > MAX_TEXT_CHARACTERS:
         return DocumentRejected(
             "too large", f"{len(text)} characters", f"{MAX_TEXT_CHARACTERS} characters", "Split it."
@@ -72,22 +81,29 @@ def _build_text(
         hidden=(*hidden, *blanked),
         source=hashlib.sha256(data).hexdigest(),
         version=version,
+        blocks=extracted.blocks,
     )
 
 
-def _plain(data: bytes) -> ExtractedText:
+def _plain(data: bytes) -> Extraction | DocumentRejected:
     text = decode_utf8(data)
-    return text if isinstance(text, DocumentRejected) else (text, (), ())
+    return text if isinstance(text, DocumentRejected) else Extraction(text=text)
 
 
-def _markdown(data: bytes) -> ExtractedText:
+def _text_in_process(function: str, data: bytes) -> Extraction | DocumentRejected:
     text = decode_utf8(data)
-    return text if isinstance(text, DocumentRejected) else markdown.visible_text(text)
+    return text if isinstance(text, DocumentRejected) else _in_process(function, text.encode("utf-8"))
 
 
-def _html(data: bytes) -> ExtractedText:
-    text = decode_utf8(data)
-    return text if isinstance(text, DocumentRejected) else html.visible_text(text)
+def _in_process(function: str, data: bytes) -> Extraction | DocumentRejected:
+    """The extraction by a `function` of `extraction` in a bounded process; what exceeds its limits is a rejection."""
+    found = run_bounded(f"dualbrain.knowledge.readers.extraction:{function}", data, LIMITS)
+    if isinstance(found, ProcessFailure):
+        allowed = f"a document that is read within {LIMITS.seconds:g} s and {byte_size(LIMITS.memory_bytes)} of memory"
+        what = "a broken document" if found.kind in ("signal", "exception", "start") else "too costly"
+        return DocumentRejected(what, f"one that {found.reason}", allowed, "Split it, or convert it to plain text.")
+    extracted = msgspec.msgpack.decode(found, type=Extraction)
+    return extracted.rejection or extracted
 
 
 def decode_utf8(data: bytes) -> str | DocumentRejected:
@@ -101,13 +117,16 @@ def decode_utf8(data: bytes) -> str | DocumentRejected:
     return text
 
 
-READERS: dict[str, tuple[str, Callable[[bytes], ExtractedText]]] = {
-    ".md": ("markdown", _markdown),
-    ".markdown": ("markdown", _markdown),
+_MARKDOWN = partial(_text_in_process, "extract_markdown")
+_HTML = partial(_text_in_process, "extract_html")
+
+READERS: dict[str, tuple[str, Callable[[bytes], Extraction | DocumentRejected]]] = {
+    ".md": ("markdown", _MARKDOWN),
+    ".markdown": ("markdown", _MARKDOWN),
     ".txt": ("text", _plain),
-    ".html": ("html", _html),
-    ".htm": ("html", _html),
-    ".pdf": ("pdf", pdf.visible_text),
+    ".html": ("html", _HTML),
+    ".htm": ("html", _HTML),
+    ".pdf": ("pdf", partial(_in_process, "extract_pdf")),
     ".toml": ("toml", _plain),
     ".json": ("json", _plain),
 }

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from typing import Any, TypeVar, cast
 
 import msgspec
 
+from dualbrain.core.untrusted.toml_document import TomlFault, parse_toml
 from dualbrain.knowledge.readers.reader import DocumentText
 from dualbrain.knowledge.rejection import DocumentRejected
 
@@ -39,13 +39,23 @@ def parse_fields(document_text: DocumentText) -> dict[str, Any] | DocumentReject
         deepest = max(deepest, depth)
     if deepest > MAX_NESTING:
         return DocumentRejected("nesting", f"{deepest} levels", f"{MAX_NESTING} levels")
-    try:
-        found: Any = (tomllib if document_text.media == "toml" else json).loads(document_text.text)
-    except ValueError as error:
-        return DocumentRejected(f"broken {document_text.media}", str(error)[:200], f"valid {document_text.media}")
+    found = parse_toml(document_text.text) if document_text.media == "toml" else _parse_json(document_text.text)
+    if isinstance(found, TomlFault):
+        found = f"line {found.line}, column {found.column}: {found.problem}"
+    if isinstance(found, str):
+        return DocumentRejected(f"broken {document_text.media}", found[:200], f"valid {document_text.media}")
     if isinstance(found, dict):
         return cast("dict[str, Any]", found)
     return DocumentRejected("a document", type(found).__name__, "fields with names")
+
+
+def _parse_json(text: str) -> Any:
+    """The value of a JSON text (a string in a list), or what is wrong with it, as a string."""
+    try:
+        found: Any = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        return str(error) or type(error).__name__
+    return [found] if isinstance(found, str) else found
 
 
 def declared_kind(document_text: DocumentText) -> str:
