@@ -11,6 +11,7 @@ from pathlib import Path
 
 import msgspec
 
+from dualbrain.core.untrusted.bounded_file import FileRefusal, read_regular_file
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError, UnknownNameError
 from dualbrain.robots.model import Joint, RobotModel
 
@@ -37,6 +38,13 @@ def load_robot(name: str) -> RobotModel:
     raise UnknownNameError("robot", name, BUILTIN_ROBOTS)
 
 
+def load_builtin_robot(name: str) -> RobotModel:
+    """The packaged robot called `name`; never a path, for names in files. Raises `UnknownNameError`."""
+    if name not in BUILTIN_ROBOTS:
+        raise UnknownNameError("packaged robot", name[:80], BUILTIN_ROBOTS)
+    return _load_builtin(name)
+
+
 @lru_cache
 def _load_builtin(name: str) -> RobotModel:
     return msgspec.json.decode(data_file(name).read_bytes(), type=RobotModel)
@@ -59,14 +67,16 @@ def read_robot(path: Path) -> RobotModel:
         ConfigurationError: The file does not exist or is no valid robot model; the message names the wrong entry.
     """
     file = path / MODEL_FILE if path.is_dir() else path
-    if not file.is_file() or file.stat().st_size > MAX_FILE_BYTES:
+    data = read_regular_file(file, MAX_FILE_BYTES)
+    if isinstance(data, FileRefusal):
+        problem = f"There is no robot model at {path}." if data.kind == "missing" else data.sentence
         raise ConfigurationError.stating(
-            f"There is no robot model at {path}.",
+            problem,
             fix=f"Give the name of a packaged robot ({', '.join(BUILTIN_ROBOTS)}), a folder with {MODEL_FILE}, or a "
             f"JSON file of at most {MAX_FILE_BYTES} bytes.",
         )
     try:
-        robot_model = msgspec.json.decode(file.read_bytes(), type=RobotModel)
+        robot_model = msgspec.json.decode(data, type=RobotModel)
     except DECODE_ERRORS as error:
         raise ConfigurationError.stating(f"{file.name} is not a robot model: {error}.", fix=f"Fix {file}.") from error
     for entry, got, allowed in find_model_faults(robot_model):

@@ -4,12 +4,29 @@ import ctypes
 import os
 import signal
 import time
+from collections.abc import Iterator
 
 from dualbrain.errors import ConfigurationError, MissingDependencyError
 
 
 def echo(argument: bytes) -> bytes:
     return argument
+
+
+def repeat(argument: bytes) -> Iterator[bytes]:
+    for _ in range(int(argument)):
+        yield argument * 1000
+
+
+def yield_then_compute(argument: bytes) -> Iterator[bytes]:
+    yield argument
+    while True:
+        pass
+
+
+def yield_then_refuse(argument: bytes) -> Iterator[bytes]:
+    yield argument
+    raise ConfigurationError("record 2", got="junk", allowed="a record")
 
 
 def open_files(_: bytes) -> bytes:

@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from dualbrain.core.untrusted.bounded_process import ProcessFailure, ProcessLimits, run_bounded
+from dualbrain.core.untrusted.bounded_process import ProcessFailure, ProcessLimits, run_bounded, stream_bounded
 from dualbrain.errors import ConfigurationError, MissingDependencyError
 
 PARSERS = "tests.core.untrusted.hostile_parsers"
@@ -34,13 +34,18 @@ def test_an_honest_function_returns_its_bytes(argument):
         ("leave", b"", "exception", "cannot be read: its reader ended with code 7"),
         ("raise_value_error", b"", "exception", "cannot be read: ValueError: three lines of text"),
         ("panic", b"", "exception", "cannot be read: PanicError: a panic of an extension"),
-        ("no_such_function", b"", "exception", "cannot be read: its reader ended with code 1"),
     ],
 )
 def test_every_misbehaviour_is_a_failure_with_a_reason(name, argument, kind, reason):
     start = time.monotonic()
     assert run(name, argument) == ProcessFailure(kind, reason)
     assert time.monotonic() - start < 30.0
+
+
+def test_a_function_that_does_not_exist_is_a_failure():
+    for found in (run("no_such_function"), stream("no_such_function", b"")[0]):
+        assert found.kind == "exception"
+        assert "no_such_function" in found.reason
 
 
 def test_an_allocation_within_the_limit_is_no_failure():
@@ -68,6 +73,28 @@ def test_refusals_of_the_function_are_raised_with_the_same_message():
     )
     with pytest.raises(MissingDependencyError, match=r"The package x is missing\. Install it\."):
         run("lack_package")
+
+
+def stream(name, argument, limits=SMALL):
+    return list(stream_bounded(f"{PARSERS}:{name}", argument, limits))
+
+
+def test_a_stream_has_its_results_and_then_its_failure():
+    assert stream("repeat", b"50") == [b"50" * 1000] * 50
+    assert stream("repeat", b"0") == []
+    assert stream("repeat", b"9999")[-1] == ProcessFailure("output", "contains more than 1 MB")
+    assert stream("yield_then_compute", b"x") == [b"x", ProcessFailure("time", "took longer than 1 s")]
+    assert stream("nest", b"") == [ProcessFailure("nesting", "is nested too deeply")]
+    assert stream("kill_itself", b"")[-1].kind == "signal"
+    with pytest.raises(ConfigurationError, match="record 2"):
+        stream("yield_then_refuse", b"x")
+
+
+def test_the_time_of_the_caller_is_not_counted():
+    results = stream_bounded(f"{PARSERS}:repeat", b"400", ProcessLimits(seconds=1.0))
+    next(results)
+    time.sleep(1.5)
+    assert all(isinstance(one, bytes) for one in results)
 
 
 def test_the_process_gets_no_open_file_and_no_secret(tmp_path, monkeypatch):

@@ -30,7 +30,7 @@ def replay(recording: Path, /, *, json: Annotated[bool, Parameter(negative="")] 
     if recording.is_dir():
         fix = f"Replay its recording: dualbrain replay {recording / 'episode.mcap'}"
         raise ConfigurationError.stating(f"{recording} is a folder.", fix=fix)
-    if not recording.is_file():
+    if not recording.exists():
         fix = "Name the file episode.mcap in the folder of a run."
         raise ConfigurationError.stating(f"There is no recording {recording}.", fix=fix)
     with Spinner(StderrConsole(), f"recomputing {recording.name}"):

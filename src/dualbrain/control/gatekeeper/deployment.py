@@ -13,7 +13,7 @@ from dualbrain.control.gatekeeper.robot_link.driver_process import DriverSetting
 from dualbrain.control.gatekeeper.robot_link.simulated_robot import SimulatedRobotSettings
 from dualbrain.drivers.catalogue import DriverKind, find_driver_kind
 from dualbrain.drivers.commissioning.record import require_record
-from dualbrain.robots.loader import load_robot
+from dualbrain.robots.loader import BUILTIN_ROBOTS, load_robot
 from dualbrain.robots.model import RobotModel
 from dualbrain.robots.site_config import read_site
 from dualbrain.safety.cbf.config import FilterConfig
@@ -87,6 +87,6 @@ class Deployment:
     def recording_metadata(self, config: GatekeeperConfig) -> dict[str, Any]:
         """Metadata of the recording; with a site file, everything about the site that a replay needs."""
         about: dict[str, Any] = {"robot": config.robot, "guard": True, "instruction": config.instruction}
-        if config.site:
+        if config.site or config.robot not in BUILTIN_ROBOTS:  # a recording names known robots only
             about |= {"body": self.robot_model, "standing": self.fixed_obstacles}
         return about

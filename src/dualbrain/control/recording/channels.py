@@ -7,10 +7,8 @@ Every message is JSON. Finite floats round-trip bit for bit (shortest decimal fo
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 from typing import Any, cast
 
@@ -19,14 +17,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.control.recording.trace import Event, Trace, columns
-from dualbrain.errors import ConfigurationError
+from dualbrain.core.untrusted.bounded_file import FileRefusal, read_regular_file
+from dualbrain.core.untrusted.bounded_process import DEFAULT_LIMITS, ProcessFailure, ProcessLimits, stream_bounded
+from dualbrain.errors import DECODE_ERRORS, ConfigurationError
 from dualbrain.records import Attempt, Scene
 
 Array = NDArray[np.float64]
 
 FORMAT = "dualbrain-1"
 METADATA = "dualbrain"
-MAGIC = b"\x89MCAP0\r\n"
+MAX_JOINTS, MAX_WIDTH = 64, 256
+"""Largest number of joints, and largest length of a configuration, of a robot in a recording."""
+OWN_RECORDING_LIMITS = ProcessLimits(memory_bytes=4 << 30, seconds=600.0, output_bytes=16 << 30)
+"""Limits for a recording that this program has just written itself, which may be of a long run."""
 PRE_SUPERVISOR_DEFAULTS = {"delta_supervisor": 0.0, "order": 0.0, "touched": 1.0}
 """Values of the columns that recordings from before the supervisor lack."""
 
@@ -151,27 +154,33 @@ def _decode_non_finite(value: Any) -> Any:
     return [_decode_non_finite(part) for part in cast("list[Any]", value)] if isinstance(value, list) else value
 
 
-def read_recording(path: Path) -> Iterator[Message]:
+def read_recording(path: Path, limits: ProcessLimits = DEFAULT_LIMITS) -> Iterator[Message]:
     """Every message of the file in the order of recording; a truncated file is read up to its last complete chunk.
 
-    Raises `ConfigurationError` if the file is not a recording or is damaged.
+    The file is unpacked in a process within `limits`. Raises `ConfigurationError` if the file is not a recording, is
+    damaged, or exceeds the limits.
     """
-    return (decode(topic, data) for topic, data in _read_records(path) if topic in MESSAGE_TYPES)
+    for topic, data in _read_records(path, limits):
+        if topic in MESSAGE_TYPES:
+            yield _decode_checked(path, topic, data)
 
 
-def recording_state(path: Path) -> RecordingState:
+def recording_state(path: Path, limits: ProcessLimits = DEFAULT_LIMITS) -> RecordingState:
     """The state that is stored in the file; a file without one, because its recorder was killed, is incomplete."""
-    for topic, data in _read_records(path):
+    for topic, data in _read_records(path, limits):
         if topic == METADATA:
-            return msgspec.json.decode(data, type=RecordingState)
+            try:
+                return msgspec.json.decode(data, type=RecordingState)
+            except DECODE_ERRORS as error:
+                raise damaged_recording(path, error) from error
     return RecordingState(complete=False, dropped=0, problem="the recorder was ended before it could close the file")
 
 
-def read_trace(path: Path) -> Trace | None:
+def read_trace(path: Path, limits: ProcessLimits = DEFAULT_LIMITS) -> Trace | None:
     """The ticks and events of a recording as a `Trace`; None if it holds no tick."""
     trace: Trace | None = None
     events: list[Event] = []
-    for message in read_recording(path):
+    for message in read_recording(path, limits):
         if isinstance(message, Ticks):
             trace = trace or Trace(message.n, message.width)
             trace.extend(message.rows())
@@ -183,41 +192,65 @@ def read_trace(path: Path) -> Trace | None:
     return trace
 
 
-def _read_records(path: Path) -> Iterator[tuple[str, bytes]]:
-    """(topic, JSON) of every message, then (METADATA, JSON of the recording's state) if the file was closed."""
-    from mcap.exceptions import EndOfFile, McapError  # noqa: PLC0415  (reading is rare, importing this module is not)
-    from mcap.records import Channel, Message, Metadata  # noqa: PLC0415
-    from mcap.stream_reader import CRCValidationError, StreamReader  # noqa: PLC0415
-    from zstandard import ZstdError  # noqa: PLC0415
+def damaged_recording(path: Path, reason: object) -> ConfigurationError:
+    """The error of a recording that cannot be used."""
+    text = " ".join(
+        f"{type(reason).__name__}: {reason}".split() if isinstance(reason, Exception) else str(reason).split()
+    )
+    return ConfigurationError.stating(
+        f"The recording {path} is damaged: {text[:200]}.", fix="Use an undamaged copy of it."
+    )
 
-    topics: dict[int, str] = {}
-    data = path.read_bytes()
-    if not data.startswith(MAGIC):
-        raise ConfigurationError.stating(f"The file {path} is not an MCAP file.", fix="Name a recording of dualbrain.")
+
+def _decode_checked(path: Path, topic: str, data: bytes) -> Message:
+    """The message in `data`; ticks have consistent sizes. Raises `ConfigurationError`."""
     try:
-        for record in StreamReader(BytesIO(data[: _complete_length(data)]), validate_crcs=True).records:
-            if isinstance(record, Channel):
-                topics[record.id] = record.topic
-            elif isinstance(record, Message):
-                yield topics[record.channel_id], record.data
-            elif isinstance(record, Metadata) and record.name == METADATA:
-                yield METADATA, record.metadata["state"].encode()
-    except EndOfFile:
-        return
-    except (CRCValidationError, McapError, ZstdError, struct.error, KeyError, ValueError) as error:
-        raise ConfigurationError.stating(
-            f"The recording {path} is damaged: {error}.", fix="Use an undamaged copy of it."
-        ) from error
+        message = decode(topic, data)
+    except (*DECODE_ERRORS, ValueError) as error:
+        raise damaged_recording(path, error) from error
+    if isinstance(message, Ticks) and (problem := _ticks_problem(message)):
+        raise damaged_recording(path, problem)
+    return message
 
 
-def _complete_length(data: bytes) -> int:
-    """End [bytes] of the last complete record; a record is one byte of kind, eight of length, then its content."""
-    if data.endswith(MAGIC) and len(data) > len(MAGIC):
-        return len(data)
-    end = len(MAGIC)
-    while (start := end + 9) <= len(data):
-        length = int.from_bytes(data[end + 1 : start], "little")
-        if start + length > len(data):
-            break
-        end = start + length
-    return end
+def _ticks_problem(ticks: Ticks) -> str:
+    """What is wrong with the sizes of `ticks`; "" if they are consistent."""
+    if not 1 <= ticks.n <= MAX_JOINTS or not 1 <= (ticks.width or ticks.n) <= MAX_WIDTH:
+        return f"ticks of {ticks.n} joints and width {ticks.width}"
+    where = columns(ticks.n, ticks.width)
+    if missing := set(where) - set(ticks.columns) - set(PRE_SUPERVISOR_DEFAULTS):
+        return f"ticks without {min(missing)}"
+    count = len(ticks.columns["t"])
+    for name, place in where.items():
+        values = ticks.columns.get(name)
+        width = place.stop - place.start
+        if values is not None and not _is_column(values, count, width):
+            return f"a column {name} that is not {count} times {width} numbers"
+    return ""
+
+
+def _is_column(values: list[Any], count: int, width: int) -> bool:
+    """Whether `values` are `count` numbers, or lists of `width` numbers."""
+    if len(values) != count:
+        return False
+    if width == 1 and all(isinstance(value, (int, float)) for value in values):
+        return True
+    return all(
+        isinstance(row, list)
+        and len(cast("list[Any]", row)) == width
+        and all(isinstance(value, (int, float)) for value in cast("list[Any]", row))
+        for row in values
+    )
+
+
+def _read_records(path: Path, limits: ProcessLimits) -> Iterator[tuple[str, bytes]]:
+    """(topic, JSON) of every message, then (METADATA, JSON of the recording's state) if the file was closed."""
+    if isinstance(refusal := read_regular_file(path, 0), FileRefusal) and refusal.kind != "too large":
+        raise ConfigurationError.stating(refusal.sentence, fix="Name a recording of dualbrain.")
+    argument = msgspec.msgpack.encode((str(path.resolve()), limits.memory_bytes // 2, str(path)))
+    for found in stream_bounded("dualbrain.control.recording.unpacking:unpack_records", argument, limits):
+        if isinstance(found, ProcessFailure):
+            raise ConfigurationError.stating(
+                f"The recording {path} {found.reason}.", fix="Use an undamaged recording of dualbrain."
+            )
+        yield from msgspec.msgpack.decode(found, type=list[tuple[str, bytes]])

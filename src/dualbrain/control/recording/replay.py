@@ -15,11 +15,18 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.control.recording.channels import EpisodeInfo, FilterCall, Ticks, read_recording, recording_state
+from dualbrain.control.recording.channels import (
+    EpisodeInfo,
+    FilterCall,
+    Ticks,
+    damaged_recording,
+    read_recording,
+    recording_state,
+)
 from dualbrain.control.recording.trace import columns
 from dualbrain.errors import ConfigurationError
 from dualbrain.robots.interface import RobotState
-from dualbrain.robots.loader import load_robot
+from dualbrain.robots.loader import find_model_faults, load_builtin_robot
 from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.obstacles import Contact, Obstacle
@@ -62,6 +69,29 @@ def replay(path: Path) -> ReplayResult:
     Raises `ConfigurationError` if the file is not a recording or is damaged.
     """
     result = ReplayResult()
+    try:
+        found = _replay_messages(path, result)
+    except (
+        msgspec.ValidationError,
+        KeyError,
+        TypeError,
+        ValueError,
+        IndexError,
+        ArithmeticError,
+        MemoryError,
+    ) as error:
+        raise damaged_recording(path, error) from error
+    if not found:
+        raise ConfigurationError.stating(
+            f"The file {path} has no /episode message.", fix="Name a recording that dualbrain wrote."
+        )
+    state = recording_state(path)
+    result.complete, result.problem = state.complete, state.problem
+    return result
+
+
+def _replay_messages(path: Path, result: ReplayResult) -> bool:
+    """Replay every message into `result`; whether there was an /episode message."""
     replay_filter: _ReplayFilter | None = None
     for message in read_recording(path):
         match message:
@@ -75,13 +105,17 @@ def replay(path: Path) -> ReplayResult:
                     replay_filter.compare(row, result)
             case _:
                 pass
-    if replay_filter is None:
-        raise ConfigurationError.stating(
-            f"The file {path} has no /episode message.", fix="Name a recording that dualbrain wrote."
-        )
-    state = recording_state(path)
-    result.complete, result.problem = state.complete, state.problem
-    return result
+    return replay_filter is not None
+
+
+def _recorded_robot(data: Mapping[str, Any]) -> RobotModel:
+    """The robot of a recording: the model in it, or the packaged robot that it names; a name never opens a file."""
+    if "body" not in data:
+        return load_builtin_robot(str(data["robot"]))
+    robot_model = msgspec.convert(data["body"], RobotModel)
+    for entry, got, allowed in find_model_faults(robot_model):
+        raise ConfigurationError(f"{entry} of the recorded robot", got=got, allowed=allowed)
+    return robot_model
 
 
 class _ReplayFilter:
@@ -89,7 +123,7 @@ class _ReplayFilter:
 
     def __init__(self, data: Mapping[str, Any]) -> None:
         """Make the filter of the /episode message `data`: robot, guard, and the changes that a site file made."""
-        robot_model = msgspec.convert(data["body"], RobotModel) if "body" in data else load_robot(str(data["robot"]))
+        robot_model = _recorded_robot(data)
         obstacles = msgspec.convert(data.get("standing", ()), tuple[Obstacle, ...])
         self._filter, self._guard = SafetyFilter(robot_model, obstacles=obstacles), bool(data["guard"])
         self._columns = columns(robot_model.n, robot_model.nq)
@@ -131,6 +165,10 @@ class _ReplayFilter:
 
     def compare(self, row: Array, result: ReplayResult) -> None:
         """Recompute the tick of one recorded row (width,) and add its differences to `result`."""
+        if len(row) != self._columns["phase"].stop:
+            raise ConfigurationError(
+                "width of the recorded ticks", got=len(row), allowed=str(self._columns["phase"].stop)
+            )
         part = {name: row[where] for name, where in self._columns.items()}
         forces = (float(part["forces"][0]), float(part["forces"][1]))
         state = RobotState(

@@ -14,7 +14,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -62,6 +62,7 @@ class ChildRequest(msgspec.Struct, frozen=True, kw_only=True):
     memory_bytes: int
     cpu_seconds: float
     parent: int
+    streams: bool = False
 
 
 class ChildReply(msgspec.Struct, frozen=True, kw_only=True):
@@ -92,6 +93,61 @@ def run_bounded(function: str, argument: bytes, limits: ProcessLimits = DEFAULT_
         _end(process)
 
 
+def stream_bounded(
+    function: str, argument: bytes, limits: ProcessLimits = DEFAULT_LIMITS
+) -> Iterator[bytes | ProcessFailure]:
+    """The results that the `function` (bytes to an iterator of bytes) yields; a failure is the last one.
+
+    `output_bytes` limits their sum. Time in which the caller works on a result is not counted. Raises as `run_bounded`.
+    """
+    request = ChildRequest(
+        function=function,
+        memory_bytes=limits.memory_bytes,
+        cpu_seconds=limits.seconds,
+        parent=os.getpid(),
+        streams=True,
+    )
+    process = _start(msgspec.msgpack.encode(request), argument)
+    try:
+        yield from _await_replies(process, limits)
+    finally:
+        _end(process)
+
+
+def _await_replies(process: subprocess.Popen[bytes], limits: ProcessLimits) -> Iterator[bytes | ProcessFailure]:
+    """Each reply is its length in 8 bytes and its content; one without a result ends the stream."""
+    assert process.stdout is not None
+    out = process.stdout.fileno()
+    if (failure := _await_start(process, out, limits)) is not None:
+        yield failure
+        return
+    left, total = limits.seconds, 0
+    while True:
+        start = time.monotonic()
+        head = _read_until(out, 8, start + left)
+        length = int.from_bytes(head or b"", "little")
+        total += length
+        if total > limits.output_bytes:
+            yield _output_failure(limits)
+            return
+        data = None if head is None else _read_until(out, length, start + left)
+        left -= time.monotonic() - start
+        if head is None or data is None:
+            yield _time_failure(limits)
+            return
+        if len(head) < 8 or len(data) < length:
+            yield _failure_of_end(process, limits)
+            return
+        reply = msgspec.msgpack.decode(data, type=ChildReply)
+        if reply.error:
+            found = _result_of(reply, limits)
+            assert isinstance(found, ProcessFailure)
+            yield found
+        if reply.result is None:
+            return
+        yield reply.result
+
+
 def _start(request: bytes, argument: bytes) -> subprocess.Popen[bytes]:
     flags = ["-S"] if sys.flags.no_site else []  # so that the process finds the same packages
     folders = [os.path.abspath(folder) for folder in sys.path]  # the process runs in another folder
@@ -120,21 +176,26 @@ def _environment(variables: Mapping[str, str]) -> dict[str, str]:
 def _await_reply(process: subprocess.Popen[bytes], limits: ProcessLimits) -> bytes | ProcessFailure:
     assert process.stdout is not None
     out = process.stdout.fileno()
-    ready = _read_until(out, 1, time.monotonic() + START_SECONDS)
-    if ready is None:
-        return ProcessFailure("start", f"cannot be read: its reader did not start within {START_SECONDS:g} s")
-    if ready != READY:
-        return _failure_of_end(process, limits)
+    if (failure := _await_start(process, out, limits)) is not None:
+        return failure
     data = _read_until(out, limits.output_bytes + 1, time.monotonic() + limits.seconds)
     if data is None:
         return _time_failure(limits)
     if len(data) > limits.output_bytes:
-        return ProcessFailure("output", f"contains more than {byte_size(limits.output_bytes)}")
+        return _output_failure(limits)
     try:
         reply = msgspec.msgpack.decode(data, type=ChildReply)
     except DECODE_ERRORS:
         return _failure_of_end(process, limits)
     return _result_of(reply, limits)
+
+
+def _await_start(process: subprocess.Popen[bytes], out: int, limits: ProcessLimits) -> ProcessFailure | None:
+    """Wait until the process is ready; the failure if it does not get so far."""
+    ready = _read_until(out, 1, time.monotonic() + START_SECONDS)
+    if ready is None:
+        return ProcessFailure("start", f"cannot be read: its reader did not start within {START_SECONDS:g} s")
+    return None if ready == READY else _failure_of_end(process, limits)
 
 
 def _read_until(handle: int, limit: int, deadline: float) -> bytes | None:
@@ -164,6 +225,10 @@ def _failure_of_end(process: subprocess.Popen[bytes], limits: ProcessLimits) -> 
     if code < 0:
         return ProcessFailure("signal", f"cannot be read: its reader ended with signal {-code}")
     return ProcessFailure("exception", f"cannot be read: its reader ended with code {code}")
+
+
+def _output_failure(limits: ProcessLimits) -> ProcessFailure:
+    return ProcessFailure("output", f"contains more than {byte_size(limits.output_bytes)}")
 
 
 def _time_failure(limits: ProcessLimits) -> ProcessFailure:

@@ -10,8 +10,9 @@ import resource
 import signal
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib import import_module
+from typing import Any
 
 import msgspec
 
@@ -38,19 +39,48 @@ def main() -> None:
         warnings.simplefilter("ignore")
         try:
             function = _import_function(request.function)
-        except DualbrainError as error:
-            _write_all(reply_to, READY + msgspec.msgpack.encode(refused(error)))
+        except Exception as error:
+            known = refused(error) if isinstance(error, DualbrainError) else _reply_for(error)
+            reply = msgspec.msgpack.encode(known)
+            _write_all(reply_to, READY + (_framed(reply) if request.streams else reply))
             os._exit(0)
         argument = source.read()
     reserve = [bytearray(_RESERVE_BYTES)]
     _limit(request)
     _write_all(reply_to, READY)
-    reply = _call(function, argument, reserve)
-    _write_all(reply_to, msgspec.msgpack.encode(reply))
+    if request.streams:
+        _stream(function, argument, reserve, reply_to)
+    else:
+        reply = _call(function, argument, reserve)
+        _write_all(reply_to, msgspec.msgpack.encode(reply))
     os._exit(0)
 
 
-def _import_function(name: str) -> Callable[[bytes], bytes]:
+def _stream(function: Callable[[bytes], Any], argument: bytes, reserve: list[bytearray], reply_to: int) -> None:
+    """Write each result as it comes, and at the end a reply without a result."""
+    results: list[Iterator[bytes]] = []
+
+    def begin(data: bytes) -> bytes:
+        results.append(iter(function(data)))
+        return b""
+
+    def proceed(_: bytes) -> bytes | None:
+        return next(results[0], None)
+
+    reply = _call(begin, argument, reserve)
+    while not reply.error:
+        reply = _call(proceed, b"", reserve)
+        _write_all(reply_to, _framed(msgspec.msgpack.encode(reply)))
+        if reply.result is None:
+            return
+    _write_all(reply_to, _framed(msgspec.msgpack.encode(reply)))
+
+
+def _framed(data: bytes) -> bytes:
+    return len(data).to_bytes(8, "little") + data
+
+
+def _import_function(name: str) -> Callable[[bytes], Any]:
     """The function "module:name"; `prepare_process` of its module imports what it needs, before the limits apply."""
     module, _, attribute = name.partition(":")
     imported = import_module(module)
@@ -81,7 +111,7 @@ def _limit(request: ChildRequest) -> None:
     resource.setrlimit(resource.RLIMIT_NOFILE, (_MAX_OPEN_FILES, _MAX_OPEN_FILES))
 
 
-def _call(function: Callable[[bytes], bytes], argument: bytes, reserve: list[bytearray]) -> ChildReply:
+def _call(function: Callable[[bytes], bytes | None], argument: bytes, reserve: list[bytearray]) -> ChildReply:
     """The reply of the function: every exception is one, also those that are no `Exception` (panics of extensions)."""
     try:
         return ChildReply(result=function(argument))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from io import BytesIO
 from itertools import accumulate
 from pathlib import Path
@@ -11,13 +11,19 @@ from typing import Any, get_args, get_origin
 import msgspec
 
 from dualbrain.core.storage.atomic_files import atomic_file
-from dualbrain.errors import ConfigurationError, MissingDependencyError
+from dualbrain.core.untrusted.bounded_file import FileRefusal, read_bounded_file, read_regular_file
+from dualbrain.core.untrusted.bounded_process import ProcessFailure, ProcessLimits, stream_bounded
+from dualbrain.errors import DECODE_ERRORS, ConfigurationError, MissingDependencyError
 from dualbrain.evaluation.results.episode_row import EpisodeRow
 
 RESULTS_FILE = "results.parquet"
 CONFIG_METADATA_KEY = b"dualbrain.config"
 COMPRESSION = "zstd(3)"
 PARQUET_MAGIC, MIN_FILE_BYTES = b"PAR1", 12
+MAX_FILE_BYTES = 128 << 20
+"""Largest size of a results file [bytes]: a thousand times that of the largest evaluation so far."""
+ROWS_AT_A_TIME = 64
+READING_LIMITS = ProcessLimits(output_bytes=2 << 30)
 INSTALL_HINT = "Install it with `pip install 'dualbrain[evaluation]'`."
 
 
@@ -44,39 +50,66 @@ def without_trace(row: EpisodeRow) -> EpisodeRow:
     return msgspec.structs.replace(row, trace_t=[], trace_h=[], trace_delta=[])
 
 
-def read_results(path: Path) -> tuple[list[EpisodeRow], dict[str, Any]]:
-    """Rows and configuration of the file at `path`.
+def read_results(path: Path, limits: ProcessLimits = READING_LIMITS) -> tuple[list[EpisodeRow], dict[str, Any]]:
+    """Rows and configuration of the file at `path`, which is read in a process within `limits`.
 
-    Raises `ConfigurationError` for a file that `write_results` did not write, `MissingDependencyError` without the
-    Parquet package.
+    Raises `ConfigurationError` for a file that `write_results` did not write, or that exceeds the limits,
+    `MissingDependencyError` without the Parquet package.
     """
+    require_parquet()
+    if isinstance(refusal := read_regular_file(path, 0), FileRefusal) and refusal.kind != "too large":
+        raise ConfigurationError.stating(refusal.sentence, fix="Name a results.parquet of `dualbrain evaluate`.")
+    argument = msgspec.msgpack.encode((str(path.resolve()), MAX_FILE_BYTES, str(path)))
+    config: dict[str, Any] | None = None
+    rows: list[EpisodeRow] = []
+    for found in stream_bounded("dualbrain.evaluation.results.parquet:decode_results", argument, limits):
+        if isinstance(found, ProcessFailure):
+            raise _unreadable(path, f"The results file {found.reason}.")
+        try:
+            if config is None:
+                config = msgspec.msgpack.decode(found, type=dict[str, Any])
+            else:
+                rows += msgspec.msgpack.decode(found, type=list[EpisodeRow])
+        except DECODE_ERRORS as error:
+            raise _unreadable(path, f"The results cannot be read ({error}).") from error
+    return rows, config or {}
+
+
+def decode_results(argument: bytes) -> Iterator[bytes]:
+    """The configuration, then batches of rows; runs in the process that `read_results` starts.
+
+    The argument is an encoded triple: the path, the largest size of the file [bytes], and the name for messages.
+    """
+    name, limit, shown = msgspec.msgpack.decode(argument, type=tuple[str, int, str])
+    data = read_bounded_file(Path(name), limit)
+    _check_magic(data, Path(shown))
     _, io = _import_arrow()
-    _check_magic(path)
-    try:
-        table = io.read_parquet(str(path)).read_all()
-        config = msgspec.json.decode(dict(table.schema.metadata)[CONFIG_METADATA_KEY])
-        fields = [(one.name, one.type) for one in msgspec.structs.fields(EpisodeRow)]
-        columns = [[_decode_cell(kind, cell.as_py()) for cell in table[name]] for name, kind in fields]
-    except Exception as error:
-        sentence = f"The results cannot be read ({type(error).__name__}: {error})"[:200] + "."
-        raise ConfigurationError.stating(
-            sentence, fix=f"Name a results.parquet of `dualbrain evaluate`. {path}"
-        ) from error
+    fields = [(one.name, one.type) for one in msgspec.structs.fields(EpisodeRow)]
     names = [name for name, _ in fields]
-    return [
-        msgspec.convert(dict(zip(names, cells, strict=True)), EpisodeRow) for cells in zip(*columns, strict=True)
-    ], config
+    try:
+        reader = io.read_parquet(BytesIO(data))
+        yield msgspec.msgpack.encode(msgspec.json.decode(dict(reader.schema.metadata)[CONFIG_METADATA_KEY]))
+        for batch in reader:
+            for start in range(0, batch.num_rows, ROWS_AT_A_TIME):
+                part = batch.slice(start, min(ROWS_AT_A_TIME, batch.num_rows - start))
+                columns = [[_decode_cell(kind, cell.as_py()) for cell in part[name]] for name, kind in fields]
+                rows = zip(*columns, strict=True)
+                yield msgspec.msgpack.encode([dict(zip(names, cells, strict=True)) for cells in rows])
+    except (ConfigurationError, MemoryError, RecursionError):
+        raise
+    except BaseException as error:  # a panic of the reader is no `Exception`
+        text = " ".join(f"{type(error).__name__}: {error}".split())[:160]
+        raise _unreadable(Path(shown), f"The results cannot be read ({text}).") from error
 
 
-def _check_magic(path: Path) -> None:
-    """Raise `ConfigurationError` unless the file begins and ends as Parquet does; otherwise the reader would panic."""
-    size = path.stat().st_size
-    with path.open("rb") as file:
-        head = file.read(4)
-        file.seek(max(0, size - 4))
-        complete = size >= MIN_FILE_BYTES and head == file.read(4) == PARQUET_MAGIC
-    if not complete:
-        sentence = f"The results file ({size} bytes) is no complete Parquet file."
+def _unreadable(path: Path, sentence: str) -> ConfigurationError:
+    return ConfigurationError.stating(sentence, fix=f"Name a results.parquet of `dualbrain evaluate`. {path}")
+
+
+def _check_magic(data: bytes, path: Path) -> None:
+    """Raise `ConfigurationError` unless the file begins and ends as Parquet does."""
+    if len(data) < MIN_FILE_BYTES or not data[:4] == data[-4:] == PARQUET_MAGIC:
+        sentence = f"The results file ({len(data)} bytes) is no complete Parquet file."
         raise ConfigurationError.stating(sentence, fix=f"Restore a copy, or run `dualbrain evaluate` again. {path}")
 
 

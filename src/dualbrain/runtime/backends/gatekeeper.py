@@ -20,7 +20,7 @@ from dualbrain.control.gatekeeper.protocol.emergency_stop import send_emergency_
 from dualbrain.control.gatekeeper.protocol.messages import EventReport, Message, OperatorAction, TickReport
 from dualbrain.control.gatekeeper.remote_executor import RemoteExecutor
 from dualbrain.control.gatekeeper.robot_link.simulated_robot import RobotReport
-from dualbrain.control.recording.channels import read_trace
+from dualbrain.control.recording.channels import OWN_RECORDING_LIMITS, read_trace
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.trace import Event, Trace
 from dualbrain.core.storage.atomic_files import write_atomically
@@ -114,7 +114,7 @@ class GatekeeperBackend:
 
     def trace(self, context: RunContext) -> Trace:
         """The trace that the gatekeeper recorded."""
-        return read_trace(context.config.out / "episode.mcap") or Trace(context.robot_model.n)
+        return read_trace(context.config.out / "episode.mcap", OWN_RECORDING_LIMITS) or Trace(context.robot_model.n)
 
 
 def _gatekeeper_config(

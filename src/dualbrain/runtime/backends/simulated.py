@@ -10,6 +10,7 @@ from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.recorder import Recorder
 from dualbrain.control.recording.recording_file import reserve_for_recording
 from dualbrain.control.recording.trace import Trace
+from dualbrain.robots.loader import BUILTIN_ROBOTS
 from dualbrain.runtime.assembly import SimulatedCell
 from dualbrain.runtime.backends.backend import RunContext, RunningRobot
 from dualbrain.runtime.config import RunObserver
@@ -62,6 +63,6 @@ def _recording_metadata(context: RunContext) -> dict[str, object]:
     """Metadata of the recording; with a site file, everything about the site that a replay needs."""
     config = context.config
     about: dict[str, object] = {"robot": config.robot, "guard": config.guard, "instruction": config.instruction}
-    if config.site:
+    if config.site or config.robot not in BUILTIN_ROBOTS:  # a recording names known robots only
         about |= {"body": context.robot_model, "standing": context.fixed_obstacles}
     return about
