@@ -9,7 +9,12 @@ from typing import Literal
 import msgspec
 
 from dualbrain.adaptation.curation.curate import CurationConfig
-from dualbrain.errors import DECODE_ERRORS, ConfigurationError
+from dualbrain.core.untrusted.bounded_file import read_bounded_file
+from dualbrain.core.untrusted.toml_document import TomlFault, parse_toml
+from dualbrain.errors import ConfigurationError
+
+MAX_FILE_BYTES = 1 << 20
+"""Largest size of a settings file."""
 
 EntropyGate = Literal["none", "sample", "token"]
 """Effect of entropy on the loss: none, the paper's weight per sample, or EAFT's weight per token."""
@@ -104,8 +109,11 @@ class AdaptConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 def read_config(path: Path) -> AdaptConfig:
     """The settings in the TOML file at `path`; `ConfigurationError` names a wrong or unknown setting."""
+    fix = f"Use the settings of `[curation]`, `[objective]` and `[fit]`. {path}"
+    tables = parse_toml(read_bounded_file(path, MAX_FILE_BYTES))
+    if isinstance(tables, TomlFault):
+        raise ConfigurationError.stating(f"The adaptation config cannot be read: {tables.problem}.", fix=fix)
     try:
-        return msgspec.toml.decode(path.read_bytes(), type=AdaptConfig)
-    except DECODE_ERRORS as error:
-        fix = f"Use the settings of `[curation]`, `[objective]` and `[fit]`. {path}"
+        return msgspec.convert(tables, AdaptConfig)
+    except msgspec.ValidationError as error:
         raise ConfigurationError.stating(f"The adaptation config cannot be read: {error}.", fix=fix) from error

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import PurePath
 
 from dualbrain.contracts.registry import SkillRegistry
-from dualbrain.errors import UnknownNameError
 from dualbrain.grounding.vocabulary import load_skill_registry
 from dualbrain.knowledge.document import ChunkHit, TrustLevel
 from dualbrain.knowledge.library import Library, Submission
@@ -18,6 +17,7 @@ from dualbrain.knowledge.structured.kinds import default_kind
 from dualbrain.knowledge.structured.parsing import parse_structured
 from dualbrain.knowledge.structured.templates import TaskTemplates, check_template
 from dualbrain.records import Passage
+from dualbrain.robots.loader import BUILTIN_ROBOTS
 
 CHARACTERS_PER_TOKEN = 3
 """Lower bound for English text with the tokenizers in use (about 4.3 on average), so that the budget is kept."""
@@ -131,10 +131,9 @@ def check_templates(
     if isinstance(parsed, DocumentRejected):
         return parsed
     for robot in parsed.robots:
-        try:
-            registry = registry_for(robot)
-        except UnknownNameError:
+        if robot not in BUILTIN_ROBOTS:  # a document names known robots: its names open no file
             continue
+        registry = registry_for(robot)
         for template in parsed.templates:
             if rejected := check_template(template, registry):
                 got = f"{rejected.stage} {rejected.pointer}: {rejected.got}"

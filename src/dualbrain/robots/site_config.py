@@ -7,7 +7,6 @@ of the robot. All numbers are in SI units, in the robot's base frame.
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite
@@ -18,6 +17,8 @@ import msgspec
 
 from dualbrain.contracts.gate.authorization import PLANNER
 from dualbrain.core.text import closest_name_hint
+from dualbrain.core.untrusted.bounded_file import FileRefusal, read_regular_file
+from dualbrain.core.untrusted.toml_document import TomlFault, parse_toml
 from dualbrain.errors import ConfigurationError
 from dualbrain.robots.model import Quaternion, Vector
 
@@ -159,19 +160,17 @@ def read_site(path: Path | str) -> SiteFile:
         ConfigurationError: The file does not exist or is too large.
     """
     path = Path(path)
-    if not path.is_file() or path.stat().st_size > MAX_FILE_BYTES:
-        raise ConfigurationError.stating(
-            f"There is no site file at {path}.", fix=f"Give a TOML file of at most {MAX_FILE_BYTES} bytes."
-        )
+    content = read_regular_file(path, MAX_FILE_BYTES)
+    if isinstance(content, FileRefusal):
+        problem = f"There is no site file at {path}." if content.kind == "missing" else content.sentence
+        raise ConfigurationError.stating(problem, fix=f"Give a TOML file of at most {MAX_FILE_BYTES} bytes.")
     try:
-        text = path.read_bytes().decode()
-        data = tomllib.loads(text)
+        text = content.decode()
     except UnicodeDecodeError as error:
         raise SiteError(path.name, (1, 1), "", got=str(error), allowed="UTF-8") from error
-    except tomllib.TOMLDecodeError as error:
-        raise SiteError(
-            path.name, _parse_error_location(str(error), path), "", got=str(error), allowed="TOML"
-        ) from error
+    data = parse_toml(text)
+    if isinstance(data, TomlFault):
+        raise SiteError(path.name, (data.line, data.column), "", got=data.problem, allowed="TOML")
     locations = _entry_locations(text)
     if (entry := _find_non_finite(data, "")) is not None:
         raise SiteError(path.name, find_location(entry, locations), entry, got="not finite", allowed="finite numbers")
@@ -312,13 +311,6 @@ def find_location(path: str, locations: Mapping[str, tuple[int, int]]) -> tuple[
     while path and path not in locations:
         path = path[: path.rindex("[")] if path.endswith("]") else path.rpartition(".")[0]
     return locations.get(path, (1, 1))
-
-
-def _parse_error_location(message: str, path: Path) -> tuple[int, int]:
-    """Line and column in the message of tomllib; the last line for an error at the end of the document."""
-    if found := re.search(r"line (\d+), column (\d+)", message):
-        return int(found.group(1)), int(found.group(2))
-    return max(1, len(path.read_bytes().splitlines())), 1
 
 
 def _find_non_finite(value: Any, path: str) -> str | None:

@@ -14,6 +14,7 @@ import msgspec
 
 from dualbrain import __version__
 from dualbrain.adaptation.serving.open_planner import open_planner, planner_provenance
+from dualbrain.contracts.gate.strict_json import MAX_CONTRACT_FILE_BYTES
 from dualbrain.contracts.registry import is_narrower
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.recording_file import RECORDING_RESERVE
@@ -22,6 +23,7 @@ from dualbrain.core import weights
 from dualbrain.core.storage.atomic_files import atomic_file, translated_write_errors, write_atomically
 from dualbrain.core.storage.reserved_space import ReservedSpace
 from dualbrain.core.text import storable_text
+from dualbrain.core.untrusted.bounded_file import read_bounded_file
 from dualbrain.errors import ConfigurationError
 from dualbrain.grounding.document_retrieval import retrieve_passages
 from dualbrain.grounding.map_overlay import apply_map
@@ -178,7 +180,9 @@ class Session:
 
     def _open_planner(self, environ: Mapping[str, str]) -> Planner:
         if self.config.contract:
-            return FixedContractPlanner(f"file {self.config.contract.name}", self.config.contract.read_bytes())
+            return FixedContractPlanner(
+                f"file {self.config.contract.name}", read_bounded_file(self.config.contract, MAX_CONTRACT_FILE_BYTES)
+            )
         prefixes = self.config.cache / "prefixes"
         prefixes.mkdir(parents=True, exist_ok=True)
         key = environ.get("OPENAI_API_KEY", "")

@@ -11,7 +11,11 @@ import msgspec
 from dualbrain.adaptation.config import AdaptConfig
 from dualbrain.adaptation.early_stopping import HeldOutResult
 from dualbrain.core.storage.atomic_files import write_atomically
+from dualbrain.core.untrusted.bounded_file import read_bounded_file
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError, MissingDependencyError
+
+MAX_METADATA_BYTES, MAX_WEIGHTS_BYTES = 16 << 20, 4 << 30
+"""Largest sizes of the card or configuration, and of the weights of an adapter."""
 
 CARD_FILE, WEIGHTS_FILE, CONFIG_FILE = "adapter.json", "adapter_model.safetensors", "adapter_config.json"
 METADATA_FILES = (CONFIG_FILE, CARD_FILE)
@@ -56,7 +60,7 @@ def hash_weights(folder: Path) -> str:
     path = folder / WEIGHTS_FILE
     if not path.is_file():
         raise MissingDependencyError(f"The adapter {folder}", fix="Make one with `dualbrain adapt`.")
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    return hashlib.sha256(read_bounded_file(path, MAX_WEIGHTS_BYTES)).hexdigest()
 
 
 def write_adapter_card(card: AdapterCard, folder: Path) -> None:
@@ -69,8 +73,8 @@ def read_adapter_card(folder: Path) -> AdapterCard:
     path = folder / CARD_FILE
     found = hash_weights(folder)
     try:
-        card = msgspec.json.decode(path.read_bytes(), type=AdapterCard)
-    except (OSError, *DECODE_ERRORS) as error:
+        card = msgspec.json.decode(read_bounded_file(path, MAX_METADATA_BYTES), type=AdapterCard)
+    except (ConfigurationError, *DECODE_ERRORS) as error:
         fix = f"Restore it from a backup, or train the adapter again. {path}"
         raise ConfigurationError.stating(f"The adapter card cannot be read: {error}.", fix=fix) from error
     if card.id != found:
@@ -82,7 +86,10 @@ def read_adapter_card(folder: Path) -> AdapterCard:
 def hash_metadata_files(folder: Path) -> dict[str, str]:
     """SHA-256 of each file of `METADATA_FILES` in `folder`; "" for a missing file."""
     paths = ((name, folder / name) for name in METADATA_FILES)
-    return {name: hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "" for name, path in paths}
+    return {
+        name: hashlib.sha256(read_bounded_file(path, MAX_METADATA_BYTES)).hexdigest() if path.is_file() else ""
+        for name, path in paths
+    }
 
 
 def require_metadata_files(folder: Path, recorded: dict[str, str]) -> None:
@@ -100,7 +107,7 @@ def require_metadata_files(folder: Path, recorded: dict[str, str]) -> None:
 
 def read_lora_config(folder: Path) -> object:
     """The LoRA settings in `folder` without the version of peft that wrote them; raw bytes if they are not JSON."""
-    data = (folder / CONFIG_FILE).read_bytes()
+    data = read_bounded_file(folder / CONFIG_FILE, MAX_METADATA_BYTES)
     try:
         settings = msgspec.json.decode(data, type=dict[str, object])
     except DECODE_ERRORS:

@@ -16,7 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dualbrain.core.untrusted.bounded_file import read_bounded_file
 from dualbrain.errors import ConfigurationError, MissingDependencyError
+
+MAX_CONFIG_BYTES, MAX_WEIGHTS_BYTES = 16 << 20, 4 << 30
+"""Largest sizes of the configuration and of the weights of an adapter."""
 
 WEIGHTS_FILE, CONFIG_FILE = "adapter_model.safetensors", "adapter_config.json"
 TENSOR_NAME = re.compile(r"base_model\.model\.(.+)\.lora_([AB])\.weight")
@@ -86,7 +90,7 @@ def _read_config(folder: Path) -> dict[str, Any]:
             f"{CONFIG_FILE} of the adapter", fix=f"Name a folder that was written by peft. {folder}"
         )
     try:
-        config = json.loads(path.read_bytes())
+        config = json.loads(read_bounded_file(path, MAX_CONFIG_BYTES))
     except (ValueError, RecursionError) as error:
         raise _unsupported(CONFIG_FILE, str(error), "JSON as peft writes it") from error
     if not isinstance(config, dict) or config.get("peft_type") != "LORA":
@@ -122,7 +126,10 @@ def _read_tensors(path: Path) -> list[tuple[str, Matrix]]:
             f"{WEIGHTS_FILE} of the adapter", fix=f"Name a folder that was written by peft. {path.parent}"
         )
     try:
-        return [(name, _decode_matrix(name, tensor)) for name, tensor in deserialize(path.read_bytes())]
+        return [
+            (name, _decode_matrix(name, tensor))
+            for name, tensor in deserialize(read_bounded_file(path, MAX_WEIGHTS_BYTES))
+        ]
     except SafetensorError as error:
         raise _unsupported(WEIGHTS_FILE, str(error), "a whole safetensors file") from error
 

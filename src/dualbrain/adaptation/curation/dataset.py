@@ -15,8 +15,12 @@ from dualbrain.adaptation.curation.sample import Sample, decode_samples, encode_
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.core.storage.atomic_files import write_atomically
 from dualbrain.core.text import describe_differences
+from dualbrain.core.untrusted.bounded_file import read_bounded_file
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError, MissingDependencyError
 from dualbrain.planner.prompt.short_prompt import short_template_hash
+
+MAX_CARD_BYTES, MAX_SAMPLES_BYTES = 16 << 20, 1 << 30
+"""Largest sizes of the card, and of one file of samples."""
 
 TRAIN_FILE, HELD_OUT_FILE, CARD_FILE = "train.jsonl", "held_out.jsonl", "dataset.json"
 SAMPLE_FORMAT = "conversational prompt-completion, JSON lines"
@@ -152,7 +156,7 @@ def read_dataset_card(folder: Path) -> DatasetCard:
             f"The data set {os.fspath(folder)}", fix="Make it with `dualbrain adapt --export FOLDER`."
         )
     try:
-        return msgspec.json.decode(path.read_bytes(), type=DatasetCard)
+        return msgspec.json.decode(read_bounded_file(path, MAX_CARD_BYTES), type=DatasetCard)
     except DECODE_ERRORS as error:
         fix = f"Restore it from a backup, or make the data set again. {path}"
         raise ConfigurationError.stating(f"The data set card cannot be read: {error}.", fix=fix) from error
@@ -161,7 +165,7 @@ def read_dataset_card(folder: Path) -> DatasetCard:
 def read_dataset(folder: Path) -> Dataset:
     """The data set in `folder`; raises `ConfigurationError` if its hash is not that of the card."""
     card = read_dataset_card(folder)
-    train, held_out = (folder / TRAIN_FILE).read_bytes(), (folder / HELD_OUT_FILE).read_bytes()
+    train, held_out = (read_bounded_file(folder / name, MAX_SAMPLES_BYTES) for name in (TRAIN_FILE, HELD_OUT_FILE))
     if (got := dataset_hash(train, held_out)) != card.hash:
         problem = f"A file of the data set was changed: its hash is {got}, expected {card.hash}."
         raise ConfigurationError.stating(problem, fix=f"Make the data set again. {folder}")

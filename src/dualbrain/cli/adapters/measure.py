@@ -77,10 +77,11 @@ def measure(
     from dualbrain.adaptation.serving.measurement import samples_for_robot, select_questions
     from dualbrain.core.storage.atomic_files import require_writable, write_atomically
     from dualbrain.grounding.vocabulary import load_skill_registry
+    from dualbrain.robots.loader import load_builtin_robot
 
     registry, dataset = open_adapter_registry(), read_dataset(data)
     stack = load_stack(_candidate(name, registry), cache_folder())
-    vocabulary = load_skill_registry(stack.top_card.robot)
+    vocabulary = load_skill_registry(load_builtin_robot(stack.top_card.robot).name)
     require_same_prompt(stack.top_card)
     require_compatible(stack.top_card, stack.top_card.robot, vocabulary.hash)
     champion = registry.champion(place_of_card(stack.top_card))

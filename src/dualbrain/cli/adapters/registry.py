@@ -14,8 +14,11 @@ from dualbrain.cli.common.console import StderrConsole, print_result, print_tabl
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.memory.open_memory import print_json
 from dualbrain.core.paths import cache_folder, dualbrain_home
+from dualbrain.core.untrusted.bounded_file import read_bounded_file
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError, DualbrainError
 from dualbrain.planner.registry import DEFAULT_PLANNER
+
+MAX_MEASUREMENT_BYTES = 64 << 20
 
 if TYPE_CHECKING:
     from dualbrain.adaptation.adapters.registry import AdapterRegistry
@@ -228,7 +231,7 @@ def promote(name: str, /, *, measured: Path, shadow: Count = MIN_SHADOW_ANSWERS)
     from dualbrain.adaptation.adapters.registry import NotPromotedError
 
     try:
-        results = msgspec.json.decode(measured.read_bytes(), type=Measurement)
+        results = msgspec.json.decode(read_bounded_file(measured, MAX_MEASUREMENT_BYTES), type=Measurement)
     except DECODE_ERRORS as error:
         fix = f"Write them with `dualbrain adapters measure`. {measured}"
         raise ConfigurationError.stating(f"The results of the measurement cannot be read: {error}.", fix=fix) from error

@@ -17,8 +17,9 @@ from dualbrain import __version__
 from dualbrain.cli.common.console import VisibleConsole, print_message, print_result
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.core.storage.atomic_files import atomic_file
+from dualbrain.core.untrusted.bounded_file import read_bounded_file
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError
-from dualbrain.robots.loader import encode_robot, load_robot
+from dualbrain.robots.loader import MAX_FILE_BYTES, encode_robot, load_robot
 from dualbrain.robots.model import RobotModel, TrackingErrorModel
 
 if TYPE_CHECKING:
@@ -93,7 +94,7 @@ def _written_robot(write: Path | None, robot_model: RobotModel) -> RobotModel:
     if write is None or not write.exists():
         return robot_model
     try:
-        return msgspec.json.decode(write.read_bytes(), type=RobotModel)
+        return msgspec.json.decode(read_bounded_file(write, MAX_FILE_BYTES), type=RobotModel)
     except DECODE_ERRORS as error:
         raise ConfigurationError.stating(f"The file is not a robot model: {error}.", fix=str(write)) from error
 

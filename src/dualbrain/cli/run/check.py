@@ -11,7 +11,8 @@ from cyclopts import Parameter
 
 from dualbrain.cli.common.console import print_result
 from dualbrain.cli.common.exit_codes import ExitCode
-from dualbrain.errors import ConfigurationError
+from dualbrain.contracts.gate.strict_json import MAX_CONTRACT_FILE_BYTES
+from dualbrain.core.untrusted.bounded_file import read_bounded_file, read_bounded_stream
 
 
 def check(
@@ -38,12 +39,10 @@ def check(
     from dualbrain.contracts.verdict import Accepted
     from dualbrain.grounding.offline_gate import check_contract
 
-    try:
-        data = sys.stdin.buffer.read() if str(contract) == "-" else contract.read_bytes()
-    except OSError as error:
-        raise ConfigurationError.stating(
-            f"The contract file could not be read: {error.strerror}.", fix=str(contract)
-        ) from error
+    if str(contract) == "-":
+        data = read_bounded_stream(sys.stdin.buffer, MAX_CONTRACT_FILE_BYTES, "standard input")
+    else:
+        data = read_bounded_file(contract, MAX_CONTRACT_FILE_BYTES)
     verdict = check_contract(data, robot=robot, scene=scene)
     accepted = isinstance(verdict, Accepted)
     body = {} if accepted else {key: value for key, value in msgspec.to_builtins(verdict).items() if key != "verdict"}

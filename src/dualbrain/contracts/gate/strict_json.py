@@ -11,6 +11,8 @@ from dualbrain.core.text import to_printable
 from dualbrain.errors import DualbrainError
 
 MAX_BYTES = 64 * 1024
+MAX_CONTRACT_FILE_BYTES = 1 << 20
+"""Largest file that is read as a contract: more than the gate accepts, so that it is the gate that refuses it."""
 MAX_DEPTH = 16
 MAX_FIELDS = 64
 """Maximum number of fields of an object: above that of any skill, and small enough for a fast rejection."""

@@ -194,12 +194,9 @@ def read_trace(path: Path, limits: ProcessLimits = DEFAULT_LIMITS) -> Trace | No
 
 def damaged_recording(path: Path, reason: object) -> ConfigurationError:
     """The error of a recording that cannot be used."""
-    text = " ".join(
-        f"{type(reason).__name__}: {reason}".split() if isinstance(reason, Exception) else str(reason).split()
-    )
-    return ConfigurationError.stating(
-        f"The recording {path} is damaged: {text[:200]}.", fix="Use an undamaged copy of it."
-    )
+    problem = f"{type(reason).__name__}: {reason}" if isinstance(reason, Exception) else str(reason)
+    sentence = f"The recording {path} is damaged: {' '.join(problem.split())[:200]}."
+    return ConfigurationError.stating(sentence, fix="Use an undamaged copy of it.")
 
 
 def _decode_checked(path: Path, topic: str, data: bytes) -> Message:

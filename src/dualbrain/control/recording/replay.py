@@ -165,10 +165,8 @@ class _ReplayFilter:
 
     def compare(self, row: Array, result: ReplayResult) -> None:
         """Recompute the tick of one recorded row (width,) and add its differences to `result`."""
-        if len(row) != self._columns["phase"].stop:
-            raise ConfigurationError(
-                "width of the recorded ticks", got=len(row), allowed=str(self._columns["phase"].stop)
-            )
+        if len(row) != (width := self._columns["phase"].stop):
+            raise ConfigurationError("width of the recorded ticks", got=len(row), allowed=str(width))
         part = {name: row[where] for name, where in self._columns.items()}
         forces = (float(part["forces"][0]), float(part["forces"][1]))
         state = RobotState(

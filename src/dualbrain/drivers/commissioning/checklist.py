@@ -6,7 +6,6 @@ manufacturer's limits. An unacceptable answer is a `ChecklistFlaw`, never an exc
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -15,6 +14,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from dualbrain.core.untrusted.bounded_file import FileRefusal, read_regular_file
+from dualbrain.core.untrusted.toml_document import TomlFault, parse_toml
 from dualbrain.drivers.catalogue import DriverKind
 from dualbrain.errors import ConfigurationError
 from dualbrain.robots.model import RobotModel, Vector
@@ -143,16 +144,22 @@ def read_checklist(path: Path) -> Checklist:
     Raises:
         ConfigurationError: The file does not exist, is too large, is not TOML, or lacks an entry.
     """
-    if not path.is_file() or path.stat().st_size > MAX_FILE_BYTES:
-        raise ConfigurationError.stating(
-            f"There is no checklist at {path}.", fix=f"Give a TOML file of at most {MAX_FILE_BYTES} bytes."
-        )
+    content = read_regular_file(path, MAX_FILE_BYTES)
+    if isinstance(content, FileRefusal):
+        problem = f"There is no checklist at {path}." if content.kind == "missing" else content.sentence
+        raise ConfigurationError.stating(problem, fix=f"Give a TOML file of at most {MAX_FILE_BYTES} bytes.")
+    tables = parse_toml(content)
+    if isinstance(tables, TomlFault):
+        raise _unreadable(path, tables.problem)
     try:
-        return msgspec.convert(tomllib.loads(path.read_text(encoding="utf-8")), Checklist)
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, msgspec.ValidationError) as error:
-        raise ConfigurationError.stating(
-            f"The checklist {path} cannot be read: {error}.", fix="Fill in every table of the template."
-        ) from error
+        return msgspec.convert(tables, Checklist)
+    except msgspec.ValidationError as error:
+        raise _unreadable(path, error) from error
+
+
+def _unreadable(path: Path, reason: object) -> ConfigurationError:
+    sentence = f"The checklist {path} cannot be read: {reason}."
+    return ConfigurationError.stating(sentence, fix="Fill in every table of the template.")
 
 
 def find_flaws(answers: Checklist, robot_model: RobotModel, site: Site, kind: DriverKind) -> tuple[ChecklistFlaw, ...]:

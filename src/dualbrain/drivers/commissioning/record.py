@@ -14,6 +14,7 @@ from pathlib import Path
 import msgspec
 
 from dualbrain.core.storage.checksum import file_sha256
+from dualbrain.core.untrusted.bounded_file import FileRefusal, read_regular_file
 from dualbrain.drivers.catalogue import DriverKind
 from dualbrain.drivers.commissioning.checklist import Checklist, find_limit_flaws
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError
@@ -21,6 +22,7 @@ from dualbrain.robots.loader import encode_robot
 from dualbrain.robots.model import RobotModel
 
 RECORD_VERSION = 1
+MAX_RECORD_BYTES = 1 << 20
 FIX_HINT = "Commission the arm: dualbrain robot commission CHECKLIST --driver … --site …"
 FIELD_NAMES = {"robot": "robot", "driver": "driver", "body": "robot model", "site": "site file"}
 """Names of the compared fields of a record, for messages."""
@@ -92,9 +94,14 @@ def model_hash(robot_model: RobotModel) -> str:
 
 
 def _read_record(path: Path) -> CommissioningRecord:
+    content = read_regular_file(path, MAX_RECORD_BYTES)
+    if isinstance(content, FileRefusal):
+        raise NotCommissionedError.stating(
+            f"The commissioning record {path} cannot be read: {content.sentence}", fix=FIX_HINT
+        )
     try:
-        record = msgspec.json.decode(path.read_bytes(), type=CommissioningRecord)
-    except (OSError, *DECODE_ERRORS) as error:
+        record = msgspec.json.decode(content, type=CommissioningRecord)
+    except DECODE_ERRORS as error:
         raise NotCommissionedError.stating(
             f"The commissioning record {path} cannot be read: {error}.", fix=FIX_HINT
         ) from error

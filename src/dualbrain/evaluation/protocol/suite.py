@@ -12,8 +12,11 @@ from typing import Literal
 
 import msgspec
 
-from dualbrain.errors import DECODE_ERRORS, ConfigurationError, UnknownNameError
+from dualbrain.core.untrusted.bounded_file import FileRefusal, read_regular_file
+from dualbrain.core.untrusted.toml_document import TomlFault, parse_toml
+from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.evaluation.protocol.method import Method, find_method
+from dualbrain.robots.loader import BUILTIN_ROBOTS
 from dualbrain.simulation.tasks.families import Level, RequestType, supports_depth_perception, task_families_for
 
 PILOT_SEEDS = range(10_000, 20_000)
@@ -22,6 +25,7 @@ START_SEEDS = range(20_000, 30_000)
 """Seeds of the episodes in the ledger from which all methods with memory start."""
 TEST_SEEDS = range(40_000, 50_000)
 """Seeds of the reported episodes."""
+MAX_FILE_BYTES = 1 << 20
 TOML_SUFFIX = ".toml"
 FROM_PILOT = "pilot"
 NAME_PATTERN = r"\w[\w .-]*"
@@ -163,22 +167,22 @@ def load_suite(name: str) -> Suite:
             raise UnknownNameError("suite", name, builtin_suites(), owner="dualbrain (a TOML file also works)")
         data = resources.files("dualbrain.evaluation").joinpath("suites", name + TOML_SUFFIX).read_bytes()
     else:
-        try:
-            data = Path(name).read_bytes()
-        except OSError as error:
-            raise ConfigurationError.stating(f"The suite file cannot be read ({error.strerror}).", fix=name) from error
+        data = read_regular_file(Path(name), MAX_FILE_BYTES)
+        if isinstance(data, FileRefusal):
+            raise ConfigurationError.stating(f"The suite file cannot be read. {data.sentence}", fix=data.fix)
     return parse_suite(data, name)
 
 
 def parse_suite(data: bytes, name: str) -> Suite:
     """The suite in the TOML document `data` with the file name `name`; raises as `load_suite`."""
+    fix = f"docs/reference/evaluation.md describes its fields. {name}"
+    tables = parse_toml(data)
+    if isinstance(tables, TomlFault):
+        raise ConfigurationError.stating(f"The suite is invalid: {tables.problem}.", fix=fix)
     try:
-        suite = msgspec.toml.decode(data, type=Suite)
-    except DECODE_ERRORS as error:
-        sentence = f"The suite is invalid: {error}."
-        raise ConfigurationError.stating(
-            sentence, fix=f"docs/reference/evaluation.md describes its fields. {name}"
-        ) from error
+        suite = msgspec.convert(tables, Suite)
+    except msgspec.ValidationError as error:
+        raise ConfigurationError.stating(f"The suite is invalid: {error}.", fix=fix) from error
     check_suite(suite)
     return suite
 
@@ -186,7 +190,15 @@ def parse_suite(data: bytes, name: str) -> Suite:
 def check_suite(suite: Suite) -> None:
     """Check everything that would fail or be counted wrongly later; raises `ConfigurationError`, `UnknownNameError`."""
     _ = suite.resolved_methods
-    for check in (_check_name, _check_unique, _check_tasks, _check_perception, _check_numbers, _check_memory):
+    for check in (
+        _check_name,
+        _check_robots,
+        _check_unique,
+        _check_tasks,
+        _check_perception,
+        _check_numbers,
+        _check_memory,
+    ):
         check(suite)
 
 
@@ -195,6 +207,13 @@ def _check_name(suite: Suite) -> None:
     if not re.fullmatch(NAME_PATTERN, suite.name):
         allowed = "letters, digits, spaces and . _ -, the first a letter or digit"
         raise ConfigurationError("name of the suite", got=suite.name, allowed=allowed)
+
+
+def _check_robots(suite: Suite) -> None:
+    """The robots are packaged ones: the name of a robot in a suite opens no file."""
+    for robot in (*suite.robots, *(robot for task in suite.tasks for robot in task.robots)):
+        if robot not in BUILTIN_ROBOTS:
+            raise UnknownNameError("packaged robot", robot[:80], BUILTIN_ROBOTS, owner=f"suite {suite.name}")
 
 
 def _check_unique(suite: Suite) -> None:

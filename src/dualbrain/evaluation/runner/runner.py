@@ -17,6 +17,7 @@ import msgspec
 from dualbrain.control.recording.trace import DEAD_BAND
 from dualbrain.core.storage.atomic_files import write_atomically
 from dualbrain.core.storage.jsonl_log import JsonlLog
+from dualbrain.core.untrusted.bounded_file import read_bounded_file
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError
 from dualbrain.evaluation.protocol.method import METHODS
 from dualbrain.evaluation.protocol.suite import Suite
@@ -25,6 +26,9 @@ from dualbrain.evaluation.results.episode_row import EpisodeRow
 from dualbrain.evaluation.runner.provenance import host_info
 from dualbrain.evaluation.runner.work_units import Stage, WorkUnit, build_units
 from dualbrain.evaluation.runner.worker_pool import WorkerPool
+
+MAX_CONFIG_BYTES = 64 << 20
+"""Largest size of the configuration of an evaluation."""
 
 CONFIG_FILE, EPSILON_FILE, ERROR_LOG = "config.json", "epsilon.json", "errors"
 HOST_KEY = "host"
@@ -177,7 +181,7 @@ class Runner:
 def read_config(path: Path) -> dict[str, Any]:
     """The configuration at `path`; raises `ConfigurationError` if it is damaged."""
     try:
-        return msgspec.json.decode(path.read_bytes(), type=dict[str, Any])
+        return msgspec.json.decode(read_bounded_file(path, MAX_CONFIG_BYTES), type=dict[str, Any])
     except DECODE_ERRORS as error:
         raise _damaged_config(path, error) from error
 
@@ -198,7 +202,7 @@ def _damaged_config(path: Path, error: Exception) -> ConfigurationError:
 def _read_epsilon(path: Path) -> dict[str, float]:
     """The stored ε by robot; raises `ConfigurationError` if the file is damaged."""
     try:
-        return msgspec.json.decode(path.read_bytes(), type=dict[str, float])
+        return msgspec.json.decode(read_bounded_file(path, MAX_CONFIG_BYTES), type=dict[str, float])
     except DECODE_ERRORS as error:
         sentence = f"The stored ε by robot is damaged: {error}."
         fix = f"Delete it: it is computed again from the same pilot episodes. {path}"

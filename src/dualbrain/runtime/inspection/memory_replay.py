@@ -26,7 +26,7 @@ from dualbrain.memory.maintenance.contradiction import agreement_p_value, is_con
 from dualbrain.memory.state.derivation import derive_state
 from dualbrain.memory.state.state import MemoryState
 from dualbrain.records import Outcome, Scene
-from dualbrain.robots.loader import load_robot
+from dualbrain.robots.loader import load_builtin_robot
 from dualbrain.runtime.assembly import CellOptions, SimulatedCell, open_world
 from dualbrain.simulation.perception.noisy_perception import NoisyPerception, PerceptionNoise
 from dualbrain.simulation.scenes.from_memory import scene_from_memory
@@ -118,7 +118,7 @@ def run_alternative(ledger: LedgerReader, memory: MemoryState, contract: dict[st
 def _run_once(
     stored: _StoredPayload, contract: dict[str, Any] | None, robot: str, rng: np.random.Generator
 ) -> ReplayTry:
-    model = load_robot(robot)
+    model = load_builtin_robot(robot)
     spec = scene_from_memory(stored.episode.scene, rng, position_spread=POSITION_SPREAD)
     configuration = (np.asarray(stored.state.q), stored.state.opening)
     options = CellOptions(

@@ -13,9 +13,11 @@ import msgspec
 
 from dualbrain.core.geometry.shapes import IDENTITY_QUATERNION, Box, Pose, Quaternion, Shape, Vector
 from dualbrain.core.storage.atomic_files import write_atomically
+from dualbrain.core.untrusted.bounded_file import FileRefusal, read_regular_file
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError, UnknownNameError
 from dualbrain.records import Place, Role, SceneObject
 
+MAX_FILE_BYTES = 16 << 20
 SCHEMA_VERSION = 1
 TABLE_X, TABLE_Y = (-0.20, 0.95), (-0.65, 0.65)
 KEEP_OUT_HALF_HEIGHT = 1.0
@@ -149,11 +151,12 @@ def save_scene(spec: SceneSpec, path: Path) -> None:
 
 def load_scene(path: Path) -> SceneSpec:
     """Read a scene file; raises `ConfigurationError`, which names the wrong field and its allowed values."""
+    content = read_regular_file(path, MAX_FILE_BYTES)
+    if isinstance(content, FileRefusal):
+        sentence = f"The scene file cannot be read: {content.sentence}"
+        raise ConfigurationError.stating(sentence, fix=f"Check the path: {path}")
     try:
-        spec = msgspec.json.decode(path.read_bytes(), type=SceneSpec)
-    except OSError as error:
-        sentence = f"The scene file cannot be read: {error.strerror}."
-        raise ConfigurationError.stating(sentence, fix=f"Check the path: {path}") from error
+        spec = msgspec.json.decode(content, type=SceneSpec)
     except DECODE_ERRORS as error:
         sentence = f"The scene file does not contain a scene of schema version {SCHEMA_VERSION}: {error}."
         raise ConfigurationError.stating(sentence, fix=f"Correct the file: {path}") from error

@@ -12,11 +12,12 @@ from pathlib import Path
 import msgspec
 
 from dualbrain.core.storage.atomic_files import write_atomically
+from dualbrain.core.untrusted.bounded_file import read_bounded_file
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError
 from dualbrain.robots.importer.output.diff import ModelChange, find_changes, reapply_edits
 from dualbrain.robots.importer.output.markdown import render_readme
 from dualbrain.robots.importer.report import ImportReport
-from dualbrain.robots.loader import MODEL_FILE, encode_robot, read_robot
+from dualbrain.robots.loader import MAX_FILE_BYTES, MODEL_FILE, encode_robot, read_robot
 from dualbrain.robots.model import RobotModel
 
 GENERATED_FILE, IMPORT_RECORD_FILE, REPORT_FILE, README_FILE, IMAGE_FILE = (
@@ -98,8 +99,12 @@ def read_import_files(folder: Path) -> tuple[ImportReport | None, ImportRecord |
     report, record = folder / REPORT_FILE, folder / IMPORT_RECORD_FILE
     try:
         return (
-            msgspec.json.decode(report.read_bytes(), type=ImportReport) if report.is_file() else None,
-            msgspec.json.decode(record.read_bytes(), type=ImportRecord) if record.is_file() else None,
+            msgspec.json.decode(read_bounded_file(report, MAX_FILE_BYTES), type=ImportReport)
+            if report.is_file()
+            else None,
+            msgspec.json.decode(read_bounded_file(record, MAX_FILE_BYTES), type=ImportRecord)
+            if record.is_file()
+            else None,
         )
     except DECODE_ERRORS as error:
         raise ConfigurationError.stating(
