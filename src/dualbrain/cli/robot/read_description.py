@@ -17,10 +17,9 @@ def read_description(file: Path, packages: Sequence[Path] = ()) -> KinematicTree
         ConfigurationError: The file is unsafe, not well-formed, or neither URDF nor MJCF.
         MissingDependencyError: A mesh or library is missing.
     """
-    from dualbrain.robots.assets.safe_xml import read_xml
+    from dualbrain.robots.assets.safe_xml import root_tag
 
-    root = read_xml(file)
-    if root.tag in ("mujoco", "mujocoinclude"):
+    if root_tag(file) in ("mujoco", "mujocoinclude"):
         from dualbrain.simulation.models.mjcf_reader import read_mjcf
 
         return read_mjcf(file, packages)

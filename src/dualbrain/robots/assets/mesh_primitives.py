@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from dualbrain.core.untrusted.bounded_process import DEFAULT_LIMITS, ProcessFailure, ProcessLimits, run_bounded
 from dualbrain.errors import ConfigurationError
 from dualbrain.robots.assets.meshes import Mesh
 from dualbrain.robots.assets.safe_xml import parse_xml, read_bounded
@@ -22,29 +25,54 @@ CIRCLE_SEGMENTS = 24
 """Number of corners of the polygon that replaces a circle; it is circumscribed, so that it contains the circle."""
 
 
-def load_mesh(path: Path, scale: Array, pose: Array) -> Mesh:
-    """The mesh in the file `path`, scaled by `scale` (3,) and moved by `pose` (4, 4).
+def load_mesh(path: Path, scale: Array, pose: Array, limits: ProcessLimits = DEFAULT_LIMITS) -> Mesh:
+    """The mesh in the file `path`, scaled by `scale` (3,) and moved by `pose` (4, 4); a process reads it.
 
     Raises:
-        ConfigurationError: The format is not one of `MESH_FORMATS`, or the file is too large or contains no triangles.
+        ConfigurationError: The format is not one of `MESH_FORMATS`, the file is too large or contains no triangles, or
+            reading it exceeds the `limits`.
         MissingDependencyError: trimesh (or, for .dae, pycollada) is not installed.
     """
     suffix = path.suffix.lower()
     if suffix not in MESH_FORMATS:
         raise ConfigurationError(f"mesh {path.name}", got=suffix, allowed=", ".join(MESH_FORMATS))
-    data = read_bounded(path, MAX_MESH_BYTES)
+    argument = msgspec.msgpack.encode((path.name, suffix, read_bounded(path, MAX_MESH_BYTES)))
+    found = run_bounded("dualbrain.robots.assets.mesh_primitives:encode_mesh", argument, limits)
+    if isinstance(found, ProcessFailure):
+        raise ConfigurationError.stating(f"The mesh {path.name} {found.reason}.", fix="Use a mesh of fewer triangles.")
+    vertices, faces = (np.frombuffer(one) for one in msgspec.msgpack.decode(found, type=tuple[bytes, bytes]))
+    points, corners = vertices.reshape(-1, 3), faces.view(np.int64).reshape(-1, 3)
+    return apply_pose(Mesh(points * scale, corners.copy()), pose)
+
+
+def prepare_process(_: str) -> None:
+    """Import the packages that read a mesh; one that is missing is reported where it is needed."""
+    for package in ("trimesh", "lxml.etree", "collada"):
+        if find_spec(package.partition(".")[0]) is not None:
+            import_optional(package)
+
+
+def encode_mesh(argument: bytes) -> bytes:
+    """Vertices [m] (float64) and faces (int64) of an encoded triple of file name, suffix and content, as bytes."""
+    name, suffix, data = msgspec.msgpack.decode(argument, type=tuple[str, str, bytes])
+    mesh = _parse_mesh(data, name, suffix)
+    faces = np.ascontiguousarray(mesh.faces, np.int64)
+    return msgspec.msgpack.encode((np.ascontiguousarray(mesh.vertices, np.float64).tobytes(), faces.tobytes()))
+
+
+def _parse_mesh(data: bytes, name: str, suffix: str) -> Mesh:
     if suffix == ".dae":
-        parse_xml(data, path.name)
+        parse_xml(data, name)
         import_optional("collada")
     try:
         loaded = import_optional("trimesh").load(BytesIO(data), file_type=suffix[1:], process=True)
         mesh = loaded if hasattr(loaded, "faces") else loaded.to_mesh()
         vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64)
-    except (ValueError, IndexError, KeyError, TypeError, AttributeError, SyntaxError) as error:
-        raise ConfigurationError(f"mesh {path.name}", got=str(error)[:200], allowed="a readable mesh") from error
+    except (ValueError, LookupError, TypeError, AttributeError, SyntaxError, ArithmeticError) as error:
+        raise ConfigurationError(f"mesh {name}", got=str(error)[:200], allowed="a readable mesh") from error
     if not len(faces) or not np.isfinite(vertices).all():
-        raise ConfigurationError(f"mesh {path.name}", got=f"{len(faces)} triangles", allowed="finite triangles")
-    return apply_pose(Mesh(vertices * _unit_length(mesh) * scale, faces), pose)
+        raise ConfigurationError(f"mesh {name}", got=f"{len(faces)} triangles", allowed="finite triangles")
+    return Mesh(vertices * _unit_length(mesh), faces)
 
 
 def _unit_length(mesh: Any) -> float:

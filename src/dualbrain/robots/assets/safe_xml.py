@@ -13,6 +13,10 @@ from typing import Any, NoReturn
 from urllib.parse import quote
 from xml.parsers import expat
 
+import msgspec
+
+from dualbrain.core.untrusted.bounded_file import FileRefusal, read_regular_file
+from dualbrain.core.untrusted.bounded_process import ProcessFailure, run_bounded
 from dualbrain.errors import ConfigurationError
 from dualbrain.robots.optional_imports import import_optional
 
@@ -26,12 +30,41 @@ def read_bounded(path: Path, max_bytes: int = MAX_DESCRIPTION_BYTES) -> bytes:
     Raises:
         ConfigurationError: The file does not exist or is larger.
     """
-    if not path.is_file():
+    data = read_regular_file(path, max_bytes)
+    if not isinstance(data, FileRefusal):
+        return data
+    if data.kind == "missing":
         raise ConfigurationError.stating(f"The file {path} does not exist.", fix="Check the path.")
-    size = path.stat().st_size
-    if size > max_bytes:
-        raise ConfigurationError(f"size of {path.name}", got=f"{size} bytes", allowed=f"at most {max_bytes}")
-    return path.read_bytes()
+    if data.kind == "too large":
+        raise ConfigurationError(
+            f"size of {path.name}", got=f"more than {max_bytes} bytes", allowed=f"at most {max_bytes}"
+        )
+    raise ConfigurationError.stating(data.sentence, fix=data.fix)
+
+
+def require_size(path: Path, max_bytes: int) -> None:
+    """Raise `ConfigurationError` unless `path` is a regular file of at most `max_bytes` bytes, which is not read."""
+    data = read_regular_file(path, 0)
+    if isinstance(data, FileRefusal) and (data.kind != "too large" or path.stat().st_size > max_bytes):
+        read_bounded(path, 0 if data.kind != "too large" else max_bytes)
+
+
+def root_tag(path: Path) -> str:
+    """The name of the root element of the file `path`, which a bounded process reads; raises as `read_xml` does."""
+    found = run_bounded("dualbrain.robots.assets.safe_xml:encode_root_tag", _named(path.name, read_bounded(path)))
+    if isinstance(found, ProcessFailure):
+        raise ConfigurationError.stating(f"The description {path.name} {found.reason}.", fix="Reduce its size.")
+    return found.decode()
+
+
+def encode_root_tag(argument: bytes) -> bytes:
+    """The name of the root element of an encoded pair of file name and content, for `root_tag`."""
+    name, data = msgspec.msgpack.decode(argument, type=tuple[str, bytes])
+    return str(parse_xml(data, name).tag).encode()
+
+
+def _named(name: str, data: bytes) -> bytes:
+    return msgspec.msgpack.encode((name, data))
 
 
 def read_xml(path: Path) -> Any:

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal, cast
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from dualbrain.core.untrusted.bounded_process import ProcessFailure, ProcessLimits, run_bounded
 from dualbrain.errors import ConfigurationError, UnknownNameError
+from dualbrain.robots.assets import mesh_primitives
+from dualbrain.robots.assets.mesh_paths import AllowedFolders, allowed_folders
 from dualbrain.robots.assets.meshes import Mesh
 
 Array = NDArray[np.float64]
@@ -140,3 +146,124 @@ def axis_rotation(axis: Array, angle: float) -> Array:
     x, y, z = axis
     K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * (K @ K)
+
+
+# --- reading in a process of its own --------------------------------------------------------------------------------
+
+LIMITS = ProcessLimits()
+"""Limits of the process that reads a description, and of each that reads a mesh."""
+_SHAPES: dict[str, Callable[..., Mesh]] = {
+    "box": mesh_primitives.box,
+    "cylinder": mesh_primitives.cylinder,
+    "capsule": mesh_primitives.capsule,
+    "ellipsoid": mesh_primitives.ellipsoid,
+}
+_FILE, _TRIANGLES = "file", "triangles"
+
+
+def file_shape(label: str, folders: AllowedFolders, name: str, where: str, scale: Array, pose: Array) -> LinkShape:
+    """The shape in the mesh file called `name`, which is searched, read and refused when its mesh is loaded."""
+    return LinkShape(label, partial(_load_file, folders, name, where, scale, pose))
+
+
+def triangle_shape(label: str, vertices: Array, faces: NDArray[np.int64], pose: Array) -> LinkShape:
+    """The shape of the triangles `faces` (f, 3) of `vertices` (v, 3) [m] at `pose` (4, 4)."""
+    return LinkShape(label, partial(_place_triangles, vertices, faces, pose))
+
+
+def read_in_process(function: str, file: Path, packages: tuple[Path, ...], data: bytes) -> KinematicTree:
+    """The tree that `function` ("module:name") reads from the description `file` with the content `data`.
+
+    The function gets an encoded triple (path, packages, content) and returns `encode_tree`. Raises `ConfigurationError`
+    if the process exceeds its limits, and what the function raises.
+    """
+    argument = msgspec.msgpack.encode((str(file.absolute()), [str(one.absolute()) for one in packages], data))
+    found = run_bounded(function, argument, LIMITS)
+    if isinstance(found, ProcessFailure):
+        sentence = f"The description {file.name} {found.reason}."
+        raise ConfigurationError.stating(sentence, fix="Reduce its sizes, meshes, textures and repetitions.")
+    return _decode_tree(found, allowed_folders(file, packages))
+
+
+def encode_tree(tree: KinematicTree) -> bytes:
+    """The whole tree; a shape becomes the name of its function with its arguments."""
+    return msgspec.msgpack.encode(
+        {
+            "name": tree.name,
+            "source": tree.source,
+            "licence": tree.licence,
+            "notes": tree.notes,
+            "links": [
+                (link.name, [_encode_shape(shape) for shape in link.shapes], link.uses_visual_shapes)
+                for link in tree.links.values()
+            ],
+            "joints": [
+                {name: _encode_value(getattr(joint, name)) for name in TreeJoint.__dataclass_fields__}
+                for joint in tree.joints
+            ],
+        }
+    )
+
+
+def _decode_tree(data: bytes, folders: AllowedFolders) -> KinematicTree:
+    parts: dict[str, Any] = msgspec.msgpack.decode(data)
+    links = {
+        name: TreeLink(name, tuple(_decode_shape(shape, folders) for shape in shapes), visual)
+        for name, shapes, visual in parts["links"]
+    }
+    joints: list[TreeJoint] = []
+    for fields in parts["joints"]:
+        values = {name: _decode_value(value) for name, value in fields.items()}
+        values["mimic"] = None if values["mimic"] is None else Mimic(*values["mimic"])
+        joints.append(TreeJoint(**values))
+    return KinematicTree(
+        name=parts["name"],
+        source=parts["source"],
+        licence=parts["licence"],
+        links=links,
+        joints=tuple(joints),
+        notes=tuple(parts["notes"]),
+    )
+
+
+def _encode_shape(shape: LinkShape) -> tuple[str, str, list[Any]]:
+    load = cast("partial[Mesh]", shape.load_mesh)
+    if load.func is _load_file:
+        return shape.label, _FILE, [_encode_value(one) for one in load.args[1:]]
+    if load.func is _place_triangles:
+        return shape.label, _TRIANGLES, [_encode_value(one) for one in load.args]
+    kind = next(name for name, function in _SHAPES.items() if function is load.func)
+    return shape.label, kind, [_encode_value(one) for one in load.args]
+
+
+def _decode_shape(encoded: Any, folders: AllowedFolders) -> LinkShape:
+    label, kind, values = encoded
+    arguments = [_decode_value(value) for value in values]
+    if kind == _FILE:
+        return LinkShape(label, partial(_load_file, folders, *arguments))
+    return LinkShape(label, partial(_place_triangles if kind == _TRIANGLES else _SHAPES[kind], *arguments))
+
+
+def _encode_value(value: Any) -> Any:
+    """An array as its type, shape and bytes; a mimic rule as its fields; anything else unchanged."""
+    if isinstance(value, np.ndarray):
+        array = np.ascontiguousarray(cast("NDArray[Any]", value))
+        return {"dtype": array.dtype.str, "shape": list(array.shape), "data": array.tobytes()}
+    if isinstance(value, Mimic):
+        return [value.leader, value.multiplier, value.offset]
+    return float(value) if isinstance(value, np.floating) else value
+
+
+def _decode_value(value: Any) -> Any:
+    if isinstance(value, dict):
+        array = cast("dict[str, Any]", value)
+        return np.frombuffer(array["data"], np.dtype(array["dtype"])).reshape(array["shape"]).copy()
+    return value
+
+
+def _load_file(folders: AllowedFolders, name: str, where: str, scale: Array, pose: Array) -> Mesh:
+    return mesh_primitives.load_mesh(folders.find(name, where), scale, pose, LIMITS)
+
+
+def _place_triangles(vertices: Array, faces: NDArray[np.int64], pose: Array) -> Mesh:
+    return mesh_primitives.apply_pose(Mesh(vertices, faces), pose)

@@ -13,13 +13,14 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.errors import ConfigurationError
 from dualbrain.robots.assets import mesh_primitives
 from dualbrain.robots.assets.mesh_paths import AllowedFolders, allowed_folders
-from dualbrain.robots.assets.safe_xml import parse_xml, read_bounded, read_xml, undeclared_namespace
+from dualbrain.robots.assets.safe_xml import parse_xml, read_bounded, undeclared_namespace
 from dualbrain.robots.importer.kinematic_tree import (
     MOVABLE_JOINT_KINDS,
     KinematicTree,
@@ -27,6 +28,9 @@ from dualbrain.robots.importer.kinematic_tree import (
     Mimic,
     TreeJoint,
     TreeLink,
+    encode_tree,
+    file_shape,
+    read_in_process,
 )
 from dualbrain.robots.optional_imports import import_optional
 
@@ -44,7 +48,22 @@ def read_urdf(file: Path, packages: Sequence[Path] = ()) -> KinematicTree:
         ConfigurationError: The file is refused by the safe XML reader, not a URDF, or not a tree of joints.
         MissingDependencyError: A library is not installed.
     """
-    root = read_xml(file)
+    return read_in_process("dualbrain.robots.importer.urdf:encode_urdf", file, tuple(packages), read_bounded(file))
+
+
+def prepare_process(_: str) -> None:
+    """Import the packages that read a URDF."""
+    import_optional("lxml.etree")
+    import_optional("yourdfpy")
+
+
+def encode_urdf(argument: bytes) -> bytes:
+    """The encoded tree of a URDF, for `read_in_process`."""
+    name, packages, data = msgspec.msgpack.decode(argument, type=tuple[str, list[str], bytes])
+    return encode_tree(_read_tree(parse_xml(data, Path(name).name), Path(name), [Path(one) for one in packages]))
+
+
+def _read_tree(root: Any, file: Path, packages: Sequence[Path]) -> KinematicTree:
     if root.tag != "robot":
         raise ConfigurationError(
             f"root element of {file.name}", got=f"<{root.tag}>", allowed="<robot>, or <mujoco> in MJCF"
@@ -78,7 +97,7 @@ def _parse(root: Any, file: Path) -> Any:
     data = BytesIO(import_optional("lxml.etree").tostring(root))
     try:
         reader = import_optional("yourdfpy").URDF.load(data, build_scene_graph=False, load_meshes=False)
-    except (ValueError, TypeError, AttributeError, KeyError, IndexError) as error:
+    except (ValueError, TypeError, AttributeError, LookupError, ArithmeticError) as error:
         raise ConfigurationError(file.name, got=f"{type(error).__name__}: {error}"[:300], allowed="a URDF") from error
     return reader.robot
 
@@ -128,7 +147,7 @@ def _read_shape(shape: Any, folders: AllowedFolders, where: str) -> LinkShape:
         raise ConfigurationError(f"shape at {where}", got="unknown geometry", allowed="box, cylinder, sphere or mesh")
     name = str(geometry.mesh.filename)
     scale = np.ones(3) if geometry.mesh.scale is None else _read_scale(geometry.mesh.scale, where)
-    return LinkShape(f"mesh {name}", lambda: mesh_primitives.load_mesh(folders.find(name, where), scale, pose))
+    return file_shape(f"mesh {name}", folders, name, where, scale, pose)
 
 
 def _read_scale(value: Any, where: str) -> Array:

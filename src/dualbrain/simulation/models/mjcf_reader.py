@@ -14,6 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +23,7 @@ from dualbrain.core.geometry.rotations import quaternion_to_matrix
 from dualbrain.errors import ConfigurationError
 from dualbrain.robots.assets import mesh_primitives
 from dualbrain.robots.assets.mesh_paths import allowed_folders
-from dualbrain.robots.assets.meshes import Mesh
-from dualbrain.robots.assets.safe_xml import read_xml
+from dualbrain.robots.assets.safe_xml import read_bounded, read_xml, require_size
 from dualbrain.robots.importer.kinematic_tree import (
     JointKind,
     KinematicTree,
@@ -32,6 +32,9 @@ from dualbrain.robots.importer.kinematic_tree import (
     TreeJoint,
     TreeLink,
     axis_rotation,
+    encode_tree,
+    read_in_process,
+    triangle_shape,
 )
 
 Array = NDArray[np.float64]
@@ -39,6 +42,8 @@ Array = NDArray[np.float64]
 DIRECTORY_ATTRIBUTES = ("meshdir", "assetdir", "texturedir")
 MAX_INCLUDE_DEPTH = 8
 """Permitted nesting depth of <include>."""
+MAX_ASSET_BYTES = 256 * 2**20
+"""Bytes of one file that a description names."""
 JOINT_KINDS: dict[int, JointKind] = {
     int(mujoco.mjtJoint.mjJNT_FREE): "floating",
     int(mujoco.mjtJoint.mjJNT_BALL): "floating",
@@ -54,10 +59,23 @@ def read_mjcf(file: Path, packages: Sequence[Path] = ()) -> KinematicTree:
         ConfigurationError: the file is unsafe, loads a plugin, or MuJoCo cannot compile it.
         MissingDependencyError: a referenced file is missing.
     """
+    read_bounded(file)
+    return read_in_process("dualbrain.simulation.models.mjcf_reader:encode_mjcf", file, tuple(packages), b"")
+
+
+def encode_mjcf(argument: bytes) -> bytes:
+    """The encoded tree of an MJCF, for `read_in_process`."""
+    name, packages, _ = msgspec.msgpack.decode(argument, type=tuple[str, list[str], bytes])
+    return encode_tree(_read_tree(Path(name), [Path(one) for one in packages]))
+
+
+def _read_tree(file: Path, packages: Sequence[Path]) -> KinematicTree:
     lines: dict[str, str] = {}
     _check_files(file, file, packages, lines, {}, 0)
     try:
-        model = mujoco.MjSpec.from_file(str(file)).compile()
+        spec = mujoco.MjSpec.from_file(str(file))
+        spec.compiler.usethread = False  # threads need memory in proportion to the processors of the machine
+        model = spec.compile()
     except (ValueError, RuntimeError) as error:
         raise ConfigurationError(file.name, got=str(error)[:300], allowed="an MJCF that MuJoCo compiles") from error
     links: dict[str, TreeLink] = {"world": _link(model, 0, "world")}
@@ -104,6 +122,7 @@ def _check_files(
             folder = "" if element.tag in ("include", "model") else folders.get("assetdir", "")
             folder = folders.get({"mesh": "meshdir", "texture": "texturedir"}.get(element.tag, ""), folder)
             found = allowed.find(str(Path(folder) / name), where)
+            require_size(found, MAX_ASSET_BYTES)
             if element.tag in ("include", "model"):
                 _check_files(found, main, packages, lines, folders, depth + 1)
 
@@ -210,14 +229,14 @@ def _piece(model: Any, g: int) -> LinkShape:
         raise ConfigurationError(
             f"geom {g}", got=mujoco.mjtGeom(kind).name, allowed="box, sphere, cylinder, capsule, mesh"
         )
-    return LinkShape("mesh", partial(_mesh, model, int(model.geom_dataid[g]), pose))
+    return _mesh(model, int(model.geom_dataid[g]), pose)
 
 
-def _mesh(model: Any, m: int, pose: Array) -> Mesh:
+def _mesh(model: Any, m: int, pose: Array) -> LinkShape:
     vertices, faces = int(model.mesh_vertadr[m]), int(model.mesh_faceadr[m])
     points = np.array(model.mesh_vert[vertices : vertices + int(model.mesh_vertnum[m])], float)
     corners = np.array(model.mesh_face[faces : faces + int(model.mesh_facenum[m])], np.int64)
-    return mesh_primitives.apply_pose(Mesh(points, corners), pose)
+    return triangle_shape("mesh", points, corners, pose)
 
 
 def _element_name(model: Any, kind: Any, index: int) -> str:
