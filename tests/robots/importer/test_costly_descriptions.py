@@ -25,7 +25,8 @@ MJCF = {
     + '<geom size="1"/>'
     + "</replicate>" * 4
     + "</worldbody>",
-    "composite": '<worldbody><body><flexcomp type="grid" count="2000 2000 2000" name="f" radius=".01"/></body></worldbody>',
+    "composite": '<worldbody><body><flexcomp type="grid" count="2000 2000 2000" name="f" radius=".01"/></body>'
+    "</worldbody>",
     "memory": '<size memory="900G"/><worldbody><geom size="1"/></worldbody>',
 }
 
