@@ -132,7 +132,7 @@ def test_the_process_ends_with_the_process_that_started_it(tmp_path):
     deadline = time.monotonic() + 10.0
     while time.monotonic() < deadline and os.path.exists(f"/proc/{child}"):
         with open(f"/proc/{child}/stat", encoding="ascii") as state:
-            if state.read().split()[2] == "Z":  # ended; whoever adopted it has not collected it
+            if state.read().split()[2] == "Z":  # ended, not yet collected
                 break
         time.sleep(0.02)
     else:

@@ -177,6 +177,10 @@ def test_a_description_above_the_size_limit_is_not_read(tmp_path, monkeypatch):
         ('<mujoco><compiler meshdir="/etc"/><asset><mesh file="passwd"/></asset></mujoco>', "a file inside"),
         ('<mujoco><include file="../secret.xml"/></mujoco>', "a file inside"),
         ('<mujoco><include file="robot.xml"/></mujoco>', "levels"),
+        ('<mujoco><asset><mesh file="a.stl"/></asset><include file="folder.xml"/></mujoco>', "a file inside"),
+        ('<mujoco><compiler strippath="true" meshdir="/etc"/></mujoco>', "strippath"),
+        ('<mujoco><compiler meshdir="a"/><include file="folder.xml"/></mujoco>', "in every file"),
+        ('<mujoco><asset><model name="m" file="folder.xml"/></asset></mujoco>', "another model"),
         ('<mujoco><extension><plugin plugin="mujoco.pid"/></extension></mujoco>', "plugin"),
         ("<mujoco><worldbody><geom/></worldbody></mujoco>", "MuJoCo compiles"),
     ],
@@ -184,5 +188,8 @@ def test_a_description_above_the_size_limit_is_not_read(tmp_path, monkeypatch):
 def test_mjcf_reads_no_file_outside_the_folder_and_loads_no_plugin(tmp_path, text, message):
     for path in (tmp_path / "secret.xml", tmp_path / "secret.stl"):
         path.write_text("<mujoco/>")
+    file = write_file(tmp_path / "in", text, "robot.xml")
+    (file.parent / "folder.xml").write_text('<mujoco><compiler meshdir="/etc"/></mujoco>')
+    (file.parent / "a.stl").write_text("solid")
     with pytest.raises(ConfigurationError, match=message):
-        read_description(write_file(tmp_path / "in", text, "robot.xml"))
+        read_description(file)

@@ -43,7 +43,7 @@ MIN_CLIPPED_FONTS = 0.7
 MIN_COLOUR_DISTANCE = 0.08
 MAX_NEGATIVE_PX, MAX_NEGATIVE_TOTAL_PX = 100.0, 500.0
 """Largest offset to the left or to the top, of one element and of nested ones together."""
-MAX_ASIDE_PX, MAX_DOWN_PX = 1000.0, 3000.0
+MAX_RIGHT_PX, MAX_DOWN_PX = 1000.0, 3000.0
 MAX_INDENT_PX = 200.0
 MIN_SCALE = 0.25
 
@@ -458,7 +458,7 @@ def _is_factor(name: str, declared: Declarations) -> bool:
 
 
 def _offset(axis: str, whole: float = 1000.0) -> Callable[[Tokens, TextStyle], bool]:
-    far = MAX_ASIDE_PX if axis == "x" else MAX_DOWN_PX
+    far = MAX_RIGHT_PX if axis == "x" else MAX_DOWN_PX
 
     def hides(value: Tokens, style: TextStyle) -> bool:
         return any(_is_off(token, style, far, whole) for token in significant(value)) or not significant(value)
@@ -501,7 +501,7 @@ def _function_hides(token: Any, style: TextStyle) -> bool:  # noqa: PLR0911  (a 
     arguments = [one for one in significant(token.arguments) if one.type != "literal"]
     name = str(token.lower_name)
     if name.startswith("translate"):
-        return any(_is_off(one, style, MAX_ASIDE_PX, 100.0) for one in arguments) or not arguments
+        return any(_is_off(one, style, MAX_RIGHT_PX, 100.0) for one in arguments) or not arguments
     if name.startswith("scale"):
         factors = [number(one) for one in arguments]
         return not factors or any(one is None or abs(one) < MIN_SCALE for one in factors[:2])
@@ -523,13 +523,13 @@ def _matrix_hides(arguments: Tokens) -> bool:
         return True
     a, b, c, d, e, f = known
     small = sqrt(abs(a * d - b * c)) < MIN_SCALE
-    return small or min(e, f) <= -MAX_NEGATIVE_PX or e >= MAX_ASIDE_PX or f >= MAX_DOWN_PX
+    return small or min(e, f) <= -MAX_NEGATIVE_PX or e >= MAX_RIGHT_PX or f >= MAX_DOWN_PX
 
 
 def _translate(value: Tokens, style: TextStyle) -> bool:
     if keyword(value) == "none":
         return False
-    return any(_is_off(one, style, MAX_ASIDE_PX, 100.0) for one in significant(value))
+    return any(_is_off(one, style, MAX_RIGHT_PX, 100.0) for one in significant(value))
 
 
 def _scale(declared: Declarations) -> tuple[float, bool]:

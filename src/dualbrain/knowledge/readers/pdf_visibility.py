@@ -157,7 +157,7 @@ _STROKE_OPERATORS = {b"G": "gray", b"RG": "rgb", b"K": "cmyk", b"SC": "any", b"S
 
 
 def _is_white(kind: str, numbers: list[float]) -> bool:
-    """Whether the operands of a colour operator are white; in a space of four components, no ink is white."""
+    """Whether the operands of a colour operator are white; in a space of four components, zero everywhere is white."""
     if not numbers or kind == "space":
         return False
     if kind == "cmyk" or len(numbers) == 4:

@@ -251,7 +251,7 @@ def _encode_value(value: Any) -> Any:
         return {"dtype": array.dtype.str, "shape": list(array.shape), "data": array.tobytes()}
     if isinstance(value, Mimic):
         return [value.leader, value.multiplier, value.offset]
-    return float(value) if isinstance(value, np.floating) else value
+    return cast("Any", value).item() if isinstance(value, np.generic) else value
 
 
 def _decode_value(value: Any) -> Any:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from dualbrain.core.geometry.rotations import quaternion_to_matrix
 from dualbrain.errors import ConfigurationError
 from dualbrain.robots.assets import mesh_primitives
-from dualbrain.robots.assets.mesh_paths import allowed_folders
+from dualbrain.robots.assets.mesh_paths import AllowedFolders, allowed_folders
 from dualbrain.robots.assets.safe_xml import read_bounded, read_xml, require_size
 from dualbrain.robots.importer.kinematic_tree import (
     JointKind,
@@ -42,6 +42,9 @@ Array = NDArray[np.float64]
 DIRECTORY_ATTRIBUTES = ("meshdir", "assetdir", "texturedir")
 MAX_INCLUDE_DEPTH = 8
 """Permitted nesting depth of <include>."""
+MAX_INCLUDES = 64
+"""Permitted number of included files."""
+REFUSED_ELEMENTS = ("extension", "plugin", "model")
 MAX_ASSET_BYTES = 256 * 2**20
 """Bytes of one file that a description names."""
 JOINT_KINDS: dict[int, JointKind] = {
@@ -71,7 +74,7 @@ def encode_mjcf(argument: bytes) -> bytes:
 
 def _read_tree(file: Path, packages: Sequence[Path]) -> KinematicTree:
     lines: dict[str, str] = {}
-    _check_files(file, file, packages, lines, {}, 0)
+    _check_files(file, packages, lines)
     try:
         spec = mujoco.MjSpec.from_file(str(file))
         spec.compiler.usethread = False  # threads need memory in proportion to the processors of the machine
@@ -98,33 +101,61 @@ def _read_tree(file: Path, packages: Sequence[Path]) -> KinematicTree:
 # --- safety ---------------------------------------------------------------------------------------------------------
 
 
-def _check_files(
-    file: Path, main: Path, packages: Sequence[Path], lines: dict[str, str], folders: dict[str, str], depth: int
+def _check_files(main: Path, packages: Sequence[Path], lines: dict[str, str]) -> None:
+    """Raise for a referenced file that is not permitted or missing; record the source line of each joint in `lines`.
+
+    The folders of meshes and textures apply to all files, wherever they are declared, so all includes are read first.
+    """
+    allowed = allowed_folders(main, packages)
+    files: list[tuple[Path, Any]] = []
+    _collect_includes(main, main, allowed, files, 0)
+    folders: dict[str, str] = {}
+    for file, root in files:
+        for element in root.iter("compiler"):
+            _add_folders(folders, element, f"{file.name}:{element.sourceline}")
+    for file, root in files:
+        for element in root.iter():
+            where = f"{file.name}:{element.sourceline}"
+            if element.tag in REFUSED_ELEMENTS:
+                got = "a plugin" if element.tag != "model" else "another model"
+                raise ConfigurationError(f"<{element.tag}> at {where}", got=got, allowed="plain MJCF")
+            if element.tag == "joint" and element.get("name"):
+                lines.setdefault(element.get("name"), where)
+            folder = folders.get({"mesh": "meshdir", "texture": "texturedir"}.get(element.tag, ""), "")
+            for key, name in element.attrib.items():
+                if key.startswith("file") and name and element.tag != "include":
+                    found = allowed.find(str(Path(folder or folders.get("assetdir", "")) / name), where)
+                    require_size(found, MAX_ASSET_BYTES)
+
+
+def _collect_includes(
+    file: Path, main: Path, allowed: AllowedFolders, files: list[tuple[Path, Any]], depth: int
 ) -> None:
-    """Raise for a referenced file that is not permitted or missing; record the source line of each joint in `lines`."""
+    """Append `file` and all files that it includes, with their root elements, to `files`."""
     if depth > MAX_INCLUDE_DEPTH:
         raise ConfigurationError(
             f"includes of {main.name}", got=f"more than {MAX_INCLUDE_DEPTH} levels", allowed="fewer"
         )
+    if len(files) >= MAX_INCLUDES:
+        raise ConfigurationError(f"includes of {main.name}", got=f"more than {MAX_INCLUDES}", allowed="fewer")
     root = read_xml(file)
-    allowed = allowed_folders(main, packages)
-    for element in root.iter("compiler"):
-        folders.update({key: element.get(key) for key in DIRECTORY_ATTRIBUTES if element.get(key)})
-    for element in root.iter():
-        where = f"{file.name}:{element.sourceline}"
-        if element.tag in ("extension", "plugin"):
-            raise ConfigurationError(f"<{element.tag}> at {where}", got="a plugin", allowed="plain MJCF")
-        if element.tag == "joint" and element.get("name"):
-            lines.setdefault(element.get("name"), where)
-        for key, name in element.attrib.items():
-            if not key.startswith("file") or not name:
-                continue
-            folder = "" if element.tag in ("include", "model") else folders.get("assetdir", "")
-            folder = folders.get({"mesh": "meshdir", "texture": "texturedir"}.get(element.tag, ""), folder)
-            found = allowed.find(str(Path(folder) / name), where)
-            require_size(found, MAX_ASSET_BYTES)
-            if element.tag in ("include", "model"):
-                _check_files(found, main, packages, lines, folders, depth + 1)
+    files.append((file, root))
+    for element in root.iter("include"):
+        if name := element.get("file"):
+            found = allowed.find(name, f"{file.name}:{element.sourceline}")
+            _collect_includes(found, main, allowed, files, depth + 1)
+
+
+def _add_folders(folders: dict[str, str], compiler: Any, where: str) -> None:
+    """Add the folders of one <compiler>; two different ones would let a file be checked in one, read in the other."""
+    if compiler.get("strippath", "false") != "false":
+        raise ConfigurationError(f"strippath at {where}", got=compiler.get("strippath"), allowed="false")
+    for key in DIRECTORY_ATTRIBUTES:
+        value = compiler.get(key)
+        if value is None:
+            continue
+        if folders.setdefault(key, value) != value:
+            raise ConfigurationError(f"{key} at {where}", got=value, allowed=f"{folders[key]!r} in every file")
 
 
 # --- the tree -------------------------------------------------------------------------------------------------------
