@@ -16,7 +16,7 @@ import msgspec
 from dualbrain.contracts.gate.authorization import PLANNER
 from dualbrain.control.gatekeeper.config import GatekeeperConfig
 from dualbrain.control.gatekeeper.process import GatekeeperProcess
-from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys
+from dualbrain.control.gatekeeper.protocol.authentication import load_keys
 from dualbrain.control.gatekeeper.protocol.client import ConnectionLostError, GatekeeperClient
 from dualbrain.control.gatekeeper.protocol.messages import EventReport, Message, RequestRefused, TickReport
 from dualbrain.errors import ConfigurationError
@@ -80,7 +80,7 @@ class CommanderTestbed:
         deadline = time.monotonic() + TIMEOUT_S
         while time.monotonic() < deadline:
             try:
-                link = GatekeeperClient(self.folder / "s", load_or_create_keys(self.folder / "keys"), PLANNER)
+                link = GatekeeperClient(self.folder / "s", load_keys(self.folder / "keys", (PLANNER,)), PLANNER)
             except ConnectionLostError:  # the gatekeeper still holds the connection of the failed commander
                 time.sleep(0.02)
                 continue

@@ -18,7 +18,7 @@ from threading import Lock, Thread
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
-from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys  # noqa: E402
+from dualbrain.control.gatekeeper.protocol.authentication import load_keys  # noqa: E402
 from dualbrain.control.gatekeeper.protocol.client import GatekeeperClient  # noqa: E402
 from dualbrain.memory.embedding.hashing_encoder import HashingEncoder  # noqa: E402
 from dualbrain.memory.ledger.ledger import Ledger  # noqa: E402
@@ -52,7 +52,7 @@ def write_episodes(path: Path) -> None:
 def main(path: str, keys: str, ledger: str, failure: str, waits: str) -> None:
     """Send the contract, store episodes, fail on request."""
     Thread(target=write_episodes, args=(Path(ledger),), daemon=True).start()
-    link = GatekeeperClient(Path(path), load_or_create_keys(Path(keys)), "planner")
+    link = GatekeeperClient(Path(path), load_keys(Path(keys), ("planner",)), "planner")
     version = link.request_scene().scene.version
     if waits == "1":
         link.propose(contract_bytes(), version)

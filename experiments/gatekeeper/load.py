@@ -27,7 +27,7 @@ from dualbrain.cli.run.live_feed import LiveFeed
 from dualbrain.contracts.gate.authorization import PLANNER
 from dualbrain.contracts.schema import decoding_schema, describe_skills
 from dualbrain.control.gatekeeper.config import GatekeeperConfig
-from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys
+from dualbrain.control.gatekeeper.protocol.authentication import load_keys
 from dualbrain.control.gatekeeper.protocol.client import GatekeeperClient
 from dualbrain.control.gatekeeper.protocol.messages import EventReport, Message, RequestRefused, TickReport
 from dualbrain.control.recording.trace import Event
@@ -101,7 +101,7 @@ def run_load(gatekeeper: GatekeeperConfig, scene: str, planner: str, seconds: fl
                 feed.on_event(Event(message.t, "operator", message.text))
 
         link = GatekeeperClient(
-            Path(gatekeeper.socket), load_or_create_keys(Path(gatekeeper.keys)), PLANNER, on_report=watch
+            Path(gatekeeper.socket), load_keys(Path(gatekeeper.keys), (PLANNER,)), PLANNER, on_report=watch
         )
         stack.callback(link.close)
         finished = Signal()

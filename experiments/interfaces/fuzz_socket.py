@@ -27,7 +27,7 @@ from dualbrain.control.gatekeeper.config import GatekeeperConfig
 from dualbrain.control.gatekeeper.gate.contract_checker import ContractChecker
 from dualbrain.control.gatekeeper.gate.exchange import GateRequest, GateSetup
 from dualbrain.control.gatekeeper.process import GatekeeperProcess
-from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys, verify_contract_mac
+from dualbrain.control.gatekeeper.protocol.authentication import load_keys, verify_contract_mac
 from dualbrain.control.gatekeeper.protocol.client import GatekeeperClient
 from dualbrain.control.gatekeeper.protocol.frames import BrokenStream, FrameDecoder
 from dualbrain.control.gatekeeper.protocol.messages import Propose, RequestRefused, decode_message
@@ -222,7 +222,7 @@ def _run_gatekeeper(seed: int, seconds: float, clients: int) -> tuple[Any, Count
         )
         process = GatekeeperProcess(config)
         try:
-            commander = GatekeeperClient(folder / "s", load_or_create_keys(folder / "keys"), PLANNER)
+            commander = GatekeeperClient(folder / "s", load_keys(folder / "keys", (PLANNER,)), PLANNER)
             _run_pick_and_place(commander)
             before = resident_kib(process.process.pid)
             children = [_start_client(config.socket, seconds, 100 * seed + k) for k in range(clients)]

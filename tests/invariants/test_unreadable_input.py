@@ -9,7 +9,7 @@ import pytest
 
 import dualbrain
 from dualbrain.adaptation.adapters.card import CARD_FILE, WEIGHTS_FILE, read_adapter_card
-from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys
+from dualbrain.control.gatekeeper.protocol.authentication import PRINCIPALS, load_keys
 from dualbrain.control.gatekeeper.robot_link.packet_socket import MalformedPacket, PacketSocket
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError
 
@@ -34,7 +34,7 @@ def test_an_invalid_file_is_a_configuration_error(tmp_path, data):
     keys.write_bytes(data)
     keys.chmod(0o600)
     with pytest.raises(ConfigurationError):
-        load_or_create_keys(keys)
+        load_keys(keys, PRINCIPALS)
 
 
 @pytest.mark.parametrize("error", DECODE_ERRORS)

@@ -48,7 +48,7 @@ def gatekeeper(
     socket
         Path of the socket (mode 0600). Default: gatekeeper.sock in the data folder of dualbrain.
     keys
-        File with the keys of planner and operator, created if necessary. Default: keys.json in the data folder.
+        Folder with the key files planner.key and operator.key, created if necessary. Default: keys in the data folder.
     speed
         Initial speed scale, as 10% or 0.1.
     seed
@@ -76,10 +76,11 @@ def gatekeeper(
     from dualbrain.cli.common.signals import survive_closed_terminal
     from dualbrain.control.gatekeeper.config import GatekeeperConfig
     from dualbrain.control.gatekeeper.process import run_gatekeeper
+    from dualbrain.control.gatekeeper.protocol.authentication import PRINCIPALS, load_keys
     from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
     survive_closed_terminal()
-    where, secrets = socket or dualbrain_home() / "gatekeeper.sock", keys or dualbrain_home() / "keys.json"
+    where, secrets = socket or dualbrain_home() / "gatekeeper.sock", keys or dualbrain_home() / "keys"
     config = GatekeeperConfig(
         robot=robot,
         scene=open_scene(scene, robot),
@@ -96,6 +97,8 @@ def gatekeeper(
         started_by=STARTED_BY_PERSON,
         unrecorded=unrecorded,
     )
+    if notice := load_keys(secrets, PRINCIPALS).notice:
+        print(notice, file=sys.stderr)
     ready = f"The gatekeeper of {robot} listens at {where}. Ctrl-C shuts it down."
     timing = run_gatekeeper(config, lambda: print(ready, file=sys.stderr))
     p50, p99, _, worst = (1e3 * value for value in timing.interval)
@@ -129,7 +132,7 @@ def operate(
     socket
         Path of the gatekeeper's socket. Default: gatekeeper.sock in the data folder of dualbrain.
     keys
-        Key file. Default: keys.json in the data folder.
+        Key folder, of which operator.key is read. Default: keys in the data folder.
     run
         Run folder of a `dualbrain run --live`, whose gatekeeper gets the command.
     """
@@ -142,7 +145,7 @@ def operate(
     where = socket or (_run_address(run)[0] if run is not None else dualbrain_home() / "gatekeeper.sock")
     if act == "estop":
         return _stop(where)
-    secrets = keys or (_run_address(run)[1] if run is not None else dualbrain_home() / "keys.json")
+    secrets = keys or (_run_address(run)[1] if run is not None else dualbrain_home() / "keys")
     return _send_command(where, secrets, act, parse_fraction(speed) if speed else 1.0)
 
 
@@ -177,10 +180,10 @@ def _send_command(where: Path, secrets: Path, act: OperatorAction, speed_scale: 
     """Send a command that needs the operator's key, and print the state of the gatekeeper after it."""
     import time
 
-    from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys
+    from dualbrain.control.gatekeeper.protocol.authentication import load_keys
     from dualbrain.control.gatekeeper.protocol.client import GatekeeperClient
 
-    link = GatekeeperClient(where, load_or_create_keys(secrets), "operator")
+    link = GatekeeperClient(where, load_keys(secrets, ("operator",)), "operator")
     link.operate(act, speed_scale)
     time.sleep(0.2)
     status = link.status

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 from dualbrain.core.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
-    from dualbrain.control.gatekeeper.protocol.authentication import Keys, load_or_create_keys
+    from dualbrain.control.gatekeeper.protocol.authentication import Keys, load_keys
     from dualbrain.control.gatekeeper.protocol.client import ConnectionLostError, GatekeeperClient
 
 _MODULES = {
     "control.gatekeeper.protocol.authentication": (
         "Keys",
-        "load_or_create_keys",
+        "load_keys",
     ),
     "control.gatekeeper.protocol.client": (
         "ConnectionLostError",
@@ -29,7 +29,7 @@ __all__ = [
     "ConnectionLostError",
     "GatekeeperClient",
     "Keys",
-    "load_or_create_keys",
+    "load_keys",
 ]
 
 __getattr__, __dir__ = lazy_exports(__name__, _MODULES)

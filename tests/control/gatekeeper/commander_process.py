@@ -10,13 +10,13 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[3]
 sys.path.insert(0, str(ROOT))
 
-from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys  # noqa: E402
+from dualbrain.control.gatekeeper.protocol.authentication import load_keys  # noqa: E402
 from dualbrain.control.gatekeeper.protocol.client import GatekeeperClient  # noqa: E402
 from experiments.gatekeeper.commander_messages import contract_bytes, send_flood, send_malformed_bytes  # noqa: E402
 
 
 def main(path, keys, failure):
-    client = GatekeeperClient(Path(path), load_or_create_keys(Path(keys)), "planner")
+    client = GatekeeperClient(Path(path), load_keys(Path(keys), ("planner",)), "planner")
     client.propose(contract_bytes(), client.request_scene().scene.version)
     sys.stdout.write("running\n")
     sys.stdout.flush()

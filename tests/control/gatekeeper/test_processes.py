@@ -17,7 +17,7 @@ from dualbrain.control.gatekeeper.capability import Capability
 from dualbrain.control.gatekeeper.config import GatekeeperConfig
 from dualbrain.control.gatekeeper.process import GatekeeperProcess
 from dualbrain.control.gatekeeper.protocol import client as client_module
-from dualbrain.control.gatekeeper.protocol.authentication import contract_mac, load_or_create_keys
+from dualbrain.control.gatekeeper.protocol.authentication import PRINCIPALS, contract_mac, load_keys
 from dualbrain.control.gatekeeper.protocol.client import ConnectionLostError, GatekeeperClient
 from dualbrain.control.gatekeeper.protocol.frames import encode
 from dualbrain.control.gatekeeper.protocol.messages import Heartbeat, Propose, RequestRefused, encode_body, kind_code
@@ -62,7 +62,7 @@ def folder(tmp_path_factory):
 
 def connect(folder, principal="planner", **options):
     """A client, as soon as the gatekeeper accepts it: the last commander may still be connected."""
-    keys = load_or_create_keys(folder / "keys")
+    keys = load_keys(folder / "keys", PRINCIPALS)
     deadline = time.monotonic() + 3.0
     while True:
         try:
@@ -163,7 +163,7 @@ def test_a_contract_for_another_scene_or_after_its_expiry_is_rejected(commander)
 
 def test_an_authentication_code_is_valid_for_one_connection_and_one_principal(folder, commander):
     """A contract with a code for another connection, or of another principal, is not passed to the gate."""
-    keys = load_or_create_keys(folder / "keys")
+    keys = load_keys(folder / "keys", PRINCIPALS)
     facts = {"issued": commander.now, "expires": commander.now + 9.0, "scene_version": 1}
     body = contract_bytes(HOLD)
     for secret, nonce in ((keys.secrets["planner"], b"0" * 16), (keys.secrets["operator"], commander.nonce)):
@@ -177,7 +177,7 @@ def test_an_authentication_code_is_valid_for_one_connection_and_one_principal(fo
 
 
 def test_a_second_commander_is_refused_and_an_observer_may_not_propose(folder, commander):
-    keys = load_or_create_keys(folder / "keys")
+    keys = load_keys(folder / "keys", PRINCIPALS)
     with pytest.raises(ConnectionLostError, match="commander already"):
         GatekeeperClient(folder / "s", keys, "planner")
     observer = GatekeeperClient(folder / "s")

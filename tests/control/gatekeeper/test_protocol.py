@@ -13,10 +13,11 @@ from dualbrain.contracts.contract import Action, Context, Contract
 from dualbrain.control.gatekeeper.capability import Capability
 from dualbrain.control.gatekeeper.protocol import server as server_module
 from dualbrain.control.gatekeeper.protocol.authentication import (
+    PRINCIPALS,
     SECRET_BYTES,
     contract_mac,
     hello_proof,
-    load_or_create_keys,
+    load_keys,
     verify_contract_mac,
     verify_hello_proof,
 )
@@ -157,18 +158,19 @@ def test_a_proof_is_valid_for_one_principal_and_one_nonce():
 
 
 def test_a_key_file_is_private_and_persistent(tmp_path):
-    path = tmp_path / "deep" / "keys.json"
-    keys = load_or_create_keys(path)
+    folder = tmp_path / "deep" / "keys"
+    keys = load_keys(folder, PRINCIPALS)
+    path = folder / "planner.key"
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
-    assert load_or_create_keys(path) == keys
+    assert load_keys(folder, PRINCIPALS) == keys
     assert len(set(keys.secrets.values())) == 2
     path.chmod(0o640)
     with pytest.raises(ConfigurationError, match="the mode 640"):
-        load_or_create_keys(path)
+        load_keys(folder, PRINCIPALS)
     path.chmod(0o600)
-    path.write_text('{"secrets": {"planner": ""}}')
+    path.write_text("ab")
     with pytest.raises(ConfigurationError, match="fewer than 32 bytes"):
-        load_or_create_keys(path)
+        load_keys(folder, PRINCIPALS)
 
 
 # --- capabilities -----------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from dualbrain.control.gatekeeper.capability import full_capability
 from dualbrain.control.gatekeeper.gate.exchange import GateSetup
 from dualbrain.control.gatekeeper.gate.inline_gate import InlineGate
 from dualbrain.control.gatekeeper.gatekeeper import Gatekeeper, GatekeeperSettings
-from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys
+from dualbrain.control.gatekeeper.protocol.authentication import PRINCIPALS, load_keys
 from dualbrain.control.gatekeeper.protocol.client import GatekeeperClient
 from dualbrain.control.gatekeeper.protocol.messages import TickReport
 from dualbrain.control.gatekeeper.protocol.server import SocketServer
@@ -30,7 +30,7 @@ def test_tick_reports_arrive_about_fifteen_times_per_second_of_the_robots_time(t
     plant = Plant(spec, robot_model)
     world = SimulatedWorld(plant, NoisyPerception(spec, PerceptionNoise(), np.random.default_rng(0)))
     injector = FaultInjector(Fault("state", "off", "closing"), lambda: plant.now)
-    keys, server, reports = load_or_create_keys(tmp_path / "keys"), SocketServer(tmp_path / "s"), []
+    keys, server, reports = load_keys(tmp_path / "keys", PRINCIPALS), SocketServer(tmp_path / "s"), []
     capabilities = {"planner": full_capability(skill_registry(robot_model))}
     with ThreadPoolExecutor() as background:
         observer = background.submit(GatekeeperClient, server.path, on_report=reports.append)

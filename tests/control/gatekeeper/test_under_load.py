@@ -17,7 +17,7 @@ import pytest
 
 from dualbrain.control.gatekeeper.config import GatekeeperConfig
 from dualbrain.control.gatekeeper.process import GatekeeperProcess
-from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys
+from dualbrain.control.gatekeeper.protocol.authentication import PRINCIPALS, load_keys
 from dualbrain.control.gatekeeper.protocol.client import ConnectionLostError, GatekeeperClient
 from dualbrain.control.gatekeeper.robot_link.simulated_robot import RobotReport
 from dualbrain.memory.ledger.ledger import LedgerReader
@@ -61,7 +61,7 @@ def connect(socket, keys, principal):
 
     def try_to_connect():
         with suppress(ConnectionLostError):
-            return GatekeeperClient(socket, load_or_create_keys(keys), principal)
+            return GatekeeperClient(socket, load_keys(keys, PRINCIPALS), principal)
         return None
 
     return wait_until(f"{principal or 'an observer'} is accepted", try_to_connect)

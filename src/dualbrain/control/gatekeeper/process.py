@@ -19,7 +19,7 @@ from dualbrain.control.gatekeeper.deployment import Deployment
 from dualbrain.control.gatekeeper.gate.exchange import GateSetup
 from dualbrain.control.gatekeeper.gate.gate_process import GateProcess
 from dualbrain.control.gatekeeper.gatekeeper import Gatekeeper, GatekeeperSettings
-from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys
+from dualbrain.control.gatekeeper.protocol.authentication import PRINCIPALS, load_keys
 from dualbrain.control.gatekeeper.protocol.registration import registered
 from dualbrain.control.gatekeeper.protocol.server import SocketServer, is_listening
 from dualbrain.control.gatekeeper.robot_link.remote_robot import RemoteRobot
@@ -60,7 +60,7 @@ def run_gatekeeper(
         keys=config.keys,
         started_by=config.started_by,
     )
-    deployment, keys = Deployment.from_config(config), load_or_create_keys(Path(config.keys))
+    deployment, keys = Deployment.from_config(config), load_keys(Path(config.keys), PRINCIPALS)
     robot_model = deployment.robot_model
     server = SocketServer(Path(config.socket))
     robot: RemoteRobot | None = None

@@ -16,7 +16,7 @@ from dualbrain.control.gatekeeper.capability import full_capability
 from dualbrain.control.gatekeeper.gate.exchange import GateSetup
 from dualbrain.control.gatekeeper.gate.inline_gate import InlineGate
 from dualbrain.control.gatekeeper.gatekeeper import Gatekeeper, GatekeeperSettings
-from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys
+from dualbrain.control.gatekeeper.protocol.authentication import PRINCIPALS, load_keys
 from dualbrain.control.gatekeeper.protocol.server import SocketServer
 from dualbrain.control.recording.trace import Trace
 from dualbrain.evaluation.fault_injection.faults import Fault, FaultInjector, FaultyRobot
@@ -137,7 +137,7 @@ def run_gatekeeper_trial(
     registry = skill_registry(robot_model)
     capabilities = {PLANNER: full_capability(registry)}
     with tempfile.TemporaryDirectory(prefix="dualbrain-") as name:
-        keys, server = load_or_create_keys(Path(name) / "k"), SocketServer(Path(name) / "s")
+        keys, server = load_keys(Path(name) / "k", PRINCIPALS), SocketServer(Path(name) / "s")
         gatekeeper = Gatekeeper(
             robot_model,
             robot,

@@ -14,7 +14,7 @@ from dualbrain.contracts.gate.authorization import PLANNER
 from dualbrain.control.gatekeeper.config import GatekeeperConfig
 from dualbrain.control.gatekeeper.gatekeeper import OPERATOR
 from dualbrain.control.gatekeeper.process import GatekeeperProcess
-from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys
+from dualbrain.control.gatekeeper.protocol.authentication import load_keys
 from dualbrain.control.gatekeeper.protocol.client import ConnectionLostError, GatekeeperClient
 from dualbrain.control.gatekeeper.protocol.emergency_stop import send_emergency_stop
 from dualbrain.control.gatekeeper.protocol.messages import EventReport, Message, OperatorAction, TickReport
@@ -79,7 +79,7 @@ class GatekeeperBackend:
             process = GatekeeperProcess(config)
             stack.callback(process.stop)
             address = out / ADDRESS_FILE
-            write_atomically(address, f"{config.socket}\n{config.keys}\n".encode(), private=False)
+            write_atomically(address, f"{config.socket}\n{config.keys}\n".encode())
             stack.callback(address.unlink, missing_ok=True)
             yield self._connect(context, observer, process)
 
@@ -103,9 +103,9 @@ class GatekeeperBackend:
             report = context.config.out / ROBOT_REPORT_FILE
             return msgspec.json.decode(report.read_bytes(), type=RobotReport).judgement if report.exists() else None
 
-        keys = load_or_create_keys(Path(config.keys))
-        client = GatekeeperClient(Path(config.socket), keys, PLANNER, on_report=watch)
-        self._operator = operator = GatekeeperClient(Path(config.socket), keys, OPERATOR)
+        where, keys = Path(config.socket), Path(config.keys)
+        client = GatekeeperClient(where, load_keys(keys, (PLANNER,)), PLANNER, on_report=watch)
+        self._operator = operator = GatekeeperClient(where, load_keys(keys, (OPERATOR,)), OPERATOR)
         log = FlightLog(Trace(model.n), None, observer.on_event)
         executor = RemoteExecutor(model, client, log, context.interrupted)
         truth = GroundTruth(lambda contract: None, judge, context.versions, context.image_features)

@@ -7,9 +7,11 @@ bounded memory.
 
 from __future__ import annotations
 
+import errno
 import os
 import secrets
 import socket
+import stat
 from collections.abc import Iterator
 from pathlib import Path
 from struct import unpack
@@ -24,6 +26,7 @@ from dualbrain.control.gatekeeper.protocol.messages import (
     encode_body,
     kind_code,
 )
+from dualbrain.core.storage.private_files import create_private_folder, describe_kind
 from dualbrain.errors import ConfigurationError
 
 MAX_CONNECTIONS, MAX_AUTHENTICATED = 12, 8
@@ -41,6 +44,8 @@ BACKLOG = 128
 """Clients that may wait for `accept`; a client of a longer queue is refused."""
 ACCEPTED_PER_TICK = MAX_CONNECTIONS - MAX_AUTHENTICATED
 """Connections that are accepted per tick. All are read in the same tick, before a later client can replace them."""
+ANOTHER_PATH = "Name another path with --socket"
+"""Remedy if the path of the socket is taken."""
 DISCONNECTED, FLOOD = "disconnected", "flood"
 """Beginning of the fault of a connection that the client ended, and the fault of one that exceeded the rate limit."""
 
@@ -136,17 +141,19 @@ class SocketServer:
     def __init__(self, path: Path) -> None:
         """Listen at `path` (mode 0600).
 
-        Raises `ConfigurationError` if another process listens there, or if the path is too long.
+        A socket of this user at which no process listens is replaced. Raises `ConfigurationError` if another process
+        listens there, if anything else is there (which is left as it is), or if the path is too long.
         """
         self.path = path
-        path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-        if path.exists():
-            _remove_stale_socket(path)
+        create_private_folder(path.parent)
+        _remove_stale_socket(path)
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         before = os.umask(0o177)
         try:
             self._listener.bind(str(path))
+            self._identity = _file_identity(path)
         except OSError as error:
+            self._listener.close()
             raise ConfigurationError.stating(
                 f"The socket {path} cannot be created: {error.strerror}.",
                 fix="Name a path of up to 107 bytes in a writable folder with --socket.",
@@ -193,11 +200,13 @@ class SocketServer:
             connection.flush()
 
     def close(self) -> None:
-        """Close all connections and remove the socket."""
+        """Close all connections, and remove the socket unless another file is at its path by now."""
         for connection in self.connections:
             connection.close()
+        is_own = _file_identity(self.path) == self._identity
         self._listener.close()
-        self.path.unlink(missing_ok=True)
+        if is_own:
+            self.path.unlink(missing_ok=True)
 
     @property
     def is_full(self) -> bool:
@@ -244,14 +253,55 @@ def _peer_uid(accepted: socket.socket) -> int:
 
 def is_listening(path: Path) -> bool:
     """Whether a process listens at `path`; a killed gatekeeper leaves a socket at which no process listens."""
+    return _probe(path) in (0, errno.EAGAIN)
+
+
+def _probe(path: Path) -> int:
+    """The error number of a connection to `path`: 0 if it was accepted, EAGAIN if the listener is busy."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
-        return probe.connect_ex(str(path)) == 0
+        probe.setblocking(False)
+        try:
+            return probe.connect_ex(str(path))
+        except OSError:  # a path that is too long for a socket
+            return errno.ENAMETOOLONG
+
+
+def _file_identity(path: Path) -> tuple[int, int] | None:
+    """Device and inode of the file at `path`, not of the target of a link; None if there is none."""
+    try:
+        found = path.lstat()
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
 
 
 def _remove_stale_socket(path: Path) -> None:
-    """Remove a socket at which no process listens."""
-    if is_listening(path):
+    """Remove a socket of this user at which no process listens; raise `ConfigurationError` for anything else."""
+    try:
+        found = path.lstat()
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise ConfigurationError.stating(
+            f"The socket {path} cannot be created: {error.strerror}.", fix=f"{ANOTHER_PATH}."
+        ) from error
+    if not stat.S_ISSOCK(found.st_mode):
+        raise ConfigurationError.stating(
+            f"{path} is {describe_kind(found.st_mode)} and not a socket, so it is left as it is.",
+            fix="Move it away, or name another path with --socket.",
+        )
+    if found.st_uid != os.geteuid():
+        raise ConfigurationError.stating(
+            f"The socket {path} belongs to another user (user id {found.st_uid}).", fix=f"{ANOTHER_PATH}."
+        )
+    answer = _probe(path)
+    if answer in (0, errno.EAGAIN):
         raise ConfigurationError.stating(
             f"The socket {path} is in use by a running gatekeeper.", fix="Stop it, or name another path with --socket."
         )
-    path.unlink()
+    if answer not in (errno.ECONNREFUSED, errno.ENOENT):
+        raise ConfigurationError.stating(
+            f"The socket {path} is in use by another program ({os.strerror(answer)}).", fix=f"{ANOTHER_PATH}."
+        )
+    if _file_identity(path) == (found.st_dev, found.st_ino):
+        path.unlink()
