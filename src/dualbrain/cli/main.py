@@ -126,7 +126,7 @@ for _name, _function, _help in (
     ("show", "browse:show", "Show one memory with every change of its weight."),
     ("search", "browse:search", "Search as a run would, with all parts of the score."),
     ("export", "browse:export", "Write all memories as JSON lines."),
-    ("verify", "browse:verify", "Verify the hash chain, weights, snapshot and vectors."),
+    ("verify", "browse:verify", "Verify the hash chain, anchors, weights, snapshot and vectors."),
     ("audit", "edit:audit", "Report label conflicts, near-duplicates and the influence of each source."),
     ("quarantine", "edit:quarantine", "Exclude memories, and undo their influence on weights."),
     ("release", "edit:release", "Undo a quarantine."),

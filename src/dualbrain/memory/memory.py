@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -68,7 +69,9 @@ class Memory:
     def __init__(self, ledger: LedgerReader, encoder: Encoder, config: MemoryConfig) -> None:
         """Derive the state from the newest snapshot and the events after it, and check every link that is read.
 
-        A memory of a `LedgerReader` can only retrieve. Raises `CorruptLedgerError` if a link is broken, and
+        Every vector that is used is checked too: those of the snapshot by the digest of its file, those after it by
+        their own digests. A memory of a `LedgerReader` can only retrieve. Raises `CorruptLedgerError` if a link is
+        broken or a vector was changed, and
         `ConfigurationError` if the vectors were computed by another embedding.
         """
         self.config, self.ledger = config, ledger
@@ -207,6 +210,8 @@ class Memory:
         where, values = ("seq > ?", (after.seq,)) if after else ("", ())
         tail = list(verified_events(self.ledger.events(where, values), str(self.ledger.path), after=after))
         if not (snapshot and self._load_snapshot(snapshot, tail)):
+            if after:
+                deque(verified_events(self.ledger.events("seq <= ?", (after.seq,)), str(self.ledger.path)), maxlen=0)
             self._derive_from_events()
         if isinstance(self.ledger, Ledger) and len(tail) > SNAPSHOT_MIN_EVENTS:
             self.write_snapshot(self.ledger, now=self.ledger.opened_at)

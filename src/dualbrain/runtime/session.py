@@ -34,6 +34,7 @@ from dualbrain.memory.embedding.image_encoder import IMAGE_WEIGHTS, ImageEncoder
 from dualbrain.memory.embedding.image_features import ImageFeatures
 from dualbrain.memory.embedding.posture_features import Posture, PostureLimits
 from dualbrain.memory.embedding.text_encoder import MiniLmEncoder
+from dualbrain.memory.ledger.anchors import RUN_ANCHOR_FILE
 from dualbrain.memory.ledger.ledger import Ledger
 from dualbrain.memory.ledger.runs import InterruptedRun
 from dualbrain.memory.maintenance.edits import record_uses
@@ -124,7 +125,12 @@ class Session:
         if planner is None:
             self._stack.callback(self.planner.close)
         self._open_space()
-        ledger = Ledger(config.ledger, holder=f"dualbrain run {config.out.name}", now=self.clocks.now())
+        ledger = Ledger(
+            config.ledger,
+            holder=f"dualbrain run {config.out.name}",
+            now=self.clocks.now(),
+            run_folders=(config.out.parent,),
+        )
         self._stack.callback(ledger.close)
         self.ledger = ledger
         rule = None if config.static else Plasticity(epsilon=config.epsilon)
@@ -203,10 +209,11 @@ class Session:
         """Run the instruction; afterwards the run folder holds configuration, scene, recording and episodes."""
         config, out = self.config, self.config.out
         with self._reserved_space():
-            write_atomically(out / "config.json", config.encode(), private=False)
+            write_atomically(out / "config.json", config.encode())
             save_scene(self.spec, out / "scene.json")
-            about = {"instruction": config.instruction}
+            about = {"instruction": config.instruction, "folder": str(out.resolve())}
             self.interrupted_runs = self.ledger.start_run(out.name, about, now=self.clocks.now())
+            self.ledger.anchor(out / RUN_ANCHOR_FILE)
         context = self._context()
         for reserve in self._reserves[RECORDING:]:  # the recorder reserves its own space
             reserve.release()
@@ -272,6 +279,7 @@ class Session:
         *earlier, (episode, stored) = results
         episode = self._with_memory_uses(episode)
         self.ledger.end_run({"outcome": episode.outcome.kind}, now=self.clocks.now())
+        self.ledger.anchor(self.config.out / RUN_ANCHOR_FILE)
         return RunResult(episode, stored, trace, tuple(one for one, _ in earlier))
 
     def _with_memory_uses(self, episode: Episode) -> Episode:

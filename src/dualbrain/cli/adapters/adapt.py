@@ -143,8 +143,8 @@ def _write_dataset(ledger: Path | None, registry: Any, at_site: Any, settings: A
 def _require_same_dataset(card: Any, settings: Any, folder: Path, ledger: Path | None, at_site: Any) -> None:
     """Raise `ConfigurationError` if the data set of `card` has other settings, another ledger or another site."""
     from dualbrain.adaptation.curation.dataset import curation_differences
+    from dualbrain.memory.ledger.anchors import descends_from
     from dualbrain.memory.ledger.hash_chain import Head
-    from dualbrain.memory.state.history import descends_from
 
     if others := curation_differences(card, settings.curation):
         fix = "Name another --out to curate again, or use the former settings to resume."

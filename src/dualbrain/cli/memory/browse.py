@@ -2,16 +2,28 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 from cyclopts import Parameter
+from rich.markup import escape
 
 from dualbrain.cli.common.console import StderrConsole, print_result, print_table, sanitize_line
 from dualbrain.cli.common.exit_codes import ExitCode
-from dualbrain.cli.memory.open_memory import load_encoder, open_memory, open_reader, posture_limits, print_json
+from dualbrain.cli.memory.open_memory import (
+    LOCK_TIMEOUT_S,
+    RUN_FOLDERS,
+    ledger_path,
+    load_encoder,
+    open_memory,
+    open_reader,
+    posture_limits,
+    print_json,
+)
 from dualbrain.core.text import count_noun
 from dualbrain.errors import ConfigurationError, UnknownNameError, UsageError
 from dualbrain.memory.ledger.events import Status
@@ -19,10 +31,13 @@ from dualbrain.records import OutcomeClass
 
 if TYPE_CHECKING:
     from dualbrain.memory.ledger.ledger import LedgerReader
+    from dualbrain.memory.maintenance.verification import Verification
     from dualbrain.memory.state.state import LedgerState, MemoryState
     from dualbrain.records import Exemplar
 
 Flag = Annotated[bool, Parameter(negative="")]
+MAX_LISTED_FAULTS = 20
+"""Number of wrong vectors that `verify` lists."""
 
 
 def list_memories(
@@ -232,13 +247,16 @@ def export(out: Path | None = None, /, *, ledger: Path | None = None) -> int:
     return ExitCode.SUCCESS
 
 
-def verify(*, vectors: Flag = False, ledger: Path | None = None, json: Flag = False) -> int:
-    """Verify the hash chain, all weights and the snapshot. Exit code 1 if any of them is wrong.
+def verify(*, vectors: Flag = False, accept: str = "", ledger: Path | None = None, json: Flag = False) -> int:
+    """Verify hash chain, anchors, weights, snapshot and digests of vectors. Exit code 1 if any of them is wrong.
 
     Parameters
     ----------
     vectors
         Also recompute every vector and compare it bit for bit.
+    accept
+        Reason for which a ledger that lacks events of its anchors, or its triggers, is accepted as it is; recorded in
+        the ledger. A broken chain cannot be accepted.
     ledger
         Memory ledger. Default: ledger.sqlite in the data folder of dualbrain.
     json
@@ -247,9 +265,11 @@ def verify(*, vectors: Flag = False, ledger: Path | None = None, json: Flag = Fa
     from dualbrain.memory.embedding.joint_embedding import JointEmbedding
     from dualbrain.memory.maintenance.verification import verify as examine
 
-    with open_reader(ledger) as opened:
+    if accept:
+        _accept(ledger_path(ledger), accept)
+    with open_reader(ledger, warn=False) as opened:
         embedding = JointEmbedding(load_encoder(), posture_limits("panda")) if vectors else None
-        found = examine(opened, embedding=embedding)
+        found = examine(opened, embedding=embedding, run_folders=RUN_FOLDERS)
     if json:
         print_json({"whole": found.is_intact, **msgspec.to_builtins(found)})
     chain = found.chain
@@ -261,7 +281,46 @@ def verify(*, vectors: Flag = False, ledger: Path | None = None, json: Flag = Fa
         f"{words}; {count_noun(found.memories, 'memory', 'memories')}; snapshot {found.snapshot}{checked}; "
         f"head {chain.head.hash[:16]}"
     )
+    for line in _verification_details(found):
+        StderrConsole().print(escape(line))
     return ExitCode.SUCCESS if found.is_intact else ExitCode.FAILED_SAFELY
+
+
+def _accept(path: Path, reason: str) -> None:
+    from dualbrain.memory.maintenance.acceptance import accept_ledger
+
+    report = accept_ledger(
+        path,
+        reason,
+        holder="dualbrain memory verify",
+        now=time.time(),
+        timeout_s=LOCK_TIMEOUT_S,
+        run_folders=RUN_FOLDERS,
+        actor="dualbrain memory verify",
+    )
+    for fault in report.faults:
+        StderrConsole().print(escape(f"accepted: {fault.sentence}"))
+
+
+def _verification_details(found: Verification) -> Iterator[str]:
+    """Sentences about faults of vectors, anchors and the file, and about everything that was not compared."""
+    faults = found.vectors.faults
+    for seq, fault in list(faults.items())[:MAX_LISTED_FAULTS]:
+        yield f"event {seq}: {fault}"
+    if faults:
+        total = count_noun(len(faults), "vector")
+        yield f"{total} differ from the digests in their events. Recompute them with `dualbrain memory rebuild`."
+    if found.vectors.without_digest:
+        total = count_noun(found.vectors.without_digest, "vector")
+        yield (
+            f"{total} of a ledger of an earlier version have no digest in the chain and were not compared: "
+            "`dualbrain memory rebuild` records them."
+        )
+    yield from found.anchor_faults
+    if found.anchor_faults:
+        yield "Restore the newest copy of the ledger. If the loss is intended, accept it with --accept REASON."
+    yield from (f"file: {fault}" for fault in found.file_faults)
+    yield from found.notices
 
 
 def _memory_row(memo: MemoryState) -> tuple[str, ...]:

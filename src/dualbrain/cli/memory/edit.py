@@ -14,6 +14,7 @@ from dualbrain.cli.common.console import StderrConsole, print_result, print_tabl
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.memory.open_memory import (
     LOCK_TIMEOUT_S,
+    RUN_FOLDERS,
     ledger_path,
     load_encoder,
     memory_config,
@@ -239,7 +240,9 @@ def rebuild(*, ledger: Path | None = None, json: Flag = False) -> int:
 
     path = ledger_path(ledger)
     LedgerReader(path).close()
-    with Ledger(path, holder=f"{COMMAND} rebuild", now=time.time(), timeout_s=LOCK_TIMEOUT_S) as opened:
+    with Ledger(
+        path, holder=f"{COMMAND} rebuild", now=time.time(), timeout_s=LOCK_TIMEOUT_S, run_folders=RUN_FOLDERS
+    ) as opened:
         config, encoder = memory_config(opened), load_encoder()
         count = rebuild_vectors(opened, JointEmbedding(encoder, config.limits, config.embedding))
         Memory(opened, encoder, config).write_snapshot(opened, now=time.time())

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
+from rich.markup import escape
 
-from dualbrain.cli.common.console import print_result
+from dualbrain.cli.common.console import StderrConsole, print_result
 from dualbrain.core.paths import cache_folder, dualbrain_home
 from dualbrain.errors import UnknownNameError
 
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from dualbrain.memory.ledger.ledger import LedgerReader
     from dualbrain.memory.memory import Memory
 
+RUN_FOLDERS = (Path("runs"),)
+"""Folders of runs whose anchors are compared with the ledger, besides those that the ledger records."""
 LOCK_TIMEOUT_S = 5.0
 """Time that a command waits for another writer of the ledger [s]."""
 
@@ -30,12 +33,22 @@ def ledger_path(chosen: Path | None) -> Path:
 
 
 @contextmanager
-def open_reader(chosen: Path | None) -> Generator[LedgerReader]:
-    """The ledger, read only; this works while a run writes."""
+def open_reader(chosen: Path | None, *, warn: bool = True) -> Generator[LedgerReader]:
+    """The ledger, read only; this works while a run writes. With `warn`, faults of its anchors are printed."""
     from dualbrain.memory.ledger.ledger import LedgerReader
 
     with LedgerReader(ledger_path(chosen)) as ledger:
+        if warn:
+            warn_about_anchors(ledger)
         yield ledger
+
+
+def warn_about_anchors(ledger: LedgerReader) -> None:
+    """Print a warning for each event that the ledger had contained and lacks now."""
+    from dualbrain.memory.ledger.anchors import check_anchors
+
+    for fault in check_anchors(ledger, RUN_FOLDERS).faults:
+        StderrConsole().print(f"[yellow]{escape(fault.sentence)} See `dualbrain memory verify`.[/]")
 
 
 @contextmanager
@@ -55,9 +68,13 @@ def _open_ledger(chosen: Path | None, writing: str) -> Generator[LedgerReader]:
     LedgerReader(path).close()  # a command never creates a ledger
     if not writing:
         with LedgerReader(path) as ledger:
+            warn_about_anchors(ledger)
             yield ledger
         return
-    with Ledger(path, holder=f"dualbrain memory {writing}", now=time.time(), timeout_s=LOCK_TIMEOUT_S) as ledger:
+    holder = f"dualbrain memory {writing}"
+    with Ledger(path, holder=holder, now=time.time(), timeout_s=LOCK_TIMEOUT_S, run_folders=RUN_FOLDERS) as ledger:
+        for notice in ledger.notices:
+            StderrConsole().print(f"[yellow]{escape(notice)}[/]")
         yield ledger
 
 

@@ -96,6 +96,8 @@ def execute_run(config: RunConfig, view: RunView) -> ExitCode:
                 result = session.run(_make_observer(console, camera, feed, spinner))
             finally:
                 spinner.stop()
+        for notice in session.ledger.notices:
+            console.print(f"[yellow]{escape(notice)}[/]")
         for interrupted in session.interrupted_runs:
             console.print(f"[yellow]{escape(str(interrupted))}[/]")
         _print_result(console, result)

@@ -221,17 +221,16 @@ def _verdict_lines(attempt: Attempt) -> Iterator[str]:
 @contextmanager
 def _open_memory(ledger: Path | None, here: PlanningContext) -> Generator[Retriever | None]:
     """The memory, read only; None if no run has written one yet."""
-    from dualbrain.cli.memory.open_memory import ledger_path, load_encoder
+    from dualbrain.cli.memory.open_memory import ledger_path, load_encoder, open_reader
     from dualbrain.memory.config import MemoryConfig
     from dualbrain.memory.embedding.posture_features import PostureLimits
-    from dualbrain.memory.ledger.ledger import LedgerReader
     from dualbrain.memory.memory import Memory
 
     path = ledger_path(ledger)
     if ledger is None and not path.exists():
         yield None
         return
-    with LedgerReader(path) as opened:
+    with open_reader(path) as opened:
         yield Memory(opened, load_encoder(), MemoryConfig(limits=(PostureLimits.from_model(here.robot_model),)))
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
+from dualbrain.core.storage.private_files import FILE_MODE
 from dualbrain.errors import DualbrainError
 
 POLL_INTERVAL_S = 0.02
@@ -32,7 +33,7 @@ def file_lock(path: Path, *, timeout_s: float | None = None) -> Generator[None]:
     Raises:
         LockedError: Another process still holds the lock after `timeout_s`.
     """
-    lock = FileLock(path, timeout=-1 if timeout_s is None else timeout_s, poll_interval=POLL_INTERVAL_S)
+    lock = FileLock(path, timeout=-1 if timeout_s is None else timeout_s, mode=FILE_MODE, poll_interval=POLL_INTERVAL_S)
     try:
         lock.acquire()
     except Timeout as error:

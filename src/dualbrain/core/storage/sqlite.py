@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+import sys
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 
@@ -24,6 +25,20 @@ def transaction(database: sqlite3.Connection) -> Generator[None]:
         if database.in_transaction:  # a full disk has already rolled back
             database.execute("ROLLBACK")
         raise
+
+
+def harden(database: sqlite3.Connection) -> None:
+    """Let the file behind `database` run as little as possible: a changed file may contain its own views and functions.
+
+    The schema may call no function with side effects, no extension can be loaded, and the internal tables of SQLite
+    cannot be written. Call it before the first statement that reads a table.
+    """
+    database.execute("PRAGMA trusted_schema = OFF")
+    database.execute("PRAGMA cell_size_check = ON")
+    if hasattr(database, "enable_load_extension"):  # absent if Python was built without extensions
+        database.enable_load_extension(False)
+    if sys.version_info >= (3, 12):
+        database.setconfig(sqlite3.SQLITE_DBCONFIG_DEFENSIVE, True)
 
 
 def split_statements(script: str) -> Iterator[str]:

@@ -13,6 +13,7 @@ EPISODE, WEIGHT, NEIGHBOURS = "episode", "weight", "neighbours"
 CONFIRM, QUARANTINE, RELEASE, TOMBSTONE = "confirm", "quarantine", "release", "tombstone"
 ROLLBACK, FOLDED, COMPACTED, SNAPSHOT = "rollback", "folded", "compacted", "snapshot"
 AUDIT, REPLAYED, ADAPTER, USED = "audit", "replayed", "adapter", "used"
+VECTORS, ACCEPTED = "vectors", "accepted"
 WEIGHT_EVENT_KINDS = (EPISODE, WEIGHT, NEIGHBOURS, FOLDED)
 """Kinds of events that create memories and change weights."""
 Status = Literal["active", "candidate", "quarantined", "forgotten"]
@@ -116,6 +117,23 @@ class SnapshotRecord(msgspec.Struct, frozen=True):
 
     as_of: int
     sha256: str
+
+
+class VectorDigests(msgspec.Struct, frozen=True):
+    """Payload of a vectors event: new digest of the vector of each episode, by event number; "" if it was removed."""
+
+    digests: dict[int, str]
+
+
+class AcceptedLoss(msgspec.Struct, frozen=True, kw_only=True):
+    """Payload of an accepted event: the anchors (number and hash of an event) that the ledger no longer contains.
+
+    A person accepted their loss, so that the ledger may be written again.
+    """
+
+    anchors: tuple[tuple[int, str], ...]
+    reason: str
+    actor: str
 
 
 class MemoryUses(msgspec.Struct, frozen=True):

@@ -12,6 +12,11 @@ from dualbrain.errors import DualbrainError
 GENESIS = hashlib.sha256(b"dualbrain ledger, schema 1").hexdigest()
 """The predecessor hash of the first event; the same for all schema versions, so that a migration keeps the chain."""
 
+RESTORE_LEDGER = (
+    "Restore a copy, or move the file away and begin with an empty memory by `dualbrain memory verify --accept REASON`."
+)
+"""Remedy for a ledger whose events are damaged."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LedgerEvent:
@@ -57,14 +62,11 @@ class ChainReport:
 class CorruptLedgerError(DualbrainError):
     """The ledger file is damaged: an event was changed or removed, or cannot be read."""
 
-    def __init__(self, fault: str, *, seq: int | None, path: str) -> None:
-        """Report the fault, the number of the event and, last, the path of the file."""
+    def __init__(self, fault: str, *, seq: int | None, path: str, fix: str = RESTORE_LEDGER) -> None:
+        """Report the fault, the number of the event, the remedy `fix` and, last, the path of the file."""
         self.fault, self.seq, self.path = fault, seq, path
         where = "" if seq is None else f" at event {seq}"
-        super().__init__(
-            f"The memory ledger is damaged{where}: {fault}. Nothing was changed. Restore a copy, "
-            f"or move the file away to begin with an empty memory. {path}"
-        )
+        super().__init__(f"The memory ledger is damaged{where}: {fault}. Nothing was changed. {fix} {path}")
 
 
 def event_digest(event: LedgerEvent) -> str:

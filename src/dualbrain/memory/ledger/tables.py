@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Mapping
+from contextlib import closing
+from functools import cache
 
 from dualbrain.core.storage.sqlite import split_statements, transaction
 from dualbrain.errors import ConfigurationError
@@ -34,6 +36,34 @@ CREATE INDEX event_time ON event (time);
 }
 """Migration from each version to the next. It may add columns and indices but never changes an event, so that the chain
 stays valid."""
+
+
+@cache
+def declared_objects(version: int) -> Mapping[tuple[str, str], str]:
+    """The SQL text of every table, index and trigger of schema `version`, by type and name (see `stored_objects`)."""
+    with closing(sqlite3.connect(":memory:", isolation_level=None)) as database:
+        for script in (_SCHEMA_V1, *(_MIGRATIONS[before] for before in range(1, version))):
+            for statement in split_statements(script):
+                database.execute(statement)
+        return stored_objects(database)
+
+
+def stored_objects(database: sqlite3.Connection) -> Mapping[tuple[str, str], str]:
+    """The SQL text of every object in the file of `database` by type and name, with single spaces.
+
+    It is "" for automatic indices.
+    """
+    rows = database.execute("SELECT type, name, sql FROM sqlite_master")
+    return {(str(kind), str(name)): " ".join(str(sql or "").split()) for kind, name, sql in rows}
+
+
+def create_missing_guards(database: sqlite3.Connection) -> None:
+    """Create the declared indices and triggers that the file of `database` lacks."""
+    stored, declared = stored_objects(database), declared_objects(read_schema_version(database))
+    with transaction(database):
+        for key, sql in declared.items():
+            if key not in stored and key[0] in ("index", "trigger"):
+                database.execute(sql)
 
 
 def create_or_migrate(database: sqlite3.Connection) -> int:

@@ -10,6 +10,7 @@ import msgspec
 
 from dualbrain.errors import ConfigurationError
 from dualbrain.memory.ledger.events import (
+    ACCEPTED,
     ADAPTER,
     COMPACTED,
     EPISODE,
@@ -44,7 +45,7 @@ def compact_ledger(source: LedgerReader, target: Path, *, holder: str, now: floa
     Kept: every episode in effect with its vector, adapter events, statuses. Folded: all weight events of a memory
     become one clipped affine map and the exact weight. Lost: the ability to roll back to events before the compaction,
     and to exclude single outcomes of that time; the archive, which the first event names by its head, still has both.
-    Raises `CorruptLedgerError` if a link of `source` is broken, and `ConfigurationError` if `target` exists.
+    Raises `CorruptLedgerError` if a link or a vector of `source` is wrong, and `ConfigurationError` if `target` exists.
     """
     if target.exists():
         raise ConfigurationError.stating(
@@ -62,7 +63,13 @@ def compact_ledger(source: LedgerReader, target: Path, *, holder: str, now: floa
             for time, entries in batch:
                 ledger.append(entries, now=time)
         ledger.append(
-            [*_folded_events(source, state), *_status_events(source, state), *_adapter_events(source)], now=now
+            [
+                *_folded_events(source, state),
+                *_status_events(source, state),
+                *_adapter_events(source),
+                *_accepted_events(source),
+            ],
+            now=now,
         )
     return state
 
@@ -86,7 +93,9 @@ def compact_in_place(path: Path, *, holder: str, now: float, timeout_s: float) -
         partial.replace(path)
         for leftover in (path.with_name(f"{path.name}-wal"), path.with_name(f"{path.name}-shm")):
             leftover.unlink(missing_ok=True)
-    partial.with_name(f"{partial.name}.lock").unlink(missing_ok=True)
+    for suffix in (".lock", ".anchor"):
+        partial.with_name(f"{partial.name}{suffix}").unlink(missing_ok=True)
+    Ledger(path, holder=holder, now=now, timeout_s=timeout_s).close()  # writes the anchor of the compacted ledger
     return archive
 
 
@@ -167,6 +176,11 @@ def _status_events(source: LedgerReader, state: LedgerState) -> Iterator[Pending
             yield PendingEvent(
                 kind=kind, subject="", payload=StatusChange(names, "as it was before the compaction", "compaction")
             )
+
+
+def _accepted_events(source: LedgerReader) -> Iterator[PendingEvent]:
+    for event in source.events("kind = ?", (ACCEPTED,)):
+        yield PendingEvent(kind=ACCEPTED, subject="", payload=msgspec.json.decode(event.payload))
 
 
 def _adapter_events(source: LedgerReader) -> Iterator[PendingEvent]:

@@ -10,9 +10,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from dualbrain.errors import ConfigurationError
-from dualbrain.memory.ledger.hash_chain import Head
-from dualbrain.memory.ledger.ledger import LedgerReader
-from dualbrain.memory.state.state import compaction_source
 
 
 def effective_ranges(rollbacks: Mapping[int, int], head: int) -> tuple[range, ...]:
@@ -36,20 +33,3 @@ def check_rollback_target(target: int, head: int) -> None:
     """Raise `ConfigurationError` unless `target` is the number of an event up to `head`, the newest, or 0."""
     if not 0 <= target <= head:
         raise ConfigurationError("rollback target", got=target, allowed=f"an event number from 0 to {head}")
-
-
-def descends_from(ledger: LedgerReader, head: Head) -> bool:
-    """Whether `ledger`, or an archive beside it from which it was compacted, contains the event `head`.
-
-    A ledger that contains this event also contains all events before it, because events are chained.
-    """
-    if any(event.hash == head.hash for event in ledger.events("seq = ?", (head.seq,))):
-        return True
-    first = next(ledger.events("seq = 1"), None)
-    if first is None or (source := compaction_source(first)) is None:
-        return False
-    archive = ledger.path.with_name(f"{source.archive}.archive-{source.seq}")
-    if not archive.is_file():
-        return False
-    with LedgerReader(archive) as opened:
-        return descends_from(opened, head)

@@ -8,13 +8,11 @@ import msgspec
 
 from dualbrain.errors import DECODE_ERRORS
 from dualbrain.memory.ledger.events import (
-    COMPACTED,
     EPISODE,
     FOLDED,
     NEIGHBOURS,
     STATUS_BY_EVENT_KIND,
     WEIGHT,
-    CompactionRecord,
     FoldedUpdates,
     NeighbourUpdates,
     Status,
@@ -208,8 +206,3 @@ def apply_events(events: Iterable[LedgerEvent], path: str, apply: Callable[[Ledg
 def day_of(time: float) -> int:
     """Days since 1970 UTC."""
     return int(time // SECONDS_PER_DAY)
-
-
-def compaction_source(event: LedgerEvent) -> CompactionRecord | None:
-    """The ledger from which this one was compacted, as its first `event` states; None if it was not compacted."""
-    return msgspec.json.decode(event.payload, type=CompactionRecord) if event.kind == COMPACTED else None

@@ -27,9 +27,9 @@ from dualbrain.adaptation.curation.dataset import (
 from dualbrain.adaptation.curation.selection import CleanRules
 from dualbrain.core.storage.resumable_steps import last_step_folder
 from dualbrain.grounding.vocabulary import load_skill_registry
+from dualbrain.memory.ledger.anchors import descends_from
 from dualbrain.memory.ledger.hash_chain import Head
 from dualbrain.memory.ledger.ledger import LedgerReader
-from dualbrain.memory.state.history import descends_from
 from dualbrain.records import Episode
 from dualbrain.runtime.data_collection.rollouts import (
     EPSILON,
