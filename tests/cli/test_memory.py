@@ -80,7 +80,12 @@ def test_memories_are_listed_shown_and_searched(ask):
         "whole": True,
         "memories": 4,
         "snapshot": "none",
+        "vectors": {"checked": 4, "without_digest": 0, "faults": {}},
         "vectors_wrong": 0,
+        "anchors_compared": 0,
+        "anchor_faults": [],
+        "file_faults": [],
+        "notices": [],
         "chain": None,
     }
 
@@ -224,3 +229,27 @@ def test_who_writes_is_named_and_reading_goes_on(run_command, filled, monkeypatc
         assert "(dualbrain run tuesday)" in err
         assert run_command("memory", "list", "--ledger", filled)[0] == ExitCode.SUCCESS
     assert run_command("memory", "forget", "a", "--reason", "x", "--ledger", filled)[0] == ExitCode.SUCCESS
+
+
+def test_a_changed_vector_and_a_lost_event_are_told_without_recomputing(ask, run_command, filled):
+    ask("quarantine", "odd", "--reason", "a test")  # leaves an anchor
+    with sqlite3.connect(filled) as database:
+        database.execute("UPDATE vector SET data = zeroblob(length(data)) WHERE seq = (SELECT min(seq) FROM vector)")
+    database.close()
+    code, found = ask("verify")
+    assert (code, found["whole"], list(found["vectors"]["faults"].values())) == (1, False, ["its vector was changed"])
+    ask("rebuild")
+    assert ask("verify")[0] == 0
+    with sqlite3.connect(filled) as database:
+        (trigger,) = database.execute("SELECT sql FROM sqlite_master WHERE name = 'event_is_never_removed'").fetchone()
+        database.execute("DROP TRIGGER event_is_never_removed")
+        database.execute("DELETE FROM event WHERE seq = (SELECT max(seq) FROM event)")
+        database.execute(trigger)
+    database.close()
+    code, found = ask("verify")
+    assert (code, found["chain"]["broken_at"], len(found["anchor_faults"])) == (1, None, 1)
+    code, _, err = run_command("memory", "release", "odd", "--reason", "a test", "--ledger", str(filled))
+    assert code == 5
+    assert "its newest events are missing" in err
+    assert ask("verify", "--accept", "a restored backup")[0] == 0
+    assert ask("verify")[0] == 0

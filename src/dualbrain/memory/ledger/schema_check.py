@@ -6,6 +6,7 @@ that are stored. No version of dualbrain creates one, so such a file is refused 
 
 from __future__ import annotations
 
+import shlex
 import sqlite3
 from pathlib import Path
 
@@ -31,10 +32,8 @@ def check_objects(database: sqlite3.Connection, path: Path) -> tuple[str, ...]:
             continue
         what = _describe(kind, sql)
         if expected is None:
-            remedy = f"`sqlite3 {path} 'DROP {kind.upper()} \"{name}\"'`"
             fault = f"it contains the {what} {name!r}, which dualbrain did not create"
-            fix = f"Find out what it did; then remove it with {remedy} and run `dualbrain memory verify`."
-            raise CorruptLedgerError(fault, seq=None, path=str(path), fix=f"{fix} Or restore a copy.")
+            raise CorruptLedgerError(fault, seq=None, path=str(path), fix=_removal(kind, name, path))
         fault = f"its {what} {name!r} is not the declared one"
         raise CorruptLedgerError(fault, seq=None, path=str(path))
     missing = sorted(declared.keys() - stored.keys())
@@ -48,6 +47,15 @@ def missing_objects_error(missing: tuple[str, ...], path: Path) -> CorruptLedger
     command = f"`dualbrain memory verify --ledger {path} --accept REASON`"
     fix = f"Verify it; if everything else is intact, {command} creates them again. Or restore a copy."
     return CorruptLedgerError(f"its {', '.join(missing)} is missing", seq=None, path=str(path), fix=fix)
+
+
+def _removal(kind: str, name: str, path: Path) -> str:
+    """The remedy for a foreign object; no command for a name that a terminal cannot show."""
+    if not name.isprintable() or name.startswith("sqlite_"):
+        return "Restore a copy."
+    quoted = name.replace('"', '""')
+    command = shlex.join(["sqlite3", str(path), f'DROP {kind.upper()} "{quoted}"'])
+    return f"Find out what it did; then remove it with {command} and run `dualbrain memory verify`, or restore a copy."
 
 
 def _describe(kind: str, sql: str) -> str:
