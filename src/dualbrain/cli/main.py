@@ -17,6 +17,7 @@ from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.core.lazy_exports import missing_dependency
 from dualbrain.core.storage.atomic_files import WRITE_REMEDIES, write_remedy
 from dualbrain.core.visible_text import visible_text
+from dualbrain.core.paths import secure_home
 from dualbrain.errors import DualbrainError, UsageError
 
 INSTRUCTION_COMMANDS = ("run", "plan", "demo")
@@ -219,6 +220,7 @@ def main() -> None:
 
 def run_command_line(arguments: list[str]) -> int:
     """Run one command and return its exit code; an exception becomes a message on stderr."""
+    secure_home()
     try:
         return int(app(arguments, exit_on_error=False, print_error=False, result_action="return_value") or 0)
     except CycloptsError as error:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from pathlib import Path
 
+from dualbrain.core.storage.private_files import tighten
 from dualbrain.core.weights import default_cache_folder
 
 
@@ -13,6 +15,12 @@ def dualbrain_home() -> Path:
     if chosen := os.environ.get("DUALBRAIN_HOME"):
         return Path(chosen)
     return Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share") / "dualbrain"
+
+
+def secure_home() -> None:
+    """Take the permissions of other users from an existing data folder of this user (see `private_files.tighten`)."""
+    with suppress(OSError):  # a read-only disk
+        tighten(dualbrain_home())
 
 
 def cache_folder() -> Path:

@@ -18,6 +18,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from dualbrain.core.storage.private_files import create_private_folder, open_private
 from dualbrain.core.storage.sqlite import split_statements, transaction
 from dualbrain.errors import ConfigurationError, MissingDependencyError
 from dualbrain.knowledge.chunking import Chunk
@@ -76,7 +77,8 @@ class DocumentStore:
         self.path = path
         with self._translate_errors():
             if write:
-                path.parent.mkdir(parents=True, exist_ok=True)
+                create_private_folder(path.parent)
+                open_private(path, "ab").close()
                 self._database = sqlite3.connect(path, isolation_level=None, timeout=LOCK_TIMEOUT_S)
                 self._create()
             else:

@@ -12,7 +12,7 @@ import msgspec
 
 from dualbrain.control.control_loop import TickSnapshot
 from dualbrain.control.recording.trace import Event, Trace
-from dualbrain.core.paths import cache_folder, dualbrain_home
+from dualbrain.core.paths import cache_folder, dualbrain_home, secure_home
 from dualbrain.memory.memory import StoreReport
 from dualbrain.memory.plasticity.hebbian_update import EPSILON
 from dualbrain.planner.registry import DEFAULT_PLANNER
@@ -72,6 +72,7 @@ class RunConfig:
 def default_config(instruction: str, *, out: Path | None = None, ledger: Path | None = None) -> RunConfig:
     """The configuration of a run in the user's own folders; by default in a new run folder."""
     started = datetime.now(UTC)
+    secure_home()
     return RunConfig(
         instruction=instruction,
         out=out or Path("runs") / f"{started:%Y%m%dT%H%M%SZ}-{token_hex(3)}",

@@ -22,6 +22,7 @@ from dualbrain.control.recording.trace import Trace
 from dualbrain.core import weights
 from dualbrain.core.storage.atomic_files import atomic_file, translated_write_errors, write_atomically
 from dualbrain.core.storage.reserved_space import ReservedSpace
+from dualbrain.core.storage.private_files import create_private_folder, open_private_folder
 from dualbrain.core.text import storable_text
 from dualbrain.core.untrusted.bounded_file import read_bounded_file
 from dualbrain.errors import ConfigurationError
@@ -149,9 +150,9 @@ class Session:
         A run that may move unrecorded needs no reserved space.
         """
         out, ledger = self.config.out, self.config.ledger.parent
-        for folder in (out, ledger):
+        for folder, create in ((out, _open_folder), (ledger, create_private_folder)):
             with translated_write_errors(folder):
-                folder.mkdir(parents=True, exist_ok=True)
+                create(folder)
         self._reserves: list[ReservedSpace] = []
         try:
             for folder, size, purpose in (
@@ -190,7 +191,7 @@ class Session:
                 f"file {self.config.contract.name}", read_bounded_file(self.config.contract, MAX_CONTRACT_FILE_BYTES)
             )
         prefixes = self.config.cache / "prefixes"
-        prefixes.mkdir(parents=True, exist_ok=True)
+        open_private_folder(prefixes)
         key = environ.get("OPENAI_API_KEY", "")
         adapters = self.config.adapters or self.config.ledger.with_name("adapters")
         registry, own = skill_registry(self.robot_model), skill_registry(load_robot(self.config.robot))
@@ -315,8 +316,7 @@ class Session:
             if self._saved_ids:
                 path.replace(self.config.out / f"episode-{len(self._saved_ids)}.json")
             self._saved_ids.append(episode.id)
-        with atomic_file(path) as temporary:
-            temporary.write_bytes(msgspec.json.format(msgspec.json.encode(episode), indent=2))
+        write_atomically(path, msgspec.json.format(msgspec.json.encode(episode), indent=2))
 
     def _versions(self) -> dict[str, str]:
         return {
@@ -366,6 +366,13 @@ def _log_weight_changes(log: FlightLog, t: float, stored: StoreReport) -> None:
     for one in stored.weight_updates:
         text = f"{one.memory}: {one.rule}d" if one.rule == "reinforce" else f"{one.memory}: suppressed"
         log.note(t, "memory", text, episode_id=one.memory, before=one.before, after=one.after)
+
+
+def _open_folder(out: Path) -> None:
+    """Create the run folder with mode 0700; a folder with other files keeps its permissions."""
+    if out.is_dir() and any(out.iterdir()):
+        return
+    open_private_folder(out)
 
 
 def _check_folder(out: Path) -> None:

@@ -24,15 +24,15 @@ from dualbrain.adaptation.adapters.card import (
     require_metadata_files,
 )
 from dualbrain.adaptation.adapters.promotion import PromotionDecision
-from dualbrain.core.storage.atomic_files import FileWriteError, atomic_folder
+from dualbrain.core.storage.atomic_files import FileWriteError
 from dualbrain.core.storage.file_lock import file_lock
+from dualbrain.core.storage.private_files import open_private, open_private_folder, private_folder
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError, DualbrainError, UnknownNameError
 
 LOG_FILE, LOCK_FILE = "journal.jsonl", ".lock"
 ADAPTER_FILES = (WEIGHTS_FILE, *METADATA_FILES)
 NO_ADAPTER = ""
 """The id that denotes the base model without an adapter."""
-FOLDER_MODE = 0o700
 """Mode of an adapter's folder: training data of a robot is private to its user (see `dualbrain adapters export`)."""
 
 
@@ -80,7 +80,7 @@ class AdapterRegistry:
         if lacking := [name for name in ADAPTER_FILES if not (source / name).is_file()]:
             fix = f"Name a folder in which training has finished. {source}"
             raise ConfigurationError.stating(f"The adapter folder has no {lacking[0]}.", fix=fix)
-        self.folder.mkdir(parents=True, exist_ok=True)
+        open_private_folder(self.folder)
         with self._exclusive_lock():
             if not (target := self.folder / card.id).is_dir():
                 self._copy(source, target)
@@ -254,8 +254,7 @@ class AdapterRegistry:
 
     def _copy(self, source: Path, target: Path) -> None:
         """Copy the files to `target`, all or none."""
-        with atomic_folder(target) as temporary:
-            temporary.chmod(FOLDER_MODE)
+        with private_folder(target) as temporary:
             for name in ADAPTER_FILES:
                 shutil.copyfile(source / name, temporary / name)
             read_adapter_card(temporary)
@@ -264,7 +263,7 @@ class AdapterRegistry:
         """Append one line; an incomplete line that a crash left is cut off first."""
         path = self.folder / LOG_FILE
         try:
-            with path.open("a+b", buffering=0) as log:
+            with open_private(path, "a+b", buffering=0) as log:
                 log.seek(0)
                 end = log.read().rfind(b"\n") + 1
                 log.truncate(end)

@@ -14,6 +14,7 @@ from dualbrain.adaptation.curation.curate import CurationConfig, CurationResult
 from dualbrain.adaptation.curation.sample import Sample, decode_samples, encode_samples
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.core.storage.atomic_files import write_atomically
+from dualbrain.core.storage.private_files import create_private_folder
 from dualbrain.core.text import describe_differences
 from dualbrain.core.untrusted.bounded_file import read_bounded_file
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError, MissingDependencyError
@@ -136,7 +137,7 @@ def write_dataset(dataset: Dataset, folder: Path) -> None:
 
     Raises `ConfigurationError` if `folder` contains another data set, `FileWriteError`.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    create_private_folder(folder)
     if (folder / CARD_FILE).exists() and read_dataset_card(folder).hash != dataset.card.hash:
         fix = f"Name an empty folder. {folder}"
         raise ConfigurationError.stating("The folder contains another data set.", fix=fix)

@@ -16,6 +16,7 @@ import msgspec
 from dualbrain.adaptation.adapters.card import AdapterCard
 from dualbrain.adaptation.serving.raw_completion import RawCompletion, complete
 from dualbrain.core.storage.atomic_files import write_atomically
+from dualbrain.core.storage.private_files import create_private_folder
 from dualbrain.errors import ConfigurationError
 from dualbrain.planner.backends.http_chat import ChatResponse
 from dualbrain.planner.backends.llama_cpp import LlamaPlanner
@@ -140,7 +141,7 @@ class CanaryCheck:
             return "no canary answer has margins large enough to identify the adapter"
         if self._has_no_effect(canaries[0]):
             return "it answers as if no adapter were loaded"
-        self.path.parent.mkdir(parents=True, exist_ok=True)
+        create_private_folder(self.path.parent)
         record = CanaryRecord(self._card.id, self._runtime, tuple(one for one in canaries if one.tokens))
         write_atomically(self.path, msgspec.json.format(msgspec.json.encode(record), indent=2))
         return ""

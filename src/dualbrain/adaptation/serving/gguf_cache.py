@@ -16,6 +16,7 @@ from dualbrain.adaptation.conversion.gguf_lora import CONVERTER_VERSION, convert
 from dualbrain.adaptation.conversion.merged_gguf import write_merged_gguf
 from dualbrain.core.storage.atomic_files import write_atomically
 from dualbrain.core.storage.checksum import file_sha256
+from dualbrain.core.storage.private_files import open_private_folder, tighten
 from dualbrain.core.weights import find_weight_file
 from dualbrain.planner.backends.llama_process import LoadedAdapter
 
@@ -60,7 +61,7 @@ def prepare_adapters(stack: AdapterStack, cache: Path) -> tuple[LoadedAdapter, .
 
 def _cache_folder(cache: Path) -> Path:
     folder = cache / "adapters"
-    folder.mkdir(parents=True, exist_ok=True)
+    open_private_folder(folder)
     return folder
 
 
@@ -77,6 +78,7 @@ def _make_if_missing(path: Path, make: Callable[[], object]) -> Path:
         stamp = path.with_suffix(".sha256")
         stamp.unlink(missing_ok=True)
         make()
+        tighten(path)
         write_atomically(stamp, file_sha256(path).encode())
     return path
 

@@ -14,6 +14,7 @@ from threading import Lock, Thread
 import msgspec
 
 from dualbrain.adaptation.adapters.card import TORCH_SUFFIX, AdapterCard
+from dualbrain.core.storage.private_files import create_private_folder, open_private
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError
 from dualbrain.planner.introspection import planner_messages, planner_template
 from dualbrain.planner.prompt.full_prompt import ChatMessage
@@ -56,8 +57,8 @@ class ShadowedPlanner:
         self._thread: Thread | None = None
         self._lock, self._busy, self._passed_over = Lock(), False, 0
         try:
-            log.parent.mkdir(parents=True, exist_ok=True)
-            log.open("ab").close()
+            create_private_folder(log.parent)
+            open_private(log, "ab").close()
         except OSError as error:
             raise ConfigurationError.stating(f"The shadow log cannot be written: {error}.") from error
 
@@ -125,7 +126,7 @@ class ShadowedPlanner:
             passed_over=self._end(),
         )
         try:
-            with self._log.open("ab") as log:
+            with open_private(self._log, "ab") as log:
                 log.write(msgspec.json.encode(record) + b"\n")
         except OSError:
             with self._lock:

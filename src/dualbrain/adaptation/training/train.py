@@ -23,6 +23,7 @@ from dualbrain.adaptation.training.model.save_adapter import save_adapter
 from dualbrain.adaptation.training.process_group import SINGLE_PROCESS, ProcessGroup
 from dualbrain.adaptation.training.trainer import Trainer, TrainingProgress
 from dualbrain.core.storage.atomic_files import write_atomically
+from dualbrain.core.storage.private_files import create_private_folder
 
 ADAPTER_FOLDER, CONFIG_FILE = "adapter", "config.json"
 
@@ -50,7 +51,7 @@ def adapt(
     again resumes the run.
     """
     device = configure_device(config.fit.threads or 1)
-    process_group.run_on_first(lambda: folder.mkdir(parents=True, exist_ok=True))
+    process_group.run_on_first(lambda: create_private_folder(folder))
     nf4 = config.fit.quantise == "nf4"
     model, tokenizer = load_base_model(base, cache, choose_dtype(config.fit.precision), device, nf4=nf4)
     lora_model = LoraModel(model, tokenizer, config.fit)

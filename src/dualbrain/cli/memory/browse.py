@@ -24,6 +24,7 @@ from dualbrain.cli.memory.open_memory import (
     posture_limits,
     print_json,
 )
+from dualbrain.core.storage.private_files import open_private
 from dualbrain.core.text import count_noun
 from dualbrain.errors import ConfigurationError, UnknownNameError, UsageError
 from dualbrain.memory.ledger.events import Status
@@ -242,7 +243,7 @@ def export(out: Path | None = None, /, *, ledger: Path | None = None) -> int:
             for line in lines:
                 print_result(line.decode().rstrip("\n"))
         else:
-            with out.open("xb") as file:
+            with open_private(out, "xb") as file:
                 file.writelines(lines)
     return ExitCode.SUCCESS
 

@@ -16,6 +16,7 @@ from dualbrain.cli.common.console import StderrConsole, print_result, print_tabl
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.common.planner_choice import choose_planner
 from dualbrain.core.paths import cache_folder, dualbrain_home
+from dualbrain.core.storage.private_files import create_private_folder, open_private_folder
 from dualbrain.errors import UsageError
 
 if TYPE_CHECKING:
@@ -242,7 +243,7 @@ def _open_documents(here: PlanningContext) -> Generator[PassageRetriever]:
     from dualbrain.knowledge.builtin_documents import open_library
 
     path = dualbrain_home() / "knowledge.sqlite"
-    path.parent.mkdir(parents=True, exist_ok=True)
+    create_private_folder(path.parent)
     library = open_library(path, load_encoder(), now=time.time())
     try:
         yield lambda instruction, seen: retrieve_passages(library, instruction, seen, here.registry)
@@ -255,7 +256,7 @@ def _open_planner(name: str, here: PlanningContext) -> Generator[Planner]:
     from dualbrain.adaptation.serving.open_planner import open_planner
 
     prefixes = cache_folder() / "prefixes"
-    prefixes.mkdir(parents=True, exist_ok=True)
+    open_private_folder(prefixes)
     opened = open_planner(
         name,
         cache_folder(),

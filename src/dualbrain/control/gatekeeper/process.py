@@ -127,7 +127,7 @@ def run_gatekeeper(
             recorder.close()
         server.close()
     if config.tick_timing:  # after the recording has released its reserved space
-        write_atomically(Path(config.tick_timing), msgspec.json.encode(timing), private=False)
+        write_atomically(Path(config.tick_timing), msgspec.json.encode(timing))
     return timing
 
 

@@ -11,6 +11,7 @@ import os
 from pathlib import Path
 
 from dualbrain.core.storage.atomic_files import FileWriteError, write_remedy
+from dualbrain.core.storage.private_files import open_private
 from dualbrain.core.storage.reserved_space import ReservedSpace
 from dualbrain.errors import ConfigurationError
 
@@ -39,7 +40,8 @@ class RecordingFile:
         self.path, self.failure = path, ""
         self._reserve, self._unwritten, self._end = reserve, bytearray(), 0
         try:
-            self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
+            with open_private(path, "wb", buffering=0) as file:
+                self._descriptor = os.dup(file.fileno())
         except OSError as error:
             if reserve is not None:
                 reserve.release()

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from dualbrain.core.storage.atomic_files import atomic_file
+from dualbrain.core.storage.private_files import create_private_folder, open_private, private_file
 
 JsonlLine = dict[str, Any]
 
@@ -49,8 +50,8 @@ class JsonlLog:
 
     def append(self, line: JsonlLine) -> None:
         """Write `line` through to the disk."""
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        with self.path.open("ab+") as file:
+        create_private_folder(self.path.parent)
+        with open_private(self.path, "a+b") as file:
             if file.tell() and not _ends_with_newline(file):
                 file.write(b"\n")
             file.write(_encode(line))
@@ -70,8 +71,8 @@ class JsonlLog:
     def restore_from(self, archive: Path) -> None:
         """Start from the lines in `archive`, if it exists and this log does not."""
         if archive.exists() and not self.path.exists():
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            with atomic_file(self.path) as temporary:
+            create_private_folder(self.path.parent)
+            with private_file(self.path) as temporary:
                 temporary.write_bytes(lzma.decompress(archive.read_bytes()))
 
 

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from dualbrain.core.storage.file_lock import LockedError, file_lock
+from dualbrain.core.storage.private_files import create_private_folder
 from dualbrain.errors import ConfigurationError
 
 
@@ -26,7 +27,7 @@ def run_steps(
             partial = folder / "partial"
             shutil.rmtree(partial, ignore_errors=True)
             before = last or initial_folder
-            shutil.copytree(before, partial) if before else partial.mkdir()
+            shutil.copytree(before, partial) if before else create_private_folder(partial)
             run_step(number, partial)
             last = partial.rename(folder / f"step-{number + 1:04d}")
         for old in folder.glob("step-*"):
@@ -48,7 +49,7 @@ def exclusive_folder(folder: Path, *, wait: bool = True) -> Generator[None]:
     Raises:
         ConfigurationError: Another process uses the folder and `wait` is False.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    create_private_folder(folder)
     try:
         with file_lock(folder / "lock", timeout_s=None if wait else 0.0):
             yield

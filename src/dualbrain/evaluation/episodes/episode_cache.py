@@ -13,6 +13,7 @@ from pathlib import Path
 import msgspec
 
 from dualbrain.core.storage.atomic_files import write_atomically
+from dualbrain.core.storage.private_files import create_private_folder
 from dualbrain.errors import DECODE_ERRORS
 from dualbrain.evaluation.protocol.case import Case
 from dualbrain.evaluation.protocol.method import Method
@@ -45,7 +46,7 @@ class EpisodeCache:
     def put(self, case: Case, method: Method, planner: str, row: EpisodeRow) -> None:
         """Store `row` for the methods with other gates, if the full gate accepted its first answer."""
         if not method.uses_memory and row.shots == 1 and not row.first_stage:
-            self._folder.mkdir(parents=True, exist_ok=True)
+            create_private_folder(self._folder)
             write_atomically(self._path(case, method, planner), msgspec.json.encode(row))
 
     def _path(self, case: Case, method: Method, planner: str) -> Path:

@@ -14,6 +14,7 @@ from pathlib import Path
 import msgspec
 
 from dualbrain.core.storage.atomic_files import write_atomically
+from dualbrain.core.storage.private_files import create_private_folder
 from dualbrain.errors import DECODE_ERRORS, DualbrainError
 from dualbrain.planner.protocol import Planner, has_answer, propose_all
 from dualbrain.planner.request import PlanRequest
@@ -60,7 +61,7 @@ class AnswerCache:
         if has_no_answer(proposal):
             return
         path = self._path(planner, request)
-        self.folder.mkdir(parents=True, exist_ok=True)
+        create_private_folder(self.folder)
         write_atomically(path, msgspec.json.encode(CachedAnswer(planner, path.stem, proposal)))
 
     def read_all(self, on_omission: Callable[[str], None] = lambda sentence: None) -> list[CachedAnswer]:

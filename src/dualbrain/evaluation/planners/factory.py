@@ -15,6 +15,7 @@ from dualbrain.adaptation.adapters.naming import (
 )
 from dualbrain.adaptation.adapters.packaged import packaged_names
 from dualbrain.adaptation.serving.open_planner import can_be_unconstrained, open_planner, open_unconstrained
+from dualbrain.core.storage.private_files import open_private_folder
 from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.evaluation.planners.adversary import Adversary
 from dualbrain.evaluation.planners.answer_cache import AnswerCache, CachingPlanner
@@ -60,7 +61,7 @@ class PlannerSources:
         if name == "adversary":
             return Adversary()
         prefixes = self.cache / "prefixes"
-        prefixes.mkdir(parents=True, exist_ok=True)
+        open_private_folder(prefixes)
         registry = load_skill_registry(robot).hash
         if not constrained:
             return open_unconstrained(name, self.cache, adapters=self.adapters, robot=robot, registry=registry)

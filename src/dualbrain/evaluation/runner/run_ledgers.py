@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dualbrain.core.encoder import Encoder
+from dualbrain.core.storage.private_files import create_private_folder
 from dualbrain.core.storage.resumable_steps import exclusive_folder
 from dualbrain.evaluation.episodes.case_runner import load_cached_robot
 from dualbrain.evaluation.protocol.method import Method
@@ -70,7 +71,7 @@ class RunFolder:
             if before is not None:
                 shutil.copytree(before, partial)
             else:
-                partial.mkdir()
+                create_private_folder(partial)
             yield partial / LEDGER_FILE
             shutil.rmtree(self.folder_after(order + 1), ignore_errors=True)
             partial.rename(self.folder_after(order + 1))

@@ -18,6 +18,7 @@ from dualbrain.control.recording.trace import DEAD_BAND
 from dualbrain.core.storage.atomic_files import write_atomically
 from dualbrain.core.storage.jsonl_log import JsonlLog
 from dualbrain.core.untrusted.bounded_file import read_bounded_file
+from dualbrain.core.storage.private_files import open_private_folder
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError
 from dualbrain.evaluation.protocol.method import METHODS
 from dualbrain.evaluation.protocol.suite import Suite
@@ -93,7 +94,7 @@ class Runner:
     def write_config(self, provenance: dict[str, Any], adapters: dict[str, AdapterCost] | None = None) -> None:
         """Write the resolved configuration and a description of this machine; raises as `check_config`."""
         config = self.check_config(provenance, adapters) | {HOST_KEY: host_info()}
-        self.out.mkdir(parents=True, exist_ok=True)
+        open_private_folder(self.out)
         write_atomically(self.out / CONFIG_FILE, msgspec.json.format(msgspec.json.encode(config), indent=2))
 
     def remaining_units(self, stage: Stage) -> list[WorkUnit]:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.core.encoder import Float32Array
-from dualbrain.core.storage.atomic_files import atomic_file
+from dualbrain.core.storage.private_files import private_file
 from dualbrain.errors import DECODE_ERRORS
 from dualbrain.memory.ledger.events import SNAPSHOT, SnapshotRecord
 from dualbrain.memory.ledger.hash_chain import Head
@@ -61,7 +61,7 @@ def write_snapshot(ledger: Ledger, snapshot: MemorySnapshot, *, now: float) -> P
     )
     text = msgspec.msgpack.encode(header)
     digest = hashlib.sha256()
-    with atomic_file(path) as temporary, temporary.open("wb") as file:
+    with private_file(path) as temporary, temporary.open("wb") as file:
         for part in (
             _PREAMBLE.pack(MAGIC, len(text)),
             text,

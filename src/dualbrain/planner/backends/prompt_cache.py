@@ -18,7 +18,9 @@ from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 
+from dualbrain.core.storage.atomic_files import FileWriteError, write_atomically
 from dualbrain.core.storage.checksum import file_sha256
+from dualbrain.core.storage.private_files import tighten
 from dualbrain.core.weights import verified_hash
 from dualbrain.planner.backends.http_chat import post
 from dualbrain.planner.backends.llama_process import LoadedAdapter
@@ -137,8 +139,9 @@ def _has_checksum(path: Path) -> bool:
 def _write_checksum(path: Path) -> bool:
     """Write the SHA-256 of the state at `path` beside it; on failure the state is removed, and the result is False."""
     try:
-        _checksum_path(path).write_text(file_sha256(path))
-    except OSError:
+        tighten(path)
+        write_atomically(_checksum_path(path), file_sha256(path).encode())
+    except (OSError, FileWriteError):
         _remove(path)
         return False
     return True

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from dualbrain.adaptation.curation.sample import Sample, decode_samples, encode_samples
 from dualbrain.contracts.schema import decoding_schema, describe_skills
+from dualbrain.core.storage.private_files import open_private
 from dualbrain.core.storage.resumable_steps import run_steps
 from dualbrain.planner.request import PlanRequest
 from dualbrain.planner.scripted import FixedContractPlanner
@@ -71,7 +72,7 @@ def run_proposals(
         for done in range(step * EPISODES_PER_STEP, min(number, (step + 1) * EPISODES_PER_STEP)):
             one = propose(first_turn + done)
             episode = run_proposal(one, step_folder / LEDGER_FILE, first_turn + done, cache=cache)
-            with (step_folder / PROPOSALS_FILE).open("ab") as lines:
+            with open_private(step_folder / PROPOSALS_FILE, "ab") as lines:
                 lines.write(encode_samples((one,)))
             on_episode(done + 1, episode)
 

@@ -13,6 +13,7 @@ import msgspec
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.schema import decoding_schema, describe_skills
 from dualbrain.core.storage.atomic_files import write_atomically
+from dualbrain.core.storage.private_files import open_private_folder
 from dualbrain.errors import DECODE_ERRORS
 from dualbrain.grounding.vocabulary import scene_names
 from dualbrain.memory.plasticity.retrieval_utility import ExclusionEffect, evaluate_use
@@ -86,7 +87,7 @@ class CounterfactualQueries:
         if proposal.finish_reason not in (STOP, LENGTH):
             return None
         text = proposal.text if proposal.finish_reason == STOP else ""
-        self._cache.mkdir(parents=True, exist_ok=True)
+        open_private_folder(self._cache)
         write_atomically(path, json.dumps({"planner": self._planner.name, "text": text}).encode())
         return text
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import msgspec
 
+from dualbrain.core.storage.private_files import open_private
 from dualbrain.safety.cbf.result import FilterResult, FilterStatus
 
 
@@ -81,7 +82,7 @@ class InterventionLog:
     def __init__(self, path: Path) -> None:
         """Open `path` for appending; raises `OSError` if that fails."""
         self.path = path
-        self._file = path.open("ab", buffering=0)
+        self._file = open_private(path, "ab", buffering=0)
         if torn := _torn_bytes(path):
             self._file.truncate(self._file.seek(0, SEEK_END) - torn)
 

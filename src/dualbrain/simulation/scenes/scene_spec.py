@@ -146,7 +146,7 @@ def keep_out_objects(spec: SceneSpec, stamp: float) -> tuple[SceneObject, ...]:
 
 def save_scene(spec: SceneSpec, path: Path) -> None:
     """Write `spec` as indented JSON. Raises `FileWriteError`."""
-    write_atomically(path, msgspec.json.format(msgspec.json.encode(spec), indent=2) + b"\n", private=False)
+    write_atomically(path, msgspec.json.format(msgspec.json.encode(spec), indent=2) + b"\n")
 
 
 def load_scene(path: Path) -> SceneSpec:

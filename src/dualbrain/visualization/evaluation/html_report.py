@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from dualbrain.core.storage.atomic_files import write_atomically
 from dualbrain.evaluation.analysis.hypotheses import HypothesisResult, evaluate_hypotheses
 from dualbrain.evaluation.planners.answer_cache import CachedAnswer
 from dualbrain.evaluation.protocol.suite import Suite
@@ -103,7 +104,7 @@ class ReportData:
 
 def write_html_report(path: Path, data: ReportData) -> None:
     """Write the report of `data` to `path`."""
-    path.write_text(render_html_report(data), encoding="utf-8")
+    write_atomically(path, render_html_report(data).encode())
 
 
 def render_html_report(data: ReportData) -> str:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from dualbrain.contracts.verdict import Accepted, Rejected
 from dualbrain.control.recording.trace import DEAD_BAND, Event, Trace
+from dualbrain.core.storage.atomic_files import write_atomically
 from dualbrain.memory.maintenance.projection import MemoryProjection
 from dualbrain.records import Attempt, Episode, Exemplar, MemoryUse
 from dualbrain.runtime.planning_time import latency_breakdown
@@ -69,7 +70,7 @@ def write_report(
     projection: MemoryProjection | None = None,
 ) -> None:
     """Write the report of `episode` to `path`; `trace` is empty if the gate rejected the contract."""
-    path.write_text(render_report(episode, trace, snapshots, projection), encoding="utf-8")
+    write_atomically(path, render_report(episode, trace, snapshots, projection).encode())
 
 
 def render_report(

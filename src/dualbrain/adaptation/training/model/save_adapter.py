@@ -12,6 +12,7 @@ from safetensors.torch import save
 
 from dualbrain.adaptation.training.model.lora_model import LoraModel
 from dualbrain.core.storage.atomic_files import write_atomically
+from dualbrain.core.storage.private_files import create_private_folder
 
 WEIGHTS_FILE, CONFIG_FILE = "adapter_model.safetensors", "adapter_config.json"
 
@@ -22,7 +23,7 @@ def save_adapter(lora_model: LoraModel, folder: Path, *, base: str) -> None:
     The file is in bf16 for every compute format: half the size, and each number is off by at most 2^-9 of its
     value.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    create_private_folder(folder)
     config = lora_model.model.peft_config["default"].to_dict() | {
         "base_model_name_or_path": base,
         "inference_mode": True,

@@ -190,7 +190,7 @@ class RobotProcess:
             ticks=self._ticks,
             judgement=self.world.judgement(),
         )
-        write_atomically(Path(self._settings.report), msgspec.json.encode(report), private=False)
+        write_atomically(Path(self._settings.report), msgspec.json.encode(report))
 
 
 def perception_period_ticks(period: float) -> int:
