@@ -1,7 +1,9 @@
 """The registry: its content never changes, only a decision of the gate promotes, and a crash loses nothing."""
 
 import json
+import os
 import resource
+import stat
 
 import pytest
 from msgspec.structs import replace
@@ -90,6 +92,17 @@ def test_a_folder_without_a_config_is_rejected_with_the_name_of_the_file(registr
     with pytest.raises(ConfigurationError, match=r"no adapter_config\.json"):
         registry.add(folder, now=1.0)
     assert not registry.ids()
+
+
+def test_the_registry_is_private_whatever_the_umask_is(registry, tmp_path):
+    before = os.umask(0)
+    try:
+        registry.add(make_adapter(tmp_path / "made", "first"), now=1.0)
+    finally:
+        os.umask(before)
+    modes = {path: stat.S_IMODE(path.stat().st_mode) for path in (registry.folder, *registry.folder.rglob("*"))}
+    assert {path: oct(bits) for path, bits in modes.items() if bits & 0o077} == {}
+    assert len(modes) >= 6
 
 
 def test_an_id_always_denotes_the_same_content(registry, two, tmp_path):

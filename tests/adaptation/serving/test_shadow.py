@@ -1,5 +1,7 @@
 """Shadow mode: a candidate is asked all questions, its answers have no effect, and they are logged."""
 
+import os
+import stat
 import time
 from threading import Event
 from types import SimpleNamespace
@@ -30,6 +32,18 @@ def test_the_serving_planner_answers_and_the_candidate_is_logged(tmp_path):
     seen = read_shadow_log(log)
     assert [(one.candidate_text, one.is_same) for one in seen] == [("one", True), ("three", False)]
     assert "2 shadow answers: 2 complete, 1 equal to the served answer" in summarize_shadow(seen)
+
+
+def test_the_log_is_private_whatever_the_umask_is(tmp_path):
+    log, before = tmp_path / "shadows" / "a.jsonl", os.umask(0)
+    try:
+        planner = ShadowedPlanner(ScriptedPlanner(["one"]), ScriptedPlanner(["one"]), log)
+        planner.propose(plan_request("first"))
+        planner._thread.join()
+        planner.close()
+    finally:
+        os.umask(before)
+    assert [stat.S_IMODE(path.stat().st_mode) for path in (log.parent, log)] == [0o700, 0o600]
 
 
 class Slow(ScriptedPlanner):

@@ -108,13 +108,19 @@ def test_training_data_is_recorded_later_if_the_ledger_is_locked(bench, undistur
     assert bench.registry.entries() == log
 
 
+def remove_ledger(bench):
+    """Remove the ledger and its anchor, as if no run had been there."""
+    for name in ("ledger.sqlite", "ledger.sqlite.anchor"):
+        (bench.folder / name).unlink()
+
+
 def empty_ledger(bench, monkeypatch):
-    (bench.folder / "ledger.sqlite").unlink()
+    remove_ledger(bench)
     write_ledger(bench.folder, []).close()
 
 
 def nothing_clean(bench, monkeypatch):
-    (bench.folder / "ledger.sqlite").unlink()
+    remove_ledger(bench)
     write_ledger(bench.folder, [episode("a", "failed"), episode("b", Delta=0.5)]).close()
 
 
@@ -219,7 +225,7 @@ def test_after_a_full_disk_the_run_resumes_and_gives_the_same_adapter(bench, und
 
 @pytest.mark.parametrize(("by", "bootstrapped"), [("tiny", False), ("tiny+0123abcd", True), ("templates", True)])
 def test_a_successful_run_leaves_a_card_with_the_sources_of_its_data(bench, by, bootstrapped):
-    (bench.folder / "ledger.sqlite").unlink()
+    remove_ledger(bench)
     write_ledger(bench.folder, distinct_episodes(8, proposer=by)).close()
     code, _, err = bench.adapt()
     assert code == ExitCode.SUCCESS

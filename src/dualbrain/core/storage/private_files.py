@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Generator, Iterator
+from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO, Literal
@@ -106,7 +106,7 @@ def private_folder(path: Path) -> Generator[Path]:
     with atomic_folder(path) as temporary:
         temporary.chmod(FOLDER_MODE)
         yield temporary
-        for entry in _tree(temporary):
+        for entry in temporary.iterdir():
             tighten(entry)
 
 
@@ -138,11 +138,6 @@ def describe_kind(mode: int) -> str:
         stat.S_IFBLK: "a device",
     }
     return kinds.get(stat.S_IFMT(mode), "a special file")
-
-
-def _tree(folder: Path) -> Iterator[Path]:
-    for root, folders, files in os.walk(folder):
-        yield from (Path(root, name) for name in (*folders, *files))
 
 
 def _can_be_tightened(found: os.stat_result) -> bool:
