@@ -231,7 +231,7 @@ def test_who_writes_is_named_and_reading_goes_on(run_command, filled, monkeypatc
     assert run_command("memory", "forget", "a", "--reason", "x", "--ledger", filled)[0] == ExitCode.SUCCESS
 
 
-def test_a_changed_vector_and_a_lost_event_are_told_without_recomputing(ask, run_command, filled):
+def test_a_changed_vector_and_a_lost_event_are_reported_without_recomputing(ask, run_command, filled):
     ask("quarantine", "odd", "--reason", "a test")  # leaves an anchor
     with sqlite3.connect(filled) as database:
         database.execute("UPDATE vector SET data = zeroblob(length(data)) WHERE seq = (SELECT min(seq) FROM vector)")

@@ -1,4 +1,4 @@
-"""Private files: modes whatever the umask is, tightening of existing files, and no file that is created elsewhere."""
+"""Private files: modes with every umask, tightening of existing files, and no file that is created elsewhere."""
 
 import ast
 import os

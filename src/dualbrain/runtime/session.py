@@ -212,7 +212,7 @@ class Session:
         with self._reserved_space():
             write_atomically(out / "config.json", config.encode())
             save_scene(self.spec, out / "scene.json")
-            about = {"instruction": config.instruction, "folder": str(out.resolve())}
+            about = {"instruction": config.instruction}
             self.interrupted_runs = self.ledger.start_run(out.name, about, now=self.clocks.now())
             self.ledger.anchor(out / RUN_ANCHOR_FILE)
         context = self._context()

@@ -94,7 +94,7 @@ def test_a_folder_without_a_config_is_rejected_with_the_name_of_the_file(registr
     assert not registry.ids()
 
 
-def test_the_registry_is_private_whatever_the_umask_is(registry, tmp_path):
+def test_the_registry_is_private_with_every_umask(registry, tmp_path):
     before = os.umask(0)
     try:
         registry.add(make_adapter(tmp_path / "made", "first"), now=1.0)

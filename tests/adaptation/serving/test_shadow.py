@@ -34,7 +34,7 @@ def test_the_serving_planner_answers_and_the_candidate_is_logged(tmp_path):
     assert "2 shadow answers: 2 complete, 1 equal to the served answer" in summarize_shadow(seen)
 
 
-def test_the_log_is_private_whatever_the_umask_is(tmp_path):
+def test_the_log_is_private_with_every_umask(tmp_path):
     log, before = tmp_path / "shadows" / "a.jsonl", os.umask(0)
     try:
         planner = ShadowedPlanner(ScriptedPlanner(["one"]), ScriptedPlanner(["one"]), log)

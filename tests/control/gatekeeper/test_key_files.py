@@ -31,7 +31,7 @@ def mode(path: Path) -> int:
     return stat.S_IMODE(path.stat().st_mode)
 
 
-def test_keys_are_private_whatever_the_umask_is(tmp_path, umask):
+def test_keys_are_private_with_every_umask(tmp_path, umask):
     folder = tmp_path / "keys"
     load_keys(folder, PRINCIPALS)
     assert mode(folder) == 0o700

@@ -101,7 +101,7 @@ def test_close_removes_only_the_own_socket(path):
     assert not path.exists()
 
 
-def test_the_socket_and_new_folders_are_private_whatever_the_umask_is(tmp_path):
+def test_the_socket_and_new_folders_are_private_with_every_umask(tmp_path):
     before = os.umask(0)
     try:
         server = SocketServer(tmp_path / "new" / "deep" / "s")

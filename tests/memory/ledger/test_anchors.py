@@ -26,7 +26,7 @@ def run(folder: Path, name: str, events: int = 2, *, now: float = NOW) -> Path:
     out = folder / "runs" / name
     out.mkdir(parents=True)
     with Ledger(folder / "ledger.db", holder="a test", now=now, run_folders=(out.parent,)) as ledger:
-        ledger.start_run(name, {"folder": str(out)}, now=now)
+        ledger.start_run(name, {}, now=now)
         ledger.anchor(out / RUN_ANCHOR_FILE)
         for _ in range(events):
             ledger.append([NOTE], now=now)
@@ -178,10 +178,11 @@ def test_a_killed_writer_leaves_no_fault(tmp_path: Path) -> None:
 
 def test_a_removed_anchor_is_noticed_while_run_folders_hold_anchors(folder: Path) -> None:
     anchor_path(folder / "ledger.db").unlink()
+    runs = (folder / "runs",)
     with LedgerReader(folder / "ledger.db") as reader:
-        (notice,) = check_anchors(reader).notices
+        (notice,) = check_anchors(reader, runs).notices
     assert "is missing: it was compared with 2 of its anchors in run folders" in notice
-    with Ledger(folder / "ledger.db", holder="a test", now=NOW) as ledger:
+    with Ledger(folder / "ledger.db", holder="a test", now=NOW, run_folders=runs) as ledger:
         assert ledger.notices == (notice,)
     with Ledger(folder / "ledger.db", holder="a test", now=NOW) as ledger:
         assert ledger.notices == ()
@@ -204,6 +205,12 @@ def test_an_anchor_with_an_absurd_time_is_reported(folder: Path, time: float) ->
     path.write_text(json.dumps({**json.loads(path.read_text()), "seq": 1 << 61, "time": time}))
     with pytest.raises(AnchorMismatchError, match="now it ends at event"):
         Ledger(folder / "ledger.db", holder="a test", now=NOW)
+
+
+def test_the_anchor_beside_the_ledger_names_the_folders_of_runs(folder: Path) -> None:
+    with LedgerReader(folder / "ledger.db") as reader:
+        report = check_anchors(reader)
+    assert (report.compared, report.run_folders) == (3, (str(folder / "runs"),))
 
 
 def test_anchors_of_another_ledger_do_not_count(folder: Path) -> None:
@@ -253,7 +260,7 @@ def test_a_missing_ledger_with_an_anchor_is_no_new_ledger(folder: Path) -> None:
         LedgerReader(folder / "ledger.db")
 
 
-def test_files_of_the_ledger_are_private_whatever_the_umask_is(tmp_path: Path) -> None:
+def test_files_of_the_ledger_are_private_with_every_umask(tmp_path: Path) -> None:
     before = os.umask(0)
     try:
         out = run(tmp_path / "new", "one")

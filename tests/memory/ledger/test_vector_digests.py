@@ -158,7 +158,7 @@ def test_a_compacted_ledger_covers_its_vectors(tmp_path: Path) -> None:
         assert len(verify(reader).vectors.faults) == 3
 
 
-def test_a_ledger_without_digests_opens_and_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_ledger_without_digests_opens_and_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
         patch.setattr(ledger_module, "EPISODE", "no kind of event")  # as an earlier version wrote it
         fill(tmp_path)

@@ -1,4 +1,4 @@
-"""Files and folders that only their user can open: folders 0700 and files 0600, whatever the umask is.
+"""Files and folders that only their user can open: folders 0700 and files 0600, with every umask.
 
 Runs, ledgers, recordings, data sets and keys contain instructions and images of a user, so every file that dualbrain
 creates in a data or run folder is created here or by `atomic_files.write_atomically`. Files that a user exports for

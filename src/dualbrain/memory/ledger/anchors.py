@@ -2,14 +2,14 @@
 
 Every writer leaves an anchor beside the ledger (`<ledger>.anchor`), and every run one in its run folder
 (`ledger_anchor.json`). A ledger, or an archive from which it was compacted, must still contain the event of each
-anchor. A ledger that was copied back, lost its write-ahead log, or was replaced does not. Whoever can change the ledger
-and all anchors can still forge a history.
+anchor. A ledger that was copied back, lost its write-ahead log, or was replaced does not. A person who can change the
+ledger and all anchors can still forge a history.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import chain
@@ -20,7 +20,6 @@ import msgspec
 
 from dualbrain.core.storage.atomic_files import write_atomically
 from dualbrain.errors import DECODE_ERRORS, DualbrainError
-from dualbrain.memory.ledger import runs
 from dualbrain.memory.ledger.events import ACCEPTED, COMPACTED, AcceptedLoss, CompactionRecord
 from dualbrain.memory.ledger.hash_chain import CorruptLedgerError, Head, LedgerEvent
 
@@ -31,20 +30,24 @@ RUN_ANCHOR_FILE = "ledger_anchor.json"
 """File of a run folder with the anchor of the ledger that the run used."""
 MAX_RUN_ANCHORS = 200
 """Number of run folders, the newest first, whose anchors are read in each folder of runs."""
-MAX_RECORDED_RUNS = 50
-"""Number of runs, the newest first, whose folders are looked up in the ledger."""
+MAX_FOLDERS_OF_RUNS = 20
+"""Number of folders of runs, the newest last, that the anchor beside the ledger names."""
 MAX_ANCHOR_BYTES = 1 << 16
 MAX_ARCHIVES = 100
 """Longest chain of archives that is followed."""
 
 
 class LedgerAnchor(msgspec.Struct, frozen=True, kw_only=True):
-    """Number and hash of the newest event at `time` [s, 1970 UTC], and the absolute path of the ledger."""
+    """Number and hash of the newest event at `time` [s, 1970 UTC], and the absolute path of the ledger.
+
+    In the anchor beside the ledger, `run_folders` are the folders that contain run folders with more anchors.
+    """
 
     seq: Annotated[int, msgspec.Meta(ge=0, lt=1 << 62)]
     hash: str
     time: float
     ledger: str
+    run_folders: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,9 +61,13 @@ class AnchorFault:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AnchorReport:
-    """Result of the comparison with all anchors: number of anchors, faults, and notices that are not faults."""
+    """Result of the comparison with all anchors: number of anchors, faults, and notices that are not faults.
+
+    `run_folders` are the folders of runs that the anchor beside the ledger names.
+    """
 
     compared: int
+    run_folders: tuple[str, ...]
     faults: tuple[AnchorFault, ...]
     notices: tuple[str, ...]
 
@@ -86,10 +93,16 @@ def anchor_path(ledger: Path) -> Path:
     return ledger.with_name(f"{ledger.name}.anchor")
 
 
-def write_anchor(path: Path, ledger: LedgerReader, *, now: float) -> Head:
+def write_anchor(path: Path, ledger: LedgerReader, *, now: float, run_folders: Sequence[str] = ()) -> Head:
     """Write the anchor of the newest event to `path` (mode 0600) and return it; raises `FileWriteError`."""
     head = ledger.head()
-    anchor = LedgerAnchor(seq=head.seq, hash=head.hash, time=now, ledger=str(ledger.path.resolve()))
+    anchor = LedgerAnchor(
+        seq=head.seq,
+        hash=head.hash,
+        time=now,
+        ledger=str(ledger.path.resolve()),
+        run_folders=tuple(run_folders[-MAX_FOLDERS_OF_RUNS:]),
+    )
     write_atomically(path, msgspec.json.encode(anchor) + b"\n")
     return head
 
@@ -107,21 +120,22 @@ def read_anchor(path: Path) -> LedgerAnchor | None:
 def check_anchors(ledger: LedgerReader, run_folders: Iterable[Path] = ()) -> AnchorReport:
     """Compare `ledger` with the anchor beside it and with those in run folders.
 
-    Run folders are those in the folders `run_folders`, and beside the runs that the ledger records. The cost is
+    Run folders are those in `run_folders`, and in the folders that the anchor beside the ledger names. The cost is
     bounded: one small file for each of the newest `MAX_RUN_ANCHORS` run folders of a folder, one lookup per anchor.
     """
-    faults, notices, compared = list[AnchorFault](), list[str](), 0
+    faults, notices, named, compared = list[AnchorFault](), list[str](), list[str](), 0
     accepted = _accepted(ledger)
     beside = anchor_path(ledger.path)
     for source, anchor in _anchors(ledger, beside, run_folders, faults, notices):
         compared += 1
+        named += anchor.run_folders if source == beside else ()
         if (anchor.seq, anchor.hash) in accepted or _contains(ledger, anchor, notices):
             continue
         faults.append(AnchorFault(anchor, source, _sentence(ledger, anchor)))
-    if not beside.exists() and (compared or _records_run_folders(ledger)):
-        words = f"it was compared with {compared} of its anchors in run folders" if compared else "there is no other"
-        notices.append(f"The anchor file of the memory ledger is missing: {words}. Somebody removed it: {beside}")
-    return AnchorReport(compared=compared, faults=tuple(faults), notices=tuple(notices))
+    if compared and not beside.exists():
+        words = f"it was compared with {compared} of its anchors in run folders"
+        notices.append(f"The anchor file of the memory ledger is missing: {words}. It was removed: {beside}")
+    return AnchorReport(compared=compared, run_folders=tuple(named), faults=tuple(faults), notices=tuple(notices))
 
 
 def accepted_loss(report: AnchorReport, reason: str, actor: str) -> AcceptedLoss:
@@ -149,14 +163,16 @@ def _anchors(
     ledger: LedgerReader, beside: Path, run_folders: Iterable[Path], faults: list[AnchorFault], notices: list[str]
 ) -> Iterator[tuple[Path, LedgerAnchor]]:
     """The file and the anchor of this ledger; an unreadable anchor is a fault beside the ledger, else a notice."""
+    folders = {folder.resolve() for folder in run_folders}
     try:
         if anchor := read_anchor(beside):
+            folders |= {Path(folder) for folder in anchor.run_folders[-MAX_FOLDERS_OF_RUNS:] if "\0" not in folder}
             yield beside, anchor
     except (OSError, *DECODE_ERRORS) as error:
         unknown = LedgerAnchor(seq=0, hash="", time=0.0, ledger=str(ledger.path))
         faults.append(AnchorFault(unknown, beside, f"The anchor of the memory ledger cannot be read: {error}."))
     path = str(ledger.path.resolve())
-    for file in _run_anchor_files(ledger, run_folders):
+    for file in _run_anchor_files(folders):
         try:
             anchor = read_anchor(file)
         except (OSError, *DECODE_ERRORS) as error:
@@ -166,9 +182,9 @@ def _anchors(
             yield file, anchor
 
 
-def _run_anchor_files(ledger: LedgerReader, run_folders: Iterable[Path]) -> Iterator[Path]:
-    recorded = {folder.parent for folder in _recorded_run_folders(ledger)}
-    for parent in sorted({folder.resolve() for folder in run_folders} | recorded):
+def _run_anchor_files(folders: Iterable[Path]) -> Iterator[Path]:
+    """The anchors of the newest run folders in each of `folders`."""
+    for parent in sorted(folders):
         try:
             with os.scandir(parent) as entries:
                 folders = [(entry.stat().st_mtime, entry.path) for entry in entries if entry.is_dir()]
@@ -176,27 +192,6 @@ def _run_anchor_files(ledger: LedgerReader, run_folders: Iterable[Path]) -> Iter
             continue  # removed, or not readable: its anchors are not there
         for _, folder in sorted(folders, reverse=True)[:MAX_RUN_ANCHORS]:
             yield Path(folder) / RUN_ANCHOR_FILE
-
-
-class _RunDetails(msgspec.Struct, frozen=True):
-    folder: str = ""
-
-
-def _recorded_run_folders(ledger: LedgerReader) -> list[Path]:
-    """The folders of the newest runs, as the ledger records them."""
-    found: list[Path] = []
-    for payload in ledger.newest_payloads(runs.STARTED, MAX_RECORDED_RUNS):
-        try:
-            folder = msgspec.json.decode(payload, type=_RunDetails).folder
-        except DECODE_ERRORS:
-            continue
-        if folder and "\0" not in folder:
-            found.append(Path(folder))
-    return found
-
-
-def _records_run_folders(ledger: LedgerReader) -> bool:
-    return bool(_recorded_run_folders(ledger))
 
 
 def _accepted(ledger: LedgerReader) -> frozenset[tuple[int, str]]:

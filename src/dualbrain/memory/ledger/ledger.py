@@ -115,6 +115,7 @@ class Ledger(LedgerReader):
         found = self._create()
         self._check_schema()
         self.anchor_report = check_anchors(self, run_folders)
+        self._run_folders = list(self.anchor_report.run_folders)
         self.notices += self.anchor_report.notices
         if self.anchor_report.faults and not accept_faults:
             raise AnchorMismatchError(self.anchor_report.faults, self.path)
@@ -235,14 +236,18 @@ class Ledger(LedgerReader):
 
     def anchor(self, path: Path | None = None) -> None:
         """Write the anchor of the newest event beside the ledger and, if given, to `path`; raises `FileWriteError`."""
-        self._write_anchor(self._last_time)
         if path is not None:
             write_anchor(path, self, now=self._last_time)
+            folder = str(path.resolve().parent.parent)
+            if folder not in self._run_folders[-1:]:
+                self._run_folders = [*(one for one in self._run_folders if one != folder), folder]
+                self._anchored = None
+        self._write_anchor(self._last_time)
 
     def _write_anchor(self, now: float) -> None:
         """Write the anchor beside the ledger, unless it is that of the newest event already."""
         if self._anchored != self.head():
-            self._anchored = write_anchor(anchor_path(self.path), self, now=now)
+            self._anchored = write_anchor(anchor_path(self.path), self, now=now, run_folders=self._run_folders)
 
     def close(self) -> None:
         """Write the anchor, close the file and release the writer lock; a second call does nothing.

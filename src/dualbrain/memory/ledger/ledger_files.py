@@ -10,7 +10,7 @@ from dualbrain.core.storage.atomic_files import FileWriteError
 from dualbrain.core.storage.private_files import refuse_special_file, tighten
 from dualbrain.errors import ConfigurationError
 
-_SQLITE_FILES = {"-wal": "write-ahead log", "-shm": "shared index", "-journal": "rollback journal"}
+_SQLITE_FILES = {"-wal": "write-ahead log", "-shm": "shared index", "-journal": "rollback file"}
 _OWN_FILES = {".lock": "lock file", ".anchor": "anchor file"}
 
 

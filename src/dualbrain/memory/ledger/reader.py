@@ -126,14 +126,6 @@ class LedgerReader:
             rows = [str(row[0]) for row in self._database.execute("PRAGMA integrity_check(5)")]
         return () if rows == ["ok"] else tuple(rows)
 
-    def newest_payloads(self, kind: str, limit: int) -> list[bytes]:
-        """Payloads of the newest `limit` events of `kind`, newest first."""
-        with self._translate_errors():
-            query = "SELECT payload FROM event WHERE kind = ? ORDER BY seq DESC LIMIT ?"
-            return [
-                payload for (payload,) in self._database.execute(query, (kind, limit)) if isinstance(payload, bytes)
-            ]
-
     def event(self, seq: int) -> LedgerEvent:
         """The event with number `seq`, after a check of its content and of the link from the next event.
 
