@@ -187,10 +187,10 @@ def _run_anchor_files(folders: Iterable[Path]) -> Iterator[Path]:
     for parent in sorted(folders):
         try:
             with os.scandir(parent) as entries:
-                folders = [(entry.stat().st_mtime, entry.path) for entry in entries if entry.is_dir()]
+                found = [(entry.stat().st_mtime, entry.path) for entry in entries if entry.is_dir()]
         except OSError:
             continue  # removed, or not readable: its anchors are not there
-        for _, folder in sorted(folders, reverse=True)[:MAX_RUN_ANCHORS]:
+        for _, folder in sorted(found, reverse=True)[:MAX_RUN_ANCHORS]:
             yield Path(folder) / RUN_ANCHOR_FILE
 
 
