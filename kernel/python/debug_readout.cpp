@@ -107,13 +107,13 @@ nb::dict broadphase_fields(const dbk_model &model, const dbk_scene &scene, const
 
 nb::dict Kernel::debug_readout(double extra, bool known_only) const {
   nb::dict d;
-  d["model"] = model_fields(*model);
+  d["model"] = model_fields(*used_model);
   d["scene"] = scene_fields(*scene);
   d["motion"] = motion_fields(ctx->motion);
   d["rows"] = row_fields(ctx->rows);
   d["step"] = step_fields(*ctx);
   if (scene->n_obstacles > 0) {
-    d["broadphase"] = broadphase_fields(*model, *scene, *ctx, in.scene_age, static_cast<dbk_real>(extra), known_only);
+    d["broadphase"] = broadphase_fields(*used_model, *scene, *ctx, in.scene_age, static_cast<dbk_real>(extra), known_only);
   }
   return d;
 }

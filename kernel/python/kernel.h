@@ -15,6 +15,9 @@ namespace nb = nanobind;
 
 struct Kernel {
   std::unique_ptr<dbk_model> model{new dbk_model()};
+  // the model whose finger spheres cover every opening, for states of an unknown opening; null without fingers
+  std::unique_ptr<dbk_model> hull_model;
+  double opening_max = 0.0;  // of the gripper, per finger [m]
   std::unique_ptr<dbk_scene> scene{new dbk_scene()};
   // the state of the steps and of the projections
   std::unique_ptr<dbk_ctx> ctx{new dbk_ctx()}, projection_ctx{new dbk_ctx()};
@@ -43,12 +46,15 @@ struct Kernel {
   // each), relaxed
   void set_result_type(nb::object type, nb::object status_objects);
   void reset(const Array &u_prev);
-  nb::object step(nb::handle q, nb::handle v, nb::handle u_nom, double opening, double state_age, double scene_age,
-                  nb::handle names);
-  int project(nb::handle q, nb::handle v, nb::handle u_nom, const Array &u_prev, double opening, double state_age,
-              double scene_age, double extra, const Out &u);
+  // `opening` is a number, or Ellipsis if it is unknown (None would take a slower call): then the finger spheres cover
+  // every opening
+  nb::object step(nb::handle q, nb::handle v, nb::handle u_nom, nb::handle opening, nb::handle state_age,
+                  nb::handle scene_age, nb::handle names);
+  int project(nb::handle q, nb::handle v, nb::handle u_nom, const Array &u_prev, nb::handle opening,
+              nb::handle state_age, nb::handle scene_age, double extra, const Out &u);
   // the rows of q, v, u_nom, u_prev (m, n) are independent states of a robot with a fixed base: each step starts from
-  // its own u_prev without a warm start, and the state of the filter does not change
+  // its own u_prev without a warm start, and the state of the filter does not change. `opening` has one number for each
+  // state, or none: then no opening is known
   void batch(const Array &q, const Array &v, const Array &u_nom, const Array &u_prev, const Array &opening,
              double scene_age, const Out &u, const Bytes &status, const Out &delta, const Out &h_min) const;
 
@@ -59,7 +65,7 @@ struct Kernel {
   nb::tuple box() const;
   // tool pose and its Jacobian: position 3, rotation 9, jacobian (6, n), one flat array
   void tool(const Array &q, const Out &to);
-  // centres and radii (k, 4) at posture q; returns k
+  // centres and radii (k, 4) at posture q; returns k. With NaN the finger spheres cover every opening
   int spheres(const Array &q, double opening, const Out &to);
 
   // debug_readout.cpp: all intermediate values of the last step, for tests; the broad phase is repeated with `extra`
@@ -75,8 +81,16 @@ struct Kernel {
   double time_steps(const Array &q, const Array &u_nom, bool cold);
 
  private:
-  // sets `in`; returns the array of u_nom
-  nb::object load(nb::handle q, nb::handle v, nb::handle u, double opening, double state_age, double scene_age);
+  const dbk_model *used_model = model.get();  // of the last step: `model` or `hull_model`
+  // the model for an opening, with or without fingers
+  const dbk_model *model_of(bool opening_known) const {
+    return opening_known || !hull_model ? model.get() : hull_model.get();
+  }
+  // the opening for the kernel: NaN, which it rejects, if the gripper cannot be open that far
+  dbk_real plausible_opening(double opening) const;
+  // sets `in` and `used_model`; returns the array of u_nom
+  nb::object load(nb::handle q, nb::handle v, nb::handle u, nb::handle opening, nb::handle state_age,
+                  nb::handle scene_age);
   // the active rows of `out`, packed
   nb::object active() const;
 };

@@ -1,4 +1,6 @@
 // Rows and bounds of the last step, and the kinematics.
+#include <cmath>
+
 #include "kernel.h"
 
 extern "C" {
@@ -7,7 +9,7 @@ extern "C" {
 
 nb::list Kernel::rows() {
   nb::list all;
-  dbk_all_rows(model.get(), scene.get(), ctx.get(), &in);
+  dbk_all_rows(used_model, scene.get(), ctx.get(), &in);
   for (int r = 0; r < ctx->rows.count; ++r) {
     nb::list a;
     for (size_t k = 0; k < n; ++k) { a.append(double(ctx->rows.a[k][r])); }
@@ -52,13 +54,14 @@ void Kernel::tool(const Array &q, const Out &to) {
 }
 
 int Kernel::spheres(const Array &q, double opening, const Out &to) {
+  const bool known = !std::isnan(opening);
   dbk_real angles[DBK_MAX_DOF] = {0};
   dbk_frames f;
   dbk_sphere_set set;
   copy(q, angles, n, "q");
   dbk_base_frame(&in, &f);
   dbk_fk(model.get(), angles, &f);
-  dbk_spheres(model.get(), scene.get(), &f, static_cast<dbk_real>(opening), &set);
+  dbk_spheres(model_of(known), scene.get(), &f, static_cast<dbk_real>(known ? opening : 0.0), &set);
   expect(to.size() >= static_cast<size_t>(4 * set.count), "sphere buffer");
   for (int s = 0; s < set.count; ++s) {
     const dbk_real row[4] = {set.x[s], set.y[s], set.z[s], set.r[s]};

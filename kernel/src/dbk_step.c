@@ -20,6 +20,13 @@ void dbk_init(dbk_ctx *ctx) {
   }
 }
 
+/* 1 if the base is where single precision resolves the margins; the comparisons reject NaN */
+static int32_t base_within_bounds(const dbk_in *in) {
+  int32_t within = 1;
+  for (int32_t e = 0; e < 3; ++e) { within &= (dbk_abs(in->base_position[e]) <= DBK_MAX_COORDINATE); }
+  return within;
+}
+
 /* flags of an invalid or stale input; 0 if the step can proceed */
 static int32_t input_flags(const dbk_model *model, const dbk_scene *scene, const dbk_in *in) {
   int32_t flags = 0;
@@ -28,16 +35,13 @@ static int32_t input_flags(const dbk_model *model, const dbk_scene *scene, const
       !dbk_finite(in->opening) || dbk_abs(in->opening) > (dbk_real)0.1) {
     flags |= DBK_BAD_INPUT;
   }
-  if (in->mobile && !(dbk_all_finite(in->base_rotation, 9) && dbk_all_finite(in->base_position, 3))) {
-    flags |= DBK_BAD_INPUT;
-  }
+  if (in->mobile && !(dbk_all_finite(in->base_rotation, 9) && base_within_bounds(in))) { flags |= DBK_BAD_INPUT; }
   if (!scene->ready) { flags |= DBK_BAD_SCENE; }
-  /* a negative age means that a clock was set back; a skew of 5 ms is tolerated */
-  if (!(in->state_age <= model->state_age_max && in->state_age >= (dbk_real)-0.005)) { flags |= DBK_STALE_STATE; }
+  /* a negative age means that a clock was set back, or that the stamp is of another clock */
+  if (!(in->state_age <= model->state_age_max && in->state_age >= -DBK_CLOCK_TOL)) { flags |= DBK_STALE_STATE; }
   if (!dbk_finite(in->scene_age)) { flags |= DBK_STALE_SCENE; }
-  if (scene->moving && !(in->scene_age <= model->scene_age_max && in->scene_age >= (dbk_real)-0.005)) {
-    flags |= DBK_STALE_SCENE;
-  }
+  if (scene->n_obstacles > 0 && !(in->scene_age >= -DBK_CLOCK_TOL)) { flags |= DBK_STALE_SCENE; }
+  if (scene->moving && !(in->scene_age <= model->scene_age_max)) { flags |= DBK_STALE_SCENE; }
   for (int32_t k = 0; k < n; ++k) {
     const dbk_real y = in->q[k] + model->lag * in->v[k];
     if (!dbk_finite(y)) { continue; } /* already flagged */

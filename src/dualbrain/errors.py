@@ -7,6 +7,7 @@ states the problem, the value found, the values allowed and the remedy, and carr
 from __future__ import annotations
 
 from difflib import get_close_matches
+from reprlib import repr as shortened_repr
 from typing import Self
 
 import msgspec
@@ -57,6 +58,19 @@ class ConfigurationError(DualbrainError):
         return error
 
 
+class GeometryError(ConfigurationError):
+    """Geometric input that cannot be used: a size, margin, pose, shape, velocity, stamp, or an array of numbers.
+
+    `what` is the field, `got` the value as given, `allowed` the range and `fix` the remedy. The message shortens a long
+    or deeply nested value.
+    """
+
+    def __init__(self, what: str, *, got: object, allowed: str, fix: str = "") -> None:
+        """Report the field `what`, the value `got`, the values `allowed` and the remedy `fix`."""
+        sentence = f"{what}: got {_shortened(got)}, allowed: {allowed}."
+        super().__init__(what, got=got, allowed=allowed, fix=fix, sentence=sentence)
+
+
 class UsageError(ConfigurationError):
     """A command that was called with arguments it cannot take."""
 
@@ -80,3 +94,11 @@ class ChecksumError(DualbrainError):
             f"{name}: SHA-256 is {got}, expected {expected}. The file is damaged or was replaced: "
             f"delete it and fetch it again with `dualbrain models fetch {name}`. {path}"
         )
+
+
+def _shortened(value: object) -> str:
+    """The representation of `value` in at most 200 characters; the name of its type if it has none."""
+    try:
+        return shortened_repr(value)[:200]
+    except (ValueError, RecursionError):  # an integer of thousands of digits
+        return f"a value of type {type(value).__name__}"

@@ -23,7 +23,7 @@ typedef enum { DBK_SAFE, DBK_MODIFIED, DBK_RELAXED, DBK_STOPPED, DBK_FAULT } dbk
 enum {
   DBK_BAD_INPUT = 1,      /* an input value is not finite */
   DBK_STALE_STATE = 2,    /* the joint state is too old, or its time stamp is in the future */
-  DBK_STALE_SCENE = 4,    /* the last observation of a moving obstacle is too old */
+  DBK_STALE_SCENE = 4,    /* the last observation of a moving obstacle is too old, or its stamp is in the future */
   DBK_OUTSIDE = 8,        /* a joint is far outside its limits */
   DBK_ROW_OVERFLOW = 16,  /* the row buffer is full */
   DBK_NO_GRADIENT = 32,   /* h < 0 for a pair that no joint can move */
@@ -36,7 +36,7 @@ enum {
 };
 
 enum { DBK_CAPSULE, DBK_BOX, DBK_HALF_SPACE }; /* obstacle shapes; a sphere is a capsule of length 0 */
-enum { DBK_KNOWN = 1, DBK_STATIC = 2 };        /* obstacle flags */
+enum { DBK_KNOWN = 1, DBK_STATIC = 2 };        /* obstacle flags; what has a velocity or an error of it moves anyway */
 enum { DBK_ROW_OBSTACLE, DBK_ROW_SELF, DBK_ROW_LOWER, DBK_ROW_UPPER, DBK_ROW_USER };
 enum { DBK_REVOLUTE, DBK_PRISMATIC };
 enum { DBK_LIMIT_VELOCITY, DBK_LIMIT_ACCELERATION, DBK_LIMIT_JERK, DBK_LIMIT_POSITION };

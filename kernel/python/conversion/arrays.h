@@ -13,13 +13,24 @@
 #include "conversion/result_pool.h"
 #include "dbk/dbk.h"
 
+// true for an array of integers or real numbers; text, truth values, complex numbers and objects are no measurements
+inline bool is_real(PyArrayObject *array) {
+  const int type = PyArray_TYPE(array);
+  return PyTypeNum_ISINTEGER(type) || PyTypeNum_ISFLOAT(type);
+}
+
 // `count` numbers as a float64 array: the object itself if it already is one, else a copy; std::invalid_argument if the
 // conversion fails
 inline nanobind::object vector(nanobind::handle from, size_t count, const char *what) {
   auto *array = reinterpret_cast<PyArrayObject *>(from.ptr());
   nanobind::object kept = nanobind::borrow(from);
   if (!PyArray_Check(from.ptr()) || PyArray_TYPE(array) != NPY_DOUBLE || !PyArray_ISCARRAY_RO(array)) {
-    kept = nanobind::steal(PyArray_FROM_OTF(from.ptr(), NPY_DOUBLE, NPY_ARRAY_IN_ARRAY));
+    const nanobind::object any = nanobind::steal(PyArray_FROM_O(from.ptr()));
+    if (any.is_valid() && is_real(reinterpret_cast<PyArrayObject *>(any.ptr()))) {
+      kept = nanobind::steal(PyArray_FROM_OTF(any.ptr(), NPY_DOUBLE, NPY_ARRAY_IN_ARRAY | NPY_ARRAY_FORCECAST));
+    } else {
+      kept = nanobind::object();
+    }
     if (!kept.is_valid()) {
       PyErr_Clear();
       throw std::invalid_argument(what);
@@ -38,6 +49,21 @@ inline nanobind::object read_vector(nanobind::handle from, dbk_real *to, size_t 
   const auto *data = static_cast<const double *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(kept.ptr())));
   for (size_t i = 0; i < count; ++i) { to[i] = static_cast<dbk_real>(data[i]); }
   return kept;
+}
+
+// one real number; std::invalid_argument for text, truth values, complex numbers and numbers beyond float64
+inline double read_number(nanobind::handle from, const char *what) {
+  if (PyFloat_Check(from.ptr())) { return PyFloat_AS_DOUBLE(from.ptr()); }
+  auto *array = reinterpret_cast<PyArrayObject *>(from.ptr());
+  const bool real = (PyLong_Check(from.ptr()) && !PyBool_Check(from.ptr())) || PyArray_IsScalar(from.ptr(), Integer) ||
+                    PyArray_IsScalar(from.ptr(), Floating) ||
+                    (PyArray_Check(from.ptr()) && PyArray_NDIM(array) == 0 && is_real(array));
+  const double value = real ? PyFloat_AsDouble(from.ptr()) : 0.0;
+  if (!real || PyErr_Occurred()) {
+    PyErr_Clear();
+    throw std::invalid_argument(what);
+  }
+  return value;
 }
 
 // checks that a pooled float64 array (count,) is unchanged: a former owner can have reshaped it or made it read-only

@@ -61,6 +61,18 @@ void parse_joints(const nb::dict &d, size_t n, dbk_model &m) {
   }
 }
 
+// rows of x, y, z, radius, slide_x, slide_y, slide_z
+void parse_spheres(const std::vector<double> &rows, dbk_model &m) {
+  m.n_spheres = static_cast<int32_t>(rows.size() / 7);
+  expect(m.n_spheres <= DBK_MAX_SPHERES, "number of spheres");
+  expect(m.link_first[m.n_links] == m.n_spheres, "link_first");
+  for (int i = 0; i < m.n_spheres; ++i) {
+    const double *row = rows.data() + 7 * i;
+    dbk_real *to[7] = {m.x, m.y, m.z, m.radius, m.slide_x, m.slide_y, m.slide_z};
+    for (int e = 0; e < 7; ++e) { to[e][i] = static_cast<dbk_real>(row[e]); }
+  }
+}
+
 void parse_links(const nb::dict &d, dbk_model &m) {
   fill(d, "tool_rotation", m.tool_rotation, 9);
   fill(d, "tool_offset", m.tool_offset, 3);
@@ -68,15 +80,7 @@ void parse_links(const nb::dict &d, dbk_model &m) {
   fill(d, "link_first", m.link_first, DBK_MAX_LINKS + 1);
   m.n_pairs = static_cast<int32_t>(fill(d, "pairs", &m.pair[0][0], 2 * DBK_MAX_PAIRS) / 2);
   m.n_held_links = static_cast<int32_t>(fill(d, "held_links", m.held_link, DBK_MAX_LINKS));
-  const std::vector<double> s = values(d, "spheres");  // x y z radius slide_x slide_y slide_z
-  m.n_spheres = static_cast<int32_t>(s.size() / 7);
-  expect(m.n_spheres <= DBK_MAX_SPHERES, "number of spheres");
-  expect(m.link_first[m.n_links] == m.n_spheres, "link_first");
-  for (int i = 0; i < m.n_spheres; ++i) {
-    const double *row = s.data() + 7 * i;
-    dbk_real *to[7] = {m.x, m.y, m.z, m.radius, m.slide_x, m.slide_y, m.slide_z};
-    for (int e = 0; e < 7; ++e) { to[e][i] = static_cast<dbk_real>(row[e]); }
-  }
+  parse_spheres(values(d, "spheres"), m);
 }
 
 }  // namespace
@@ -88,6 +92,16 @@ void parse_model(const nb::dict &d, dbk_model *model) {
   parse_joints(d, n, *model);
   parse_links(d, *model);
   dbk_prepare(model);
+}
+
+std::unique_ptr<dbk_model> parse_hull_model(const nb::dict &d, const dbk_model &model) {
+  const std::vector<double> rows = values(d, "hull_spheres");
+  if (rows.empty()) { return nullptr; }
+  std::unique_ptr<dbk_model> hull{new dbk_model(model)};
+  expect(rows.size() == 7 * static_cast<size_t>(model.n_spheres), "hull_spheres");
+  parse_spheres(rows, *hull);
+  dbk_prepare(hull.get());
+  return hull;
 }
 
 void parse_obstacle(const double *row, dbk_obstacle *o) {

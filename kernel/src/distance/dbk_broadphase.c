@@ -19,13 +19,14 @@ DBK_SIMD_CLONES void dbk_predict_obstacles(const dbk_model *model, const dbk_sce
                                            int32_t known_only, dbk_predicted_obstacles *restrict out) {
   const dbk_obstacle_capsules *c = &scene->capsules;
   const dbk_real sampling = model->sampling, rounding = model->rounding, alpha = model->alpha;
+  const dbk_real growth = dbk_max(age, (dbk_real)0); /* a small negative age does not reduce a margin */
   const int32_t lanes = DBK_PADDED(scene->n_obstacles);
   for (int32_t o = 0; o < lanes; ++o) {
     const dbk_real own_alpha = c->alpha[o];
     out->x[o] = c->x[o] + c->vx[o] * age;
     out->y[o] = c->y[o] + c->vy[o] * age;
     out->z[o] = c->z[o] + c->vz[o] * age;
-    out->margin[o] = c->margin[o] + c->velocity_error[o] * age + sampling + rounding + extra;
+    out->margin[o] = c->margin[o] + c->velocity_error[o] * growth + sampling + rounding + extra;
     out->alpha[o] = own_alpha > (dbk_real)0 ? own_alpha : alpha;
     out->link_mask[o] = (c->known[o] | !known_only) ? c->link_mask[o] : 0u;
   }

@@ -13,12 +13,38 @@ void dbk_scene_clear(dbk_scene *scene) {
   }
 }
 
+/* 1 if all numbers are within -limit..limit; the comparisons reject NaN */
+static int32_t all_within(const dbk_real *x, int32_t count, dbk_real limit) {
+  int32_t valid = 1;
+  for (int32_t i = 0; i < count; ++i) { valid &= (x[i] >= -limit && x[i] <= limit); }
+  return valid;
+}
+
+/* 1 if all numbers are within 0..limit; a size, margin or error below zero would make an obstacle smaller */
+static int32_t all_lengths(const dbk_real *x, int32_t count, dbk_real limit) {
+  int32_t valid = 1;
+  for (int32_t i = 0; i < count; ++i) { valid &= (x[i] >= (dbk_real)0 && x[i] <= limit); }
+  return valid;
+}
+
+/* 1 if the columns of a matrix are unit vectors and perpendicular to each other */
+static int32_t is_rotation(const dbk_real *r) {
+  int32_t valid = all_within(r, 9, (dbk_real)2);
+  for (int32_t i = 0; valid && i < 3; ++i) {
+    for (int32_t j = i; j < 3; ++j) {
+      const dbk_real product = r[i] * r[j] + r[3 + i] * r[3 + j] + r[6 + i] * r[6 + j];
+      valid &= (dbk_abs(product - (i == j ? (dbk_real)1 : (dbk_real)0)) <= DBK_ROTATION_TOL);
+    }
+  }
+  return valid;
+}
+
 static int32_t obstacle_valid(const dbk_obstacle *o) {
-  int32_t valid = dbk_all_finite(o->position, 3) & dbk_all_finite(o->rotation, 9) & dbk_all_finite(o->half, 3);
-  valid &=
-      dbk_all_finite(o->velocity, 3) & dbk_finite(o->radius) & dbk_finite(o->margin) & dbk_finite(o->velocity_error);
+  int32_t valid = all_within(o->position, 3, DBK_MAX_COORDINATE) & is_rotation(o->rotation);
+  valid &= all_lengths(o->half, 3, DBK_MAX_COORDINATE) & all_lengths(&o->radius, 1, DBK_MAX_COORDINATE);
+  valid &= all_lengths(&o->margin, 1, DBK_MAX_COORDINATE);
+  valid &= all_within(o->velocity, 3, DBK_MAX_SPEED) & all_lengths(&o->velocity_error, 1, DBK_MAX_SPEED);
   valid &= (o->shape >= DBK_CAPSULE && o->shape <= DBK_HALF_SPACE);
-  valid &= (o->radius >= (dbk_real)0 && o->velocity_error >= (dbk_real)0);
   valid &= (o->alpha >= (dbk_real)0 && o->alpha <= (dbk_real)1e6);
   valid &= (o->reaction >= (dbk_real)0 && o->reaction <= (dbk_real)1e3);
   valid &= (o->brake >= (dbk_real)0 && o->brake <= (dbk_real)1e6 && o->approach >= (dbk_real)0 &&
@@ -67,7 +93,8 @@ static void prepare_capsules(dbk_scene *scene) {
     to->max_speed[i] = dbk_length(o->velocity[0], o->velocity[1], o->velocity[2]) + o->velocity_error;
     to->link_mask[i] = o->link_mask;
     to->known[i] = (o->flags & DBK_KNOWN) != 0;
-    to->moving[i] = !(o->flags & DBK_STATIC);
+    /* an obstacle with a velocity or a velocity error moves, with or without the flag */
+    to->moving[i] = !(o->flags & DBK_STATIC) || to->max_speed[i] > (dbk_real)0;
     to->rank[i] = o->rank;
     to->plain[i] = o->shape == DBK_CAPSULE && !(o->brake > (dbk_real)0);
     to->static_sphere[i] = !(to->half[i] > (dbk_real)0) && !(to->max_speed[i] > (dbk_real)0);
@@ -78,9 +105,12 @@ static void prepare_capsules(dbk_scene *scene) {
 }
 
 static int32_t held_valid(const dbk_scene *scene) {
-  if (!(scene->n_held >= 0 && scene->n_held <= DBK_MAX_HELD && dbk_finite(scene->held_error))) { return 0; }
-  return dbk_all_finite(scene->held_x, scene->n_held) & dbk_all_finite(scene->held_y, scene->n_held) &
-         dbk_all_finite(scene->held_z, scene->n_held) & dbk_all_finite(scene->held_r, scene->n_held);
+  if (!(scene->n_held >= 0 && scene->n_held <= DBK_MAX_HELD)) { return 0; }
+  return all_within(scene->held_x, scene->n_held, DBK_MAX_DISTANCE) &
+         all_within(scene->held_y, scene->n_held, DBK_MAX_DISTANCE) &
+         all_within(scene->held_z, scene->n_held, DBK_MAX_DISTANCE) &
+         all_lengths(scene->held_r, scene->n_held, DBK_MAX_DISTANCE) &
+         all_lengths(&scene->held_error, 1, DBK_MAX_DISTANCE);
 }
 
 static int32_t user_rows_valid(const dbk_scene *scene) {
@@ -99,10 +129,10 @@ void dbk_scene_prepare(dbk_scene *scene) {
   scene->moving = 0;
   for (int32_t o = 0; valid && o < scene->n_obstacles; ++o) {
     valid &= obstacle_valid(&scene->obstacle[o]);
-    if (!(scene->obstacle[o].flags & DBK_STATIC)) { scene->moving = 1; }
   }
   if (valid) {
     prepare_capsules(scene);
+    for (int32_t o = 0; o < scene->n_obstacles; ++o) { scene->moving |= scene->capsules.moving[o]; }
     scene->held_bounding_sphere =
         dbk_enclosing_sphere(scene->held_x, scene->held_y, scene->held_z, scene->held_r, scene->n_held, (dbk_real)0);
   }

@@ -15,13 +15,17 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RobotState:
-    """Joint state at `stamp` [s]: q [rad] and v [rad/s] of shape (n,), finger opening [m each], finger forces [N]."""
+    """Joint state at `stamp` [s]: q [rad] and v [rad/s] of shape (n,), finger opening [m each], finger forces [N].
+
+    `opening` is None if the hardware does not report it; the filter then covers every opening. Without a measurement
+    the finger forces are 0, so that no grasp counts as made.
+    """
 
     stamp: float
     sequence: int
     q: Array
     v: Array
-    opening: float
+    opening: float | None
     finger_forces: tuple[float, float]
     drive_enabled: bool = True
 

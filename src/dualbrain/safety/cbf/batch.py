@@ -6,7 +6,8 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dualbrain.errors import ConfigurationError
+from dualbrain.core.geometry.validation import as_real_array, is_real
+from dualbrain.errors import GeometryError
 from dualbrain.safety.cbf.compiled._kernel import Kernel
 
 Array = NDArray[np.float64]
@@ -32,21 +33,31 @@ def run_batch(
     V: ArrayLike,
     U: ArrayLike,
     u_prev: ArrayLike,
-    opening: ArrayLike,
+    opening: ArrayLike | None,
     scene_age: float,
 ) -> BatchResult:
     """Filter each row of Q, V and U (m, n) with `kernel`, from its own `u_prev`.
 
-    `opening` [m] is one number or an array (m,); `scene_age` is in s.
+    `opening` [m] is one number or an array (m,), or None if it is unknown; `scene_age` is in s.
 
     Raises:
-        ConfigurationError: Q, V, U and `u_prev` do not all have the shape (m, n).
+        ConfigurationError: Q, V, U and `u_prev` do not all have the shape (m, n) or are not numbers.
     """
-    q, v, u_nom, previous = (np.ascontiguousarray(values, float) for values in (Q, V, U, u_prev))
-    m, shapes = len(q), [values.shape for values in (q, v, u_nom, previous)]
+    given = {"Q": Q, "V": V, "U": U, "u_prev": u_prev}
+    q, v, u_nom, previous = arrays = [as_real_array(name, values) for name, values in given.items()]
+    m, shapes = len(q) if q.ndim else 0, [values.shape for values in arrays]
     if any(shape != (m, n) for shape in shapes):
-        raise ConfigurationError("batch", got=shapes, allowed=f"Q, V, U, u_prev of shape (m, {n})")
+        raise GeometryError("batch", got=shapes, allowed=f"Q, V, U, u_prev of shape (m, {n})")
     result = BatchResult(np.empty((m, n)), np.empty(m, np.int8), np.empty(m), np.empty(m))
-    openings = np.ascontiguousarray(np.broadcast_to(np.asarray(opening, float), (m,)))
+    openings = _openings(opening, m)
     kernel.batch(q, v, u_nom, previous, openings, scene_age, result.u, result.status, result.delta, result.h_min)
     return result
+
+
+def _openings(opening: ArrayLike | None, m: int) -> Array:
+    """The opening of every state (m,); an empty array if it is unknown."""
+    if opening is None:
+        return np.empty(0)
+    if is_real(opening):
+        return np.full(m, opening, float)
+    return as_real_array("opening of a batch", opening, (m,))

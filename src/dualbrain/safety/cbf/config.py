@@ -6,6 +6,19 @@ from typing import Literal
 
 import msgspec
 
+from dualbrain.core.geometry.validation import check_flag, check_length, check_number, check_positive
+from dualbrain.errors import GeometryError
+
+MAX_GAIN = 1e6
+"""Largest gain [1/s]."""
+MAX_MARGIN = 1.0
+"""Largest margin of the configuration [m]."""
+MAX_RATE = 100.0
+"""Largest recovery speed [m/s] and tracking error [rad/s]."""
+MAX_AGE = 3600.0
+"""Largest age [s] up to which an observation can count as fresh."""
+PRECISIONS = ("float32", "float64")
+
 
 class FilterConfig(msgspec.Struct, frozen=True, kw_only=True):
     """Configuration of the safety filter. Lengths are in m, times in s, gains in 1/s, speeds in m/s.
@@ -24,6 +37,9 @@ class FilterConfig(msgspec.Struct, frozen=True, kw_only=True):
       a step in which other limits leave no room for them (`Reason.JERK`).
     - `lag_compensation`: evaluate barriers at y = q + lag·v.
     - `precision`: number type of the kernel.
+
+    Raises `GeometryError` for a value of another type, below zero, not finite, or beyond `MAX_GAIN` (gains),
+    `MAX_MARGIN` (margins), `MAX_RATE` (recovery speed, tracking error) or `MAX_AGE` (ages).
     """
 
     alpha: float | None = None
@@ -41,3 +57,20 @@ class FilterConfig(msgspec.Struct, frozen=True, kw_only=True):
     jerk_limits: bool = False
     lag_compensation: bool = True
     precision: Literal["float32", "float64"] = "float32"
+
+    def __post_init__(self) -> None:
+        """Check every field, also of a configuration that `msgspec.structs.replace` makes."""
+        for name in ("alpha", "alpha_self", "alpha_joint"):
+            if (gain := getattr(self, name)) is not None:
+                check_positive(f"FilterConfig.{name} [1/s]", gain, MAX_GAIN)
+        for name in ("sampling_margin", "rounding_margin", "self_margin", "projection_margin"):
+            check_length(f"FilterConfig.{name} [m]", getattr(self, name), MAX_MARGIN)
+        check_number("FilterConfig.recovery_speed [m/s]", self.recovery_speed, 0.0, MAX_RATE)
+        if self.tracking_error is not None:
+            check_number("FilterConfig.tracking_error [rad/s]", self.tracking_error, 0.0, MAX_RATE)
+        for name in ("scene_stale_after", "state_stale_after"):
+            check_number(f"FilterConfig.{name} [s]", getattr(self, name), 0.0, MAX_AGE)
+        for name in ("acceleration_limits", "jerk_limits", "lag_compensation"):
+            check_flag(f"FilterConfig.{name}", getattr(self, name))
+        if not isinstance(self.precision, str) or self.precision not in PRECISIONS:
+            raise GeometryError("FilterConfig.precision", got=self.precision, allowed=" or ".join(PRECISIONS))

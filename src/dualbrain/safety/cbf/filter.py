@@ -4,23 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import cos, sin
+from math import cos, isfinite, nan, sin
 from typing import cast
 
 import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dualbrain.core.geometry import validation
 from dualbrain.core.geometry.shapes import Box
-from dualbrain.errors import ConfigurationError, UnknownNameError
+from dualbrain.errors import ConfigurationError, GeometryError, UnknownNameError
 from dualbrain.records import SceneObject
 from dualbrain.robots.differential_drive import integrate_arc
 from dualbrain.robots.interface import RobotState
 from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.batch import BatchResult, run_batch
 from dualbrain.safety.cbf.config import FilterConfig
-from dualbrain.safety.cbf.kernel import make_kernel, max_gain, obstacle_table, tool_frame
-from dualbrain.safety.cbf.obstacles import Contact, Obstacle, SpeedAndSeparation
+from dualbrain.safety.cbf.kernel import (
+    MAX_OBSTACLES,
+    UNUSABLE_TABLE,
+    make_kernel,
+    max_gain,
+    obstacle_table,
+    tool_frame,
+)
+from dualbrain.safety.cbf.obstacles import MAX_CONTACT_SPEED, Contact, Obstacle, SpeedAndSeparation, check_obstacles
 from dualbrain.safety.cbf.result import FilterResult, FilterStatus, RowNames
 from dualbrain.safety.cbf.rows import BarrierRow, ConstraintRow, PythonBarrier, Rank, row_table
 
@@ -42,6 +50,10 @@ __all__ = [
 Array = NDArray[np.float64]
 
 HELD = "held"
+MAX_HELD_SPHERES, MAX_HELD_DISTANCE = 8, 0.5
+"""Most spheres of a grasped object, and their largest distance from the tool and radius [m]."""
+MAX_ROW_COEFFICIENT = 1e6
+"""Largest coefficient and right-hand side of a row of `SafetyFilter.constrain`."""
 MAX_ROWS = 16
 """Most rows that one step takes from `SafetyFilter.constrain` and from Python barriers together."""
 
@@ -65,6 +77,11 @@ class SafetyFilter:
 
     Every argument that is an array may be any sequence of numbers. A configuration q has n entries, and for a mobile
     base n + 1: the pose (x, y, θ) of the base is before the joint angles.
+
+    Unknown means worst case. Without a finger opening the finger spheres cover every opening of the gripper. If an
+    update (`observe`, `attach`, `constrain`) raises, what it would have replaced is no longer in force: every step
+    stops the robot (`Reason.BAD_SCENE`) until the next update of that kind succeeds. A `permit` that raises leaves no
+    contact permitted.
     """
 
     def __init__(
@@ -84,6 +101,7 @@ class SafetyFilter:
         Raises:
             ConfigurationError: no kernel build has room for the robot model, R is not positive definite, jerk limits
                 are missing, or the tool is not on the last frame.
+            GeometryError: an obstacle is not usable, see `observe`.
         """
         self.robot_model, self.config = robot_model, config or FilterConfig()
         self._n, self._nq = robot_model.n, robot_model.nq
@@ -98,6 +116,7 @@ class SafetyFilter:
         self._max_gain = max_gain(robot_model, self.config) if self.config.tracking_error is None else np.inf
         self._stamp = 0.0
         self._obstacles: tuple[Obstacle, ...] = ()
+        self._table_usable = True
         self._permits: tuple[Contact, ...] = ()
         self._tool_rotation, self._tool_offset = tool_frame(robot_model)
         self._part_links = _links_by_part(robot_model)
@@ -110,7 +129,7 @@ class SafetyFilter:
         )
         groups = {link.name: link.group for link in robot_model.links}
         self._groups = tuple(groups[name] for name in self._names.spheres)
-        self._fixed_obstacles = tuple(obstacles)
+        self._fixed_obstacles = check_obstacles(obstacles, MAX_OBSTACLES)
         self.keep_out_boxes = tuple(
             SceneObject(
                 name=box.name, role="obstacle", shape=box.shape, pose=box.pose, error=box.margin, category="keep_out"
@@ -127,23 +146,39 @@ class SafetyFilter:
     def observe(self, obstacles: Sequence[Obstacle], stamp: float = 0.0) -> None:
         """Replace the obstacle table by `obstacles`, observed at `stamp` [s].
 
-        The filter stops the robot if an obstacle contains a non-finite number.
+        If this raises, the previous table is no longer in force: every step stops the robot until a valid observation.
+        An observation with a stamp more than 5 ms after `now` of a step counts as stale.
 
         Raises:
-            ConfigurationError: too many obstacles, or an obstacle's `alpha` exceeds the gain for which the tracking
-                margin was identified.
+            GeometryError: there are too many obstacles, or one has a number, size, pose, shape or field that is not
+                usable (`dualbrain.core.geometry.validation`), or `stamp` is not finite.
+            ConfigurationError: an obstacle's `alpha` exceeds the gain for which the tracking margin was identified.
             UnknownNameError: `Obstacle.parts` names a part that the robot does not have.
         """
-        obstacles = (*obstacles, *self._fixed_obstacles)
-        self._check_gains(obstacles)
-        self._kernel.set_obstacles(obstacle_table(obstacles, self._part_links))
-        self._obstacles, self._stamp = obstacles, stamp
+        try:
+            self._replace_obstacles(obstacles, validation.check_stamp("stamp of the observation", stamp))
+        except BaseException:
+            self._discard_obstacles()
+            raise
+
+    def _replace_obstacles(self, obstacles: Sequence[Obstacle], stamp: float) -> None:
+        room = MAX_OBSTACLES - len(self._fixed_obstacles)
+        usable = (*validation.check_sequence("obstacles", obstacles, room, of="obstacles"), *self._fixed_obstacles)
+        self._check_gains(usable := check_obstacles(usable, MAX_OBSTACLES))
+        self._kernel.set_obstacles(obstacle_table(usable, self._part_links))
+        self._obstacles, self._stamp = usable, stamp
         self._names = msgspec.structs.replace(
             self._names,
-            obstacles=tuple(obstacle.name for obstacle in obstacles),
-            barriers=tuple(obstacle.barrier for obstacle in obstacles),
+            obstacles=tuple(obstacle.name for obstacle in usable),
+            barriers=tuple(obstacle.barrier for obstacle in usable),
         )
+        self._table_usable = True
         self._apply_permits()
+
+    def _discard_obstacles(self) -> None:
+        """Put a table in force that the kernel rejects, so that no step relies on an observation that was refused."""
+        self._kernel.set_obstacles(UNUSABLE_TABLE)
+        self._obstacles, self._table_usable = (), False
 
     def _check_gains(self, obstacles: Sequence[Obstacle]) -> None:
         """Reject gains above the largest gain of the filter, up to which the tracking margin was identified."""
@@ -159,51 +194,73 @@ class SafetyFilter:
     def constrain(self, rows: Sequence[ConstraintRow]) -> None:
         """Set rows a'u ≥ b that hold until the next call; at most 16, including the rows of Python barriers.
 
+        If this raises, every step stops the robot until a call succeeds.
+
         Raises:
-            ConfigurationError: a row does not have n coefficients, or there are more than 16 rows.
+            ConfigurationError: a row does not have n finite coefficients, or there are more than 16 rows.
         """
-        self._rows = tuple(rows)
+        unusable = ConstraintRow(name="rows that were refused", a=(nan,) * self._n, b=nan)
+        self._rows = (unusable,)
         self._set_rows(self._rows)
+        found = validation.check_sequence("rows at once", rows, MAX_ROWS, of="rows")
+        usable = tuple(self._check_row(row) for row in found)
+        self._set_rows(usable)
+        self._rows = usable
 
     @property
     def extra_rows(self) -> tuple[ConstraintRow, ...]:
         """Rows of the last step that are not in the obstacle table: rows of `constrain` and of Python barriers."""
         return self._extra_rows
 
+    def _check_row(self, row: object) -> ConstraintRow:
+        """A row with n finite coefficients; raises `GeometryError`."""
+        given = validation.check_instance("row", row, ConstraintRow)
+        of = f"row {validation.check_name('name of a row', given.name)[:40]!r}"
+        a = validation.check_array(of, given.a, (self._n,), MAX_ROW_COEFFICIENT)
+        if type(given.rank) is not Rank:
+            raise GeometryError(f"rank of {of}", got=given.rank, allowed="a Rank")
+        return msgspec.structs.replace(
+            given,
+            a=tuple(a.tolist()),
+            b=validation.check_number(f"b of {of}", given.b, -MAX_ROW_COEFFICIENT, MAX_ROW_COEFFICIENT),
+            h=validation.check_number(f"h of {of}", given.h),
+        )
+
     def _set_rows(self, rows: Sequence[ConstraintRow]) -> None:
-        for row in rows:
-            if len(row.a) != self.robot_model.n:
-                raise ConfigurationError(
-                    f"row {row.name!r}", got=len(row.a), allowed=f"{self.robot_model.n} coefficients"
-                )
         if len(rows) > MAX_ROWS:
             raise ConfigurationError("rows at once", got=len(rows), allowed=f"at most {MAX_ROWS}")
-        self._kernel.constrain(row_table(rows, self.robot_model.n))
+        self._kernel.constrain(row_table(rows, self._n))
         self._extra_rows = tuple(rows)
         self._names = msgspec.structs.replace(self._names, rows=tuple(row.name for row in rows))
 
     def _update_python_barriers(self, state: RobotState) -> None:
         """Set the rows of the Python barriers at this state, after the rows of `constrain`."""
         jacobian = self.tool(state.q).jacobian
-        computed = [row for barrier in self._barriers for row in barrier.rows(state, jacobian)]
+        computed = [self._check_row(row) for barrier in self._barriers for row in barrier.rows(state, jacobian)]
         self._set_rows((*self._rows, *computed))
 
     def permit(self, permits: Sequence[Contact]) -> None:
         """Replace the list of permitted contacts; every pair that is not listed keeps its distance.
 
+        If this raises, no contact is permitted.
+
         Raises:
             UnknownNameError: a contact names a part that the robot does not have.
-            ConfigurationError: a contact speed is negative or not a number.
+            ConfigurationError: a contact speed is not a number from 0 to 10 m/s.
         """
-        for contact in permits:
-            if contact.robot_part not in self._part_links:
-                raise UnknownNameError(
-                    "part of the robot", contact.robot_part, tuple(self._part_links), owner=self.robot_model.name
-                )
-            if not contact.speed >= 0.0:
-                raise ConfigurationError("contact speed [m/s]", got=contact.speed, allowed="0 or more")
-        self._permits = tuple(permits)
+        self._permits = ()
         self._apply_permits()
+        found = validation.check_sequence("permits", permits, validation.MAX_NAME_LENGTH, of="contacts")
+        self._permits = tuple(self._check_contact(contact) for contact in found)
+        self._apply_permits()
+
+    def _check_contact(self, contact: object) -> Contact:
+        given = validation.check_instance("permit", contact, Contact)
+        part = validation.check_name("part of the robot", given.robot_part)
+        if part not in self._part_links:
+            raise UnknownNameError("part of the robot", part, tuple(self._part_links), owner=self.robot_model.name)
+        validation.check_number("contact speed [m/s]", given.speed, 0.0, MAX_CONTACT_SPEED)
+        return given
 
     def _apply_permits(self) -> None:
         self._kernel.clear_permits()
@@ -214,21 +271,28 @@ class SafetyFilter:
                         self._kernel.permit(link, index, contact.speed)
 
     def attach(self, spheres: ArrayLike, error: float) -> None:
-        """Attach a grasped object made of k ≤ 8 `spheres` (k, 4): x, y, z, radius [m] in the tool frame.
+        """Attach a grasped object made of 1 to 8 `spheres` (k, 4): x, y, z, radius [m] in the tool frame.
 
-        `error` [m] is the pose error of the object in the hand and inflates its rows.
+        `error` [m] is the pose error of the object in the hand and inflates its rows. If this raises, every step stops
+        the robot until `attach` or `detach` succeeds, because the shape in the hand is unknown.
 
         Raises:
-            ConfigurationError: `spheres` does not have four columns of numbers, there are more than 8 spheres, or a
-                centre is more than 0.5 m from the tool.
+            GeometryError: `spheres` is not such an array, a radius or the error is below zero, or a centre is more than
+                0.5 m from the tool.
         """
-        try:
-            held = np.array(spheres, float).reshape(-1, 4)
-        except (TypeError, ValueError):
-            raise ConfigurationError("held spheres", got=spheres, allowed="rows of x, y, z, radius [m]") from None
+        self._kernel.attach(np.full((1, 4), nan), 0.0)
+        held = validation.check_array("held spheres", spheres, (-1, 4), MAX_HELD_DISTANCE).copy()
+        error = validation.check_length("error of the held object", error, MAX_HELD_DISTANCE)
+        for radius in held[:, 3]:
+            validation.check_length("radius of a held sphere", float(radius), MAX_HELD_DISTANCE)
+        if not 1 <= len(held) <= MAX_HELD_SPHERES or np.any(np.linalg.norm(held[:, :3], axis=1) > MAX_HELD_DISTANCE):
+            raise GeometryError(
+                "held spheres",
+                got=spheres,
+                allowed=f"1 to {MAX_HELD_SPHERES} spheres within {MAX_HELD_DISTANCE:g} m of the tool",
+                fix="Call `detach` if nothing is held.",
+            )
         held[:, :3] = held[:, :3] @ self._tool_rotation.T + self._tool_offset
-        if len(held) > 8 or not np.all(np.linalg.norm(held[:, :3] - self._tool_offset, axis=1) <= 0.5):
-            raise ConfigurationError("held spheres", got=len(held), allowed="at most 8, within 0.5 m of the tool")
         self._kernel.attach(np.ascontiguousarray(held), error)
 
     def detach(self) -> None:
@@ -241,21 +305,21 @@ class SafetyFilter:
         Raises:
             ConfigurationError: `u_prev` is neither one number nor n numbers.
         """
-        try:
-            last = np.broadcast_to(np.asarray(u_prev, float), (self._n,))
-        except (TypeError, ValueError):
-            raise ConfigurationError("u_prev", got=u_prev, allowed=f"one number, or {self._n} numbers") from None
-        self._kernel.reset(np.ascontiguousarray(last))
+        if validation.is_real(u_prev):
+            u_prev = np.full(self._n, u_prev)
+        self._kernel.reset(validation.as_real_array("u_prev", u_prev, (self._n,)))
 
     # --- control ----------------------------------------------------------------------------------------------
 
     def __call__(
-        self, q: ArrayLike, v: ArrayLike, u_nom: ArrayLike, now: float = 0.0, opening: float = 0.0
+        self, q: ArrayLike, v: ArrayLike, u_nom: ArrayLike, now: float = 0.0, opening: float | None = None
     ) -> FilterResult:
         """Run one control step from configuration q, velocities v (n,) and nominal control u_nom (n,), in SI units.
 
         q is (n,), for a mobile base (n + 1,). With moving obstacles `now` [s] must be on the clock of the stamps passed
-        to `observe`. The joint state counts as fresh.
+        to `observe`. The joint state counts as fresh. `opening` [m] is the opening of each finger; without it the
+        spheres of the fingers cover every opening from closed to open. An opening more than 5 mm outside the range of
+        the gripper is a bad input.
 
         Raises:
             ConfigurationError: an argument does not have this shape, or does not consist of numbers.
@@ -266,9 +330,10 @@ class SafetyFilter:
                 RobotState(stamp=now, sequence=0, q=q, v=v, opening=opening, finger_forces=(0.0, 0.0)), u_nom, now
             )
         try:
-            return self._step(q, v, u_nom, opening, 0.0, now - self._stamp, self._names)
-        except ValueError:
-            raise self._shape_error(q=q, v=v, u_nom=u_nom) from None
+            opened = ... if opening is None else opening
+            return self._step(q, v, u_nom, opened, 0.0, now - self._stamp, self._names)
+        except (ValueError, TypeError):
+            raise self._input_error(now, opening, q=q, v=v, u_nom=u_nom) from None
 
     def filter(self, state: RobotState, u_nom: ArrayLike, now: float) -> FilterResult:
         """Run one control step from `state`; call it once per period, because it stores the last control.
@@ -280,32 +345,33 @@ class SafetyFilter:
                 consist of numbers.
         """
         state = self._prepare(state)
-        ages = (now - state.stamp, now - self._stamp)
         try:
-            return self._step(state.q, state.v, u_nom, state.opening, *ages, self._names)
-        except ValueError:
-            raise self._shape_error(q=state.q, v=state.v, u_nom=u_nom) from None
+            ages = (now - state.stamp, now - self._stamp)
+            opened = ... if state.opening is None else state.opening
+            return self._step(state.q, state.v, u_nom, opened, *ages, self._names)
+        except (ValueError, TypeError):
+            raise self._input_error(now, state.opening, q=state.q, v=state.v, u_nom=u_nom) from None
 
-    def _shape_error(self, **given: ArrayLike) -> ConfigurationError:
-        """The error for the array that does not contain n numbers."""
-        for name, values in given.items():
-            try:
-                _vector(f"{name} of a step", values, self._n)
-            except ConfigurationError as error:
-                return error
-        return ConfigurationError(
-            "the arrays of a step",
-            got=[type(values).__name__ for values in given.values()],
-            allowed=f"arrays ({self._n},) of numbers",
-        )
+    def _input_error(self, now: object, opening: object, **arrays: ArrayLike) -> ConfigurationError:
+        """The error for the input of a step that is not of its type or shape."""
+        try:
+            for name, values in arrays.items():
+                validation.as_real_array(f"{name} of a step", values, (self._n,))
+        except ConfigurationError as error:
+            return error
+        if opening is not None and not validation.is_real(opening):
+            return GeometryError("opening of a step", got=opening, allowed="a number [m], or None if it is unknown")
+        return GeometryError("now of a step", got=now, allowed="a number [s], as the stamps of state and scene")
 
     def rows(self) -> tuple[BarrierRow, ...]:
         """Rows of the last step that a control in its box could have violated, or whose pair was within 1 mm.
 
         Rows are in the order of the kernel, at most 512. Joint limits are bounds of the box and not among them. If no
         control satisfied all rows, the right-hand sides are the relaxed ones. Call this before the obstacles change.
-        The list is empty after a rejected input.
+        The list is empty after a rejected input or observation.
         """
+        if not self._table_usable:
+            return ()
         names = self._names
         return tuple(
             BarrierRow(names.row_name(kind, i, j), names.barrier_name(kind, i, j), h, np.array(a), b, norm, kind, i, j)
@@ -320,13 +386,13 @@ class SafetyFilter:
         now: float = 0.0,
         *,
         u_prev: ArrayLike | None = None,
-        opening: ArrayLike = 0.0,
+        opening: ArrayLike | None = None,
     ) -> BatchResult:
         """Filter m independent states, one per row of Q, V and U (m, n), for Monte-Carlo studies and learning.
 
         Row i equals, bit for bit, the result of a new filter after `reset(u_prev[i])`; `u_prev` (m, n) is V by default.
-        Obstacles, permits, rows and the grasped object apply as in a single call. The memory of this filter is neither
-        read nor changed.
+        Obstacles, permits, rows and the grasped object apply as in a single call. `opening` [m] is one number or (m,);
+        without it the fingers cover every opening. The memory of this filter is neither read nor changed.
 
         Raises:
             ConfigurationError: the shapes do not agree, the base is mobile, or there are Python barriers (both depend
@@ -339,7 +405,8 @@ class SafetyFilter:
                 fix="Filter the states one by one.",
             )
         previous = V if u_prev is None else u_prev
-        return run_batch(self._kernel, self.robot_model.n, Q, V, U, previous, opening, now - self._stamp)
+        age = validation.check_real("now of a batch", now) - self._stamp
+        return run_batch(self._kernel, self._n, Q, V, U, previous, opening, age)
 
     def project(self, state: RobotState, u_desired: ArrayLike, u_nom_prev: ArrayLike, now: float) -> Array:
         """Projection φ of a desired control (n,) onto rows of known obstacles and the box around `u_nom_prev` (n,).
@@ -351,15 +418,17 @@ class SafetyFilter:
             ConfigurationError: `u_desired`, `u_nom_prev`, `state.q` or `state.v` does not have the shape of
                 `__call__`, or does not consist of numbers.
         """
-        state, u_nom_prev = self._prepare(state), _vector("u_nom_prev of a step", u_nom_prev, self._n)
+        state = self._prepare(state)
+        u_nom_prev = validation.as_real_array("u_nom_prev of a step", u_nom_prev, (self._n,))
         u = np.empty(self._n)
-        ages = (now - state.stamp, now - self._stamp)
         try:
+            ages = (now - state.stamp, now - self._stamp)
+            opened = ... if state.opening is None else state.opening
             self._kernel.project(
-                state.q, state.v, u_desired, u_nom_prev, state.opening, *ages, self.config.projection_margin, u
+                state.q, state.v, u_desired, u_nom_prev, opened, *ages, self.config.projection_margin, u
             )
-        except ValueError:
-            raise self._shape_error(q=state.q, v=state.v, u_desired=u_desired) from None
+        except (ValueError, TypeError):
+            raise self._input_error(now, state.opening, q=state.q, v=state.v, u_desired=u_desired) from None
         return u
 
     def _prepare(self, state: RobotState) -> RobotState:
@@ -369,7 +438,8 @@ class SafetyFilter:
         """
         if not self._needs_state:
             return state
-        q, v = _vector("q of a step", state.q, self._nq), _vector("v of a step", state.v, self._n)
+        q = validation.as_real_array("q of a step", state.q, (self._nq,))
+        v = validation.as_real_array("v of a step", state.v, (self._n,))
         if q is not state.q or v is not state.v:
             state = replace(state, q=q, v=v)
         if self._barriers:
@@ -387,6 +457,9 @@ class SafetyFilter:
             return self._chain_q(state.q)
         x, y, heading, *joints = state.q.tolist()
         v, w = state.v[:2].tolist()
+        if not (isfinite(heading) and isfinite(w)):  # the kernel rejects the pose, and the robot stops
+            self._set_base_pose(nan, nan, 0.0)
+            return np.array([0.0, 0.0, *joints])
         x, y, heading = integrate_arc(x, y, heading, v, w, self._base_lag)
         half = 0.5 * self.robot_model.period * w
         self._set_base_pose(x, y, heading + half)
@@ -397,6 +470,8 @@ class SafetyFilter:
         if not self._mobile:
             return q
         x, y, heading, *joints = q.tolist()
+        if not isfinite(heading):
+            x = y = heading = nan
         self._set_base_pose(x, y, heading)
         return np.array([0.0, 0.0, *joints])
 
@@ -414,35 +489,24 @@ class SafetyFilter:
             ConfigurationError: q does not have this shape, or does not consist of numbers.
         """
         n, flat = self._n, np.empty(12 + 6 * self._n)
-        self._kernel.tool(self._chain_q(_vector("configuration q", q, self._nq)), flat)
+        self._kernel.tool(self._chain_q(validation.as_real_array("configuration q", q, (self._nq,))), flat)
         return ToolState(flat[:3], flat[3:12].reshape(3, 3), flat[12:].reshape(6, n))
 
-    def spheres(self, q: ArrayLike, opening: float) -> tuple[Array, Array, tuple[str, ...]]:
+    def spheres(self, q: ArrayLike, opening: float | None) -> tuple[Array, Array, tuple[str, ...]]:
         """Centres (k, 3) [m], radii (k,) [m] and group of every sphere at q, with `opening` [m] per finger.
 
-        q is as for `tool`. Spheres of a grasped object are last.
+        q is as for `tool`. With None the spheres of the fingers cover every opening. Spheres of a grasped object are
+        last.
 
         Raises:
-            ConfigurationError: q does not have this shape, or does not consist of numbers.
+            ConfigurationError: q does not have this shape, or q or the opening does not consist of numbers.
         """
         flat = np.empty((len(self._groups) + 8, 4))
-        count = self._kernel.spheres(self._chain_q(_vector("configuration q", q, self._nq)), opening, flat)
+        opened = nan if opening is None else validation.check_number("opening [m]", opening)
+        chain = self._chain_q(validation.as_real_array("configuration q", q, (self._nq,)))
+        count = self._kernel.spheres(chain, opened, flat)
         held = (HELD,) * (count - len(self._groups))
         return flat[:count, :3], flat[:count, 3], self._groups + held
-
-
-def _vector(name: str, values: ArrayLike, count: int) -> Array:
-    """`values` as a contiguous array (count,) of float64, without a copy if it is one already.
-
-    Raises `ConfigurationError` for another shape, and for values that are not numbers.
-    """
-    try:
-        array = np.asarray(values, float, order="C")
-    except (TypeError, ValueError):
-        raise ConfigurationError(name, got=values, allowed=f"an array ({count},) of numbers") from None
-    if array.shape != (count,):
-        raise ConfigurationError(name, got=array.shape, allowed=f"an array ({count},) of numbers")
-    return array
 
 
 def _links_by_part(robot_model: RobotModel) -> dict[str, tuple[int, ...]]:

@@ -11,7 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from dualbrain.core.geometry.rotations import quaternion_to_matrix
 from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Sphere
+from dualbrain.core.geometry.validation import check_array
 from dualbrain.errors import ConfigurationError, UnknownNameError
+from dualbrain.robots.collision_model.opening_hull import opening_hull
 from dualbrain.robots.model import Joint, RobotModel
 from dualbrain.safety.cbf.compiled import _kernel
 from dualbrain.safety.cbf.compiled._kernel import Kernel
@@ -28,6 +30,9 @@ BUILD_SUFFIXES = ("", "_wide")
 CAPSULE, BOX, HALF_SPACE = 0.0, 1.0, 2.0
 KNOWN_FLAG, STATIC_FLAG = 1, 2
 ALL_PARTS = 2**32 - 1
+OBSTACLE_COLUMNS = 29
+UNUSABLE_TABLE: Array = np.full((1, OBSTACLE_COLUMNS), np.nan)
+"""Obstacle table that the kernel rejects: every step stops the robot (`Reason.BAD_SCENE`) until the next table."""
 UNLIMITED_ACCELERATION = 1e4
 """Acceleration [rad/s²] that never binds; used without acceleration limits."""
 
@@ -101,6 +106,7 @@ def kernel_model(robot_model: RobotModel, config: FilterConfig, weight: ArrayLik
         _settings(robot_model, config)
         | _joint_limits(robot_model, config, weight)
         | _geometry(robot_model)
+        | _opening_range(robot_model)
         | _self_collision_pairs(robot_model)
     )
 
@@ -145,7 +151,8 @@ def _row_gain(robot_model: RobotModel, config: FilterConfig, own: float | None) 
 def _joint_limits(robot_model: RobotModel, config: FilterConfig, weight: ArrayLike | None) -> dict[str, Any]:
     v_max = np.array([joint.velocity.value for joint in robot_model.joints])
     a_max = np.array([joint.acceleration.value for joint in robot_model.joints])
-    R = np.diag(1.0 / v_max**2) if weight is None else np.asarray(weight, float)
+    n = robot_model.n
+    R = np.diag(1.0 / v_max**2) if weight is None else check_array("weight R of the filter", weight, (n, n), 1e12)
     try:
         scale = np.linalg.inv(np.linalg.cholesky(R)).T
     except np.linalg.LinAlgError:
@@ -172,15 +179,8 @@ def _jerk_limit(joint: Joint) -> float:
 
 
 def _geometry(robot_model: RobotModel) -> dict[str, Any]:
-    rows: list[Array] = []
-    first = [0]
-    for link in robot_model.links:
-        turn, shift = quaternion_to_matrix(link.quaternion), np.array(link.translation)
-        slide = turn @ np.array(link.slide)
-        for sphere in robot_model.spheres:
-            if sphere.link == link.name:
-                rows.append(np.array([*(shift + turn @ np.array(sphere.centre)), sphere.radius, *slide]))
-        first.append(len(rows))
+    counts = [sum(sphere.link == link.name for sphere in robot_model.spheres) for link in robot_model.links]
+    first = [0, *np.cumsum(counts).tolist()]
     rotation, offset = tool_frame(robot_model)
     return {
         "joint_kind": np.array([float(joint.kind == "prismatic") for joint in robot_model.joints]),
@@ -192,7 +192,28 @@ def _geometry(robot_model: RobotModel) -> dict[str, Any]:
         "tool_offset": offset,
         "link_frame": np.array([float(link.frame) for link in robot_model.links]),
         "link_first": np.array(first, float),
-        "spheres": np.array(rows, float).reshape(-1, 7),
+        "spheres": _sphere_rows(robot_model),
+    }
+
+
+def _sphere_rows(robot_model: RobotModel) -> Array:
+    """Spheres (k, 7) in the order of the links: centre and radius in the frame of the link, and slide."""
+    rows: list[Array] = []
+    for link in robot_model.links:
+        turn, shift = quaternion_to_matrix(link.quaternion), np.array(link.translation)
+        slide = turn @ np.array(link.slide)
+        for sphere in robot_model.spheres:
+            if sphere.link == link.name:
+                rows.append(np.array([*(shift + turn @ np.array(sphere.centre)), sphere.radius, *slide]))
+    return np.array(rows, float).reshape(-1, 7)
+
+
+def _opening_range(robot_model: RobotModel) -> dict[str, Any]:
+    """The largest finger opening [m], and spheres that cover the fingers at every opening; none without fingers."""
+    hull = opening_hull(robot_model)
+    return {
+        "opening_max": robot_model.gripper.opening.value,
+        "hull_spheres": np.empty((0, 7)) if hull is robot_model else _sphere_rows(hull),
     }
 
 
@@ -236,15 +257,18 @@ def _self_collision_pairs(robot_model: RobotModel) -> dict[str, Any]:
 
 
 def obstacle_table(obstacles: Sequence[Obstacle], parts: Mapping[str, Sequence[int]] | None = None) -> Array:
-    """Input table (k, 29) of the kernel; `parts` maps the name of each robot part to its link indices.
+    """Input table (k, 29) of the kernel for usable `obstacles` (`check_obstacles`).
+
+    `parts` maps the name of each robot part to its link indices.
 
     Raises:
         ConfigurationError: there are more obstacles than `MAX_OBSTACLES`.
         UnknownNameError: an obstacle names a part that is not in `parts`.
     """
-    if len(obstacles) > _kernel.max_obstacles:
-        raise ConfigurationError("obstacles at once", got=len(obstacles), allowed=f"at most {_kernel.max_obstacles}")
-    return np.array([_obstacle_entry(obstacle, parts or {}) for obstacle in obstacles], float).reshape(-1, 29)
+    if len(obstacles) > MAX_OBSTACLES:
+        raise ConfigurationError("obstacles at once", got=len(obstacles), allowed=f"at most {MAX_OBSTACLES}")
+    table = np.array([_obstacle_entry(obstacle, parts or {}) for obstacle in obstacles], float)
+    return table.reshape(-1, OBSTACLE_COLUMNS)
 
 
 def _obstacle_entry(obstacle: Obstacle, parts: Mapping[str, Sequence[int]]) -> list[float]:

@@ -3,13 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from typing import cast
 
 import msgspec
 
+from dualbrain.core.geometry import validation
 from dualbrain.core.geometry.distance import Solid, bounding_solid
-from dualbrain.core.geometry.shapes import IDENTITY_POSE, Pose, Vector
+from dualbrain.core.geometry.shapes import IDENTITY_POSE, Box, Capsule, HalfSpace, Pose, Sphere, Vector
+from dualbrain.errors import GeometryError
 from dualbrain.records import ZERO_VECTOR, Scene, SceneObject
+from dualbrain.safety.cbf.config import MAX_GAIN
 from dualbrain.safety.cbf.rows import Rank
+
+SOLIDS = (Sphere, Capsule, Box, HalfSpace)
+"""Shapes that an obstacle of the filter may have."""
+MAX_CLOCK_LEAD = 0.005
+"""Time [s] by which a stamp may be in the future, for two clocks that are not exactly synchronous."""
+MAX_REACTION, MAX_DECELERATION, MAX_APPROACH = 1e3, 1e6, 1e3
+MAX_CONTACT_SPEED = 10.0
+"""Largest contact speed of a permit [m/s]."""
 
 
 class SpeedAndSeparation(msgspec.Struct, frozen=True):
@@ -23,6 +35,12 @@ class SpeedAndSeparation(msgspec.Struct, frozen=True):
     reaction: float = 0.1
     brake: float = 2.0
     approach: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the numbers; raises `GeometryError`."""
+        validation.check_number("SpeedAndSeparation.reaction [s]", self.reaction, 0.0, MAX_REACTION)
+        validation.check_positive("SpeedAndSeparation.brake [m/s²]", self.brake, MAX_DECELERATION)
+        validation.check_number("SpeedAndSeparation.approach [m/s]", self.approach, 0.0, MAX_APPROACH)
 
 
 class PlacedShape(msgspec.Struct, frozen=True):
@@ -38,7 +56,8 @@ class Obstacle(PlacedShape, frozen=True, kw_only=True):
 
     - `margin` [m] inflates the shape (position error). `velocity_error` [m/s] bounds the error of the velocity and
       increases the margin with the age of the observation.
-    - `known`: the projection φ respects the obstacle. `static`: its observation does not become stale.
+    - `known`: the projection φ respects the obstacle. `static`: its observation does not become stale. An obstacle with
+      a velocity or a velocity error moves, whatever `static` says.
     - `rank` is the order of relaxation, `alpha` [1/s] replaces the gain of the filter.
     - `parts`: robot parts that keep away (groups, links, "held"); empty means all.
     - `separation` adds a speed limit by distance. `barrier` is the name of the barrier that the rows belong to.
@@ -55,6 +74,53 @@ class Obstacle(PlacedShape, frozen=True, kw_only=True):
     separation: SpeedAndSeparation | None = None
     barrier: str = "obstacle"
 
+    @property
+    def moves(self) -> bool:
+        """Whether the observation becomes stale: the obstacle is not static, or has a velocity or an error of it."""
+        return not self.static or any(self.velocity) or self.velocity_error > 0.0
+
+
+def check_obstacles(obstacles: object, most: int) -> tuple[Obstacle, ...]:
+    """`obstacles`, at most `most`, with all numbers within bounds, quaternions of length 1, and `static` as it is.
+
+    Raises:
+        GeometryError: a field is not usable; the error names the obstacle and the field.
+    """
+    found = validation.check_sequence("obstacles", obstacles, most, of="obstacles")
+    return tuple(check_obstacle(obstacle, index) for index, obstacle in enumerate(found))
+
+
+def check_obstacle(obstacle: object, index: int = 0) -> Obstacle:
+    """`obstacle`, number `index` of its table, if it is usable; raises `GeometryError`."""
+    given = validation.check_instance(f"obstacle {index}", obstacle, Obstacle)
+    name = validation.check_name(f"name of obstacle {index}", given.name)
+    of = f"obstacle {name[:40]!r}"
+    velocity = validation.check_velocity(f"velocity of {of}", given.velocity)
+    error = validation.check_length(f"velocity_error of {of}", given.velocity_error, validation.MAX_SPEED)
+    static = validation.check_flag(f"static of {of}", given.static)
+    if given.alpha is not None:
+        validation.check_positive(f"alpha of {of}", given.alpha, MAX_GAIN)
+    if given.separation is not None:
+        validation.check_instance(f"separation of {of}", given.separation, SpeedAndSeparation).__post_init__()
+    if type(given.rank) is not Rank:
+        raise GeometryError(f"rank of {of}", got=given.rank, allowed="a Rank")
+    parts = validation.check_sequence(f"parts of {of}", given.parts, validation.MAX_NAME_LENGTH, of="part names")
+    return Obstacle(
+        name=name,
+        shape=cast("Solid", validation.check_shape(f"shape of {of}", given.shape, SOLIDS)),
+        pose=validation.check_pose(f"pose of {of}", given.pose),
+        velocity=velocity,
+        margin=validation.check_length(f"margin of {of}", given.margin),
+        velocity_error=error,
+        known=validation.check_flag(f"known of {of}", given.known),
+        static=static and not any(velocity) and error == 0.0,
+        rank=given.rank,
+        alpha=given.alpha,
+        parts=tuple(validation.check_name(f"parts of {of}", part) for part in parts),
+        separation=given.separation,
+        barrier=validation.check_name(f"barrier of {of}", given.barrier),
+    )
+
 
 def obstacles_from_scene(
     scene: Scene, *, known: Collection[str], held: str | None, clearance: float = 0.0
@@ -63,9 +129,54 @@ def obstacles_from_scene(
 
     Objects observed before the stamp of the scene are moved along their velocity, and their margin grows accordingly.
     `known` lists the objects that the projection φ respects.
+
+    Raises:
+        GeometryError: an object has a number, shape or pose that is not usable, or a stamp after that of the scene.
     """
+    validation.check_length("clearance", clearance)
+    usable = check_scene(scene)
     return tuple(
-        _to_obstacle(obj, scene.stamp, obj.name in known, clearance) for obj in scene.objects if obj.name != held
+        _to_obstacle(obj, usable.stamp, obj.name in known, clearance) for obj in usable.objects if obj.name != held
+    )
+
+
+def check_scene(scene: object) -> Scene:
+    """`scene` with all numbers within bounds and quaternions of length 1.
+
+    Raises:
+        GeometryError: a number, shape, pose or corner is not usable, or an object has a stamp after that of the scene.
+    """
+    given = validation.check_instance("scene", scene, Scene)
+    stamp = validation.check_stamp("stamp of the scene", given.stamp)
+    for corner in given.region:
+        validation.check_vector("corner of the region of the scene", (*corner, 0.0))
+    return msgspec.structs.replace(given, objects=tuple(_check_scene_object(obj, stamp) for obj in given.objects))
+
+
+def _check_scene_object(obj: SceneObject, scene_stamp: float) -> SceneObject:
+    checked = check_scene_object(obj)
+    if checked.stamp > scene_stamp + MAX_CLOCK_LEAD:
+        raise GeometryError(
+            f"stamp of scene object {checked.name[:40]!r}",
+            got=checked.stamp,
+            allowed=f"at most {MAX_CLOCK_LEAD:g} s after the stamp of the scene, {scene_stamp:g} s",
+            fix="Stamp the objects and their scene with one clock.",
+        )
+    return checked
+
+
+def check_scene_object(obj: object) -> SceneObject:
+    """`obj` with all numbers within bounds and a quaternion of length 1; raises `GeometryError`."""
+    given = validation.check_instance("scene object", obj, SceneObject)
+    of = f"scene object {validation.check_name('name of a scene object', given.name)[:40]!r}"
+    return msgspec.structs.replace(
+        given,
+        shape=validation.check_shape(f"shape of {of}", given.shape),
+        pose=validation.check_pose(f"pose of {of}", given.pose),
+        velocity=validation.check_velocity(f"velocity of {of}", given.velocity),
+        error=validation.check_length(f"error of {of}", given.error),
+        velocity_error=validation.check_length(f"velocity_error of {of}", given.velocity_error, validation.MAX_SPEED),
+        stamp=validation.check_stamp(f"stamp of {of}", given.stamp),
     )
 
 

@@ -1,4 +1,5 @@
 from collections.abc import Callable
+from types import EllipsisType
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,7 @@ class Kernel:
         q: ArrayLike,
         v: ArrayLike,
         u_nom: ArrayLike,
-        opening: float,
+        opening: float | EllipsisType,
         state_age: float,
         scene_age: float,
         names: RowNames,
@@ -59,7 +60,7 @@ class Kernel:
         v: ArrayLike,
         u_nom: ArrayLike,
         u_prev: Array,
-        opening: float,
+        opening: float | EllipsisType,
         state_age: float,
         scene_age: float,
         extra: float,
