@@ -7,7 +7,7 @@
 Kernel::Kernel(const nb::dict &d) {
   parse_model(d, model.get());
   hull_model = parse_hull_model(d, *model);
-  opening_max = nb::cast<double>(d["opening_max"]);
+  if (hull_model) { opening_max = nb::cast<double>(d["opening_max"]); }
   n = static_cast<size_t>(model->n);
   dbk_scene_clear(scene.get());
   dbk_scene_prepare(scene.get());

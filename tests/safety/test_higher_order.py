@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Pose, Sphere
-from dualbrain.errors import ConfigurationError, UnknownNameError
+from dualbrain.errors import ConfigurationError, GeometryError, UnknownNameError
 from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.obstacles import Obstacle, SpeedAndSeparation
 from dualbrain.safety.cbf.result import FilterStatus, Reason
@@ -222,7 +222,7 @@ def test_culling_drops_no_row_that_can_bind(rng):
         free = pairs.drift + safety.alpha_1 * pairs.h_dot + np.where(psi < 0, 1e3, safety.config.alpha_2) * psi
         _, A, _ = safety._rows(pairs, np.full(len(free), -1e9), -np.full(7, 1e6), np.full(7, 1e6))
         can_bind = np.minimum(A * lower, A * upper).sum(axis=1) + free < 0.0
-        assert safety(q, v, np.zeros(7)).n_rows == can_bind.sum()
+        assert safety(q, v, np.zeros(7), opening=0.0).n_rows == can_bind.sum()
         assert np.all(free[can_bind] < pairs.authority[can_bind])
         dropped += (~can_bind).sum()
     assert dropped > 1000
@@ -490,7 +490,10 @@ def test_without_a_velocity_it_brakes_until_the_expected_standstill():
 
 def test_an_invalid_or_stale_scene_stops():
     q, v = np.array(PANDA.home), np.zeros(7)
-    assert filtered(Obstacle(name="x", shape=Sphere(np.nan), pose=Pose((1, 1, 1))))(q, v, v).reason is Reason.BAD_SCENE
+    safety = filtered()
+    with pytest.raises(GeometryError):
+        safety.observe([Obstacle(name="x", shape=Sphere(np.nan), pose=Pose((1, 1, 1)))])
+    assert safety(q, v, v).reason is Reason.BAD_SCENE
     safety = filtered(Obstacle(name="x", shape=Sphere(0.1), pose=Pose((1, 1, 1)), static=False))
     assert safety(q, v, v, now=0.4).status is FilterStatus.SAFE
     assert safety(q, v, v, now=0.6).reason is Reason.STALE_SCENE

@@ -75,7 +75,8 @@ typedef float dbk_real;
 #define DBK_ZERO_GRADIENT ((dbk_real)1e-4) /* [m/rad] no joint can act on a row with a smaller normal */
 #define DBK_CULL_FLOOR ((dbk_real)1e-3)    /* [m] pairs closer than this are never culled */
 #define DBK_MAX_DISTANCE ((dbk_real)10)    /* [m] larger than the reach of any supported robot */
-#define DBK_MAX_COORDINATE ((dbk_real)1000) /* [m] largest coordinate and size: beyond it rounding exceeds the margins */
+#define DBK_MAX_COORDINATE ((dbk_real)1000) /* [m] largest coordinate: beyond it rounding exceeds the margins */
+#define DBK_MAX_SIZE ((dbk_real)1e6)       /* [m], [m/s] largest size, margin and velocity error: squares are finite */
 #define DBK_MAX_SPEED ((dbk_real)1000)     /* [m/s] largest velocity of an obstacle */
 #define DBK_ROTATION_TOL ((dbk_real)1e-3)  /* error of a dot product between two axes of a rotation */
 #define DBK_CLOCK_TOL ((dbk_real)0.005)    /* [s] a time stamp may be in the future by at most this */

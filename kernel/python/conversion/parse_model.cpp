@@ -95,8 +95,8 @@ void parse_model(const nb::dict &d, dbk_model *model) {
 }
 
 std::unique_ptr<dbk_model> parse_hull_model(const nb::dict &d, const dbk_model &model) {
+  if (!d.contains("hull_spheres")) { return nullptr; }
   const std::vector<double> rows = values(d, "hull_spheres");
-  if (rows.empty()) { return nullptr; }
   std::unique_ptr<dbk_model> hull{new dbk_model(model)};
   expect(rows.size() == 7 * static_cast<size_t>(model.n_spheres), "hull_spheres");
   parse_spheres(rows, *hull);

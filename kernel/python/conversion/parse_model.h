@@ -11,7 +11,7 @@
 // std::invalid_argument if an array has a wrong size
 void parse_model(const nanobind::dict &d, dbk_model *model);
 
-// the model with the spheres that cover every finger opening ("hull_spheres"); null if there are no such spheres
+// the model with the spheres that cover every finger opening ("hull_spheres"); null if there are none
 std::unique_ptr<dbk_model> parse_hull_model(const nanobind::dict &d, const dbk_model &model);
 
 // one row of the obstacle table, in the order of the fields of dbk_obstacle

@@ -41,9 +41,9 @@ static int32_t is_rotation(const dbk_real *r) {
 
 static int32_t obstacle_valid(const dbk_obstacle *o) {
   int32_t valid = all_within(o->position, 3, DBK_MAX_COORDINATE) & is_rotation(o->rotation);
-  valid &= all_lengths(o->half, 3, DBK_MAX_COORDINATE) & all_lengths(&o->radius, 1, DBK_MAX_COORDINATE);
-  valid &= all_lengths(&o->margin, 1, DBK_MAX_COORDINATE);
-  valid &= all_within(o->velocity, 3, DBK_MAX_SPEED) & all_lengths(&o->velocity_error, 1, DBK_MAX_SPEED);
+  valid &= all_lengths(o->half, 3, DBK_MAX_SIZE) & all_lengths(&o->radius, 1, DBK_MAX_SIZE);
+  valid &= all_lengths(&o->margin, 1, DBK_MAX_SIZE) & all_lengths(&o->velocity_error, 1, DBK_MAX_SIZE);
+  valid &= all_within(o->velocity, 3, DBK_MAX_SPEED);
   valid &= (o->shape >= DBK_CAPSULE && o->shape <= DBK_HALF_SPACE);
   valid &= (o->alpha >= (dbk_real)0 && o->alpha <= (dbk_real)1e6);
   valid &= (o->reaction >= (dbk_real)0 && o->reaction <= (dbk_real)1e3);

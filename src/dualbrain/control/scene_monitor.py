@@ -1,16 +1,18 @@
 """Plausibility and age checks of perceived scenes.
 
-A scene is accepted only if its numbers are finite, no fixed object has moved, no object has moved faster than
-`MAX_OBJECT_SPEED`, and no noisy measurement repeats bit for bit (a camera that hangs and puts new stamps on an old
-image). The checks do not detect every fault of a single camera: a shift within these bounds, or an old image with fresh
-noise, passes.
+A scene is accepted only if its geometry is usable (`check_scene`), no fixed object has moved, no object has moved
+faster than `MAX_OBJECT_SPEED`, and no noisy measurement repeats bit for bit (a camera that hangs and puts new stamps on
+an old image). The checks do not detect every fault of a single camera: a shift within these bounds, or an old image
+with fresh noise, passes.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from dualbrain.records import ZERO_VECTOR, Scene, SceneObject
+from dualbrain.errors import GeometryError
+from dualbrain.records import Scene, SceneObject
+from dualbrain.safety.cbf.obstacles import check_scene, moves
 from dualbrain.safety.supervisor.conditions import Condition
 from dualbrain.safety.supervisor.frozen_sensor import FrozenSensorDetector, SensorReading
 from dualbrain.safety.supervisor.state_monitor import MonitorLimits
@@ -48,16 +50,14 @@ class SceneMonitor:
 
     def update(self, scene: Scene) -> int:
         """`Condition` bits of a new scene; 0 if it is accepted, and the next scene is then compared with it."""
-        if not (_is_finite(scene) and all(self._is_plausible(obj, scene.stamp) for obj in scene.objects)):
+        if not (_is_usable(scene) and all(self._is_plausible(obj, scene.stamp) for obj in scene.objects)):
             return Condition.SCENE_IMPLAUSIBLE
         self._frozen = self._frozen_detector.update(map(_reading, scene.objects)) >= self._limits.max_identical_scenes
         if self._frozen:
             return Condition.SCENE_FROZEN
         self._last = {obj.name: obj for obj in scene.objects}
         self._stamp = scene.stamp
-        self._moving = any(
-            obj.role == "person" or obj.velocity != ZERO_VECTOR or obj.velocity_error > 0.0 for obj in scene.objects
-        )
+        self._moving = any(moves(obj) for obj in scene.objects)
         return 0
 
     def age_conditions(self, scene: Scene, now: float) -> int:
@@ -87,17 +87,10 @@ def _reading(obj: SceneObject) -> SensorReading:
     return SensorReading(obj.name, obj.stamp, numbers, noise_free=obj.error == 0.0 and obj.velocity_error == 0.0)
 
 
-def _is_finite(scene: Scene) -> bool:
-    numbers = [
-        value
-        for obj in scene.objects
-        for value in (
-            *obj.pose.position,
-            *obj.pose.quaternion,
-            *obj.velocity,
-            obj.error,
-            obj.velocity_error,
-            obj.stamp,
-        )
-    ]
-    return bool(np.isfinite(np.array([scene.stamp, *numbers])).all())
+def _is_usable(scene: Scene) -> bool:
+    """Whether all numbers are within bounds and no object is newer than the scene."""
+    try:
+        check_scene(scene)
+    except GeometryError:
+        return False
+    return True

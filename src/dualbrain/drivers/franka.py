@@ -72,7 +72,7 @@ class FrankaDriver:
         self._hand = (
             FrankaHand(gripper, self._sdk_errors, robot_model.gripper.opening.value) if gripper is not None else None
         )
-        self._n_joints, self._opening = robot_model.n, float(robot_model.gripper.opening.value)
+        self._n_joints = robot_model.n
         self._control: Any = None
         self._faults: tuple[str, ...] = ()
         self._state = self._to_state(raw)
@@ -80,7 +80,10 @@ class FrankaDriver:
     # --- the robot interface ------------------------------------------------------------------------------------
 
     def read(self) -> RobotState:
-        """The newest state; the finger forces are the commanded force while an object is held, else 0."""
+        """The newest state; the finger forces are the commanded force while an object is held, else 0.
+
+        Without a hand the opening is unknown.
+        """
         return self._state
 
     def write(self, command: Command) -> None:
@@ -156,7 +159,7 @@ class FrankaDriver:
     def _to_state(self, raw: Any) -> RobotState:
         self._raw = raw
         stamp = float(raw.time.to_sec())
-        opening, force = self._hand.measured if self._hand else (self._opening, 0.0)
+        opening, force = self._hand.measured if self._hand else (None, 0.0)
         drive_enabled = self._control is not None and not raw.current_errors
         return RobotState(
             stamp=stamp,

@@ -66,7 +66,7 @@ class UrDriver:
             ) from error
         if len(self._receive.getActualQ()) != robot_model.n:
             raise ConfigurationError(f"joints of {robot_model.name} on a UR arm", got=robot_model.n, allowed="6")
-        self._n_joints, self._opening = robot_model.n, float(robot_model.gripper.opening.value)
+        self._n_joints = robot_model.n
         self._acceleration = min(
             MAX_ACCELERATION, ACCELERATION_FACTOR * max(joint.acceleration.value for joint in robot_model.joints)
         )
@@ -79,7 +79,7 @@ class UrDriver:
     # --- the robot interface ------------------------------------------------------------------------------------
 
     def read(self) -> RobotState:
-        """The newest state; the opening is the maximum, and the finger forces are 0."""
+        """The newest state; the opening is unknown, and the finger forces are 0."""
         return self._state
 
     def write(self, command: Command) -> None:
@@ -179,7 +179,7 @@ class UrDriver:
             sequence=round(stamp * FREQUENCY),
             q=np.array(q),
             v=np.array(v),
-            opening=self._opening,
+            opening=None,
             finger_forces=(0.0, 0.0),
             drive_enabled=drive_enabled,
         )

@@ -105,7 +105,7 @@ class PartMotionModel:
         position = self.frame.to_local(tool.position)
         return LocalToolState(position, rotation.T @ tool.rotation, np.vstack([linear, angular]))
 
-    def spheres(self, q: Array, opening: float) -> tuple[Array, Array, tuple[str, ...]]:
+    def spheres(self, q: Array, opening: float | None) -> tuple[Array, Array, tuple[str, ...]]:
         """Centres, radii and groups of the arm and a grasped object, in the frame of this part."""
         centres, radii, groups = self._motion.spheres(self._whole_body_q(q), opening)
         in_part = np.array([group != BASE_GROUP for group in groups])

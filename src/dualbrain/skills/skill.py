@@ -101,7 +101,7 @@ class MotionModel(Protocol):
         """
         ...
 
-    def spheres(self, q: Array, opening: float) -> tuple[Array, Array, tuple[str, ...]]:
+    def spheres(self, q: Array, opening: float | None) -> tuple[Array, Array, tuple[str, ...]]:
         """Centres (k, 3) [m], radii (k,) [m] and group of every sphere; spheres of a grasped object are last."""
         ...
 

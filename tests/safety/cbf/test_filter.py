@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from dualbrain.core.geometry.rotations import rotation_error
 from dualbrain.core.geometry.shapes import Box, HalfSpace, Pose, Sphere
-from dualbrain.errors import ConfigurationError, UnknownNameError
+from dualbrain.errors import ConfigurationError, GeometryError, UnknownNameError
 from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import Contact, FilterStatus, Obstacle, SafetyFilter
 from dualbrain.safety.cbf.kernel import kernel_hash
@@ -287,7 +287,8 @@ def test_obstacles_are_carried_forward_and_grow_with_age(panda, state_at):
 
 
 def test_a_scene_with_a_number_that_is_not_finite_stops(safety, panda, state_at):
-    safety.observe([Obstacle("ghost", Sphere(0.05), Pose((np.nan, 0.0, 0.5)))], 0.0)
+    with pytest.raises(GeometryError, match="position of pose of obstacle 'ghost'"):
+        safety.observe([Obstacle("ghost", Sphere(0.05), Pose((np.nan, 0.0, 0.5)))], 0.0)
     answer = safety.filter(state_at(panda.home), np.zeros(7), 0.0)
     assert answer.status is FilterStatus.STOPPED
     assert Reason.BAD_SCENE in answer.reason

@@ -28,7 +28,7 @@ def test_jerk_stays_in_its_limit_under_an_adversary(sparse_panda, seed):
     for tick in range(4000):
         if tick % 250 == 0:
             desired = np.where(rng.random(7) < 0.5, -1.0, 1.0) * v_max
-        answer = safety(q, np.zeros(7), desired)
+        answer = safety(q, np.zeros(7), desired, opening=0.0)
         jerk = np.abs(answer.u - 2.0 * u + before)
         if Reason.JERK in answer.reason:
             yielded += 1

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Pose, Sphere
+from dualbrain.errors import GeometryError
 from dualbrain.safety.cbf.compiled import _kernel
 from dualbrain.safety.cbf.filter import FilterStatus, Obstacle, SafetyFilter
 from dualbrain.safety.cbf.result import Reason
@@ -193,7 +194,8 @@ def test_every_number_of_an_obstacle_is_checked(sparse_panda, state_at, change):
     assert safety.filter(state_at(sparse_panda.home), np.zeros(7), 0.0).status is not FilterStatus.STOPPED
     for place in range(3):
         listed = [*others[:place], msgspec.structs.replace(FINITE, **NUMBERS[change]), *others[place:]]
-        safety.observe(listed, 0.0)
+        with pytest.raises(GeometryError):
+            safety.observe(listed, 0.0)
         answer = safety.filter(state_at(sparse_panda.home), np.zeros(7), 0.0)
         assert answer.status is FilterStatus.STOPPED
         assert answer.reason == Reason.BAD_SCENE
@@ -204,18 +206,19 @@ def test_every_number_of_a_held_object_and_of_a_row_is_checked(sparse_panda, sta
     safety = SafetyFilter(sparse_panda, random_scenes.exact_config())
     held = np.array([[0.0, 0.0, 0.05, 0.02], [0.0, 0.0, 0.07, 0.02]])
     held[1, column] = math.nan if column == 3 else 0.01
-    safety.attach(held, 0.0 if column == 3 else math.nan)
+    with pytest.raises(GeometryError):
+        safety.attach(held, 0.0 if column == 3 else math.nan)
     assert Reason.BAD_SCENE in safety.filter(state_at(sparse_panda.home), np.zeros(7), 0.0).reason
     safety.detach()
     assert safety.filter(state_at(sparse_panda.home), np.zeros(7), 0.0).status is FilterStatus.SAFE
     a = [1.0] * 7
     a[column] = math.inf
-    safety.constrain(
-        [
-            ConstraintRow(name="good", a=(1.0,) * 7, b=-9.0),
-            ConstraintRow(name="bad", a=tuple(a) if column else (1.0,) * 7, b=math.nan if not column else -1.0),
-        ]
-    )
+    rows = [
+        ConstraintRow(name="good", a=(1.0,) * 7, b=-9.0),
+        ConstraintRow(name="bad", a=tuple(a) if column else (1.0,) * 7, b=math.nan if not column else -1.0),
+    ]
+    with pytest.raises(GeometryError):
+        safety.constrain(rows)
     assert Reason.BAD_SCENE in safety.filter(state_at(sparse_panda.home), np.zeros(7), 0.0).reason
     safety.constrain([])
     assert safety.filter(state_at(sparse_panda.home), np.zeros(7), 0.0).status is FilterStatus.SAFE

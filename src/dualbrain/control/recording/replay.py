@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import isnan
 from pathlib import Path
 from typing import Any
 
@@ -174,7 +175,7 @@ class _ReplayFilter:
             sequence=int(part["sequence"][0]),
             q=part["q"],
             v=part["v"],
-            opening=float(part["opening"][0]),
+            opening=None if isnan(part["opening"][0]) else float(part["opening"][0]),
             finger_forces=forces,
             drive_enabled=bool(part["drive"][0]),
         )

@@ -69,7 +69,7 @@ def check_number(name: str, value: object, least: float = -inf, most: float = in
     """`value` as a finite float from `least` to `most`."""
     number = _real(value)
     if number is None or not (least <= number <= most and isfinite(number)):
-        raise GeometryError(name, got=value, allowed=_range(least, most), fix=fix)
+        raise GeometryError(name, got=value, allowed=_range(least, most), fix=_with_problem(fix, number))
     return number
 
 
@@ -77,7 +77,9 @@ def check_positive(name: str, value: object, most: float = inf, *, fix: str = ""
     """`value` as a finite float above 0, at most `most`."""
     number = _real(value)
     if number is None or not (0.0 < number <= most and isfinite(number)):
-        raise GeometryError(name, got=value, allowed=f"a number above 0{_at_most(most)}", fix=fix)
+        raise GeometryError(
+            name, got=value, allowed=f"a number above 0{_at_most(most)}", fix=_with_problem(fix, number)
+        )
     return number
 
 
@@ -85,12 +87,8 @@ def check_length(name: str, value: object, most: float = MAX_COORDINATE) -> floa
     """`value` as a size, margin or error: 0, or from `SMALLEST_LENGTH` to `most`."""
     number = _real(value)
     if number is None or not (number == 0.0 or SMALLEST_LENGTH <= number <= most):
-        raise GeometryError(
-            name,
-            got=value,
-            allowed=f"0 or more{_at_most(most)}",
-            fix="Sizes, margins and errors are lengths in SI units.",
-        )
+        problem = _with_problem("Sizes, margins and errors are in SI units.", number, least=0.0)
+        raise GeometryError(name, got=value, allowed=f"0 or more{_at_most(most)}", fix=problem)
     return number
 
 
@@ -205,7 +203,10 @@ def check_array(name: str, values: object, shape: tuple[int, ...], most: float =
     """`values` as a finite array of float64 of this shape, within ±`most`; −1 stands for any length of an axis."""
     array = as_real_array(name, values, shape)
     if not bool(np.all(np.abs(array) <= most) and np.isfinite(array).all()):
-        raise GeometryError(name, got=values, allowed=f"finite numbers{_at_most(most, both=True)}", fix=fix)
+        problem = "" if np.isfinite(array).all() else "A number is not finite."
+        raise GeometryError(
+            name, got=values, allowed=f"finite numbers{_at_most(most, both=True)}", fix=f"{problem} {fix}".strip()
+        )
     return array
 
 
@@ -250,8 +251,19 @@ def _numbers(name: str, values: object, count: int, least: float, most: float, f
         raise GeometryError(name, got=values, allowed=f"{count} numbers", fix=fix)
     numbers = tuple(_real(value) for value in cast("tuple[Any, ...]", given))
     if not all(number is not None and least <= number <= most for number in numbers):
-        raise GeometryError(name, got=values, allowed=f"{count} numbers, each {_range(least, most)}", fix=fix)
+        problem = _with_problem(fix, *numbers, least=least)
+        raise GeometryError(name, got=values, allowed=f"{count} numbers, each {_range(least, most)}", fix=problem)
     return cast("tuple[float, ...]", numbers)
+
+
+def _with_problem(fix: str, *numbers: float | None, least: float = -inf) -> str:
+    """The remedy `fix`, after what is wrong with the numbers."""
+    problem = ""
+    if any(number is not None and not isfinite(number) for number in numbers):
+        problem = "A number is not finite."
+    elif least == 0.0 and any(number is not None and number < 0.0 for number in numbers):
+        problem = "A length is below zero."
+    return f"{problem} {fix}".strip()
 
 
 def _range(least: float, most: float) -> str:

@@ -96,7 +96,7 @@ def _states_are_valid(trial: DriverHarness) -> str:
     for state in trial.states:
         if len(state.q) != trial.robot_model.nq or len(state.v) != trial.n:
             return f"{len(state.q)} positions and {len(state.v)} velocities for {trial.n} joints"
-        numbers = np.concatenate((state.q, state.v, (state.opening, state.stamp)))
+        numbers = np.concatenate((state.q, state.v, (state.opening or 0.0, state.stamp)))
         if not np.isfinite(numbers).all():
             return f"a state is not finite: {state}"
         for joint, q in zip(trial.robot_model.joints, state.q, strict=True):

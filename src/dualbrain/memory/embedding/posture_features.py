@@ -21,10 +21,13 @@ MAX_FLOOR_COORDINATE = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Posture:
-    """Joint angles `q` [rad] and `opening` of each finger [m] when the instruction was received."""
+    """Joint angles `q` [rad] and `opening` of each finger [m] when the instruction was received.
+
+    An unknown opening (None) counts as fully open.
+    """
 
     q: tuple[float, ...]
-    opening: float
+    opening: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,11 +56,12 @@ class PostureLimits:
 
         Raises `ConfigurationError` for another number of joints and for values that are not finite.
         """
-        if len(posture.q) != len(self.lower) or not np.isfinite([*posture.q, posture.opening]).all():
+        opening = self.opening if posture.opening is None else posture.opening
+        if len(posture.q) != len(self.lower) or not np.isfinite([*posture.q, opening]).all():
             raise ConfigurationError(
                 "posture", got=posture, allowed=f"{len(self.lower)} finite joint angles of {self.robot}"
             )
-        x = np.array([*posture.q, posture.opening])
+        x = np.array([*posture.q, opening])
         lower, upper = np.array([*self.lower, 0.0]), np.array([*self.upper, self.opening or 1.0])
         return np.clip(2.0 * (x - lower) / (upper - lower) - 1.0, -1.0, 1.0)
 

@@ -13,6 +13,7 @@ from dualbrain.core.geometry.rotations import quaternion_to_matrix
 from dualbrain.core.geometry.shapes import Box, Capsule, Cylinder, Pose, Sphere
 from dualbrain.errors import ConfigurationError
 from dualbrain.records import SceneObject
+from dualbrain.safety.cbf.obstacles import check_scene_object
 
 Array = NDArray[np.float64]
 
@@ -23,8 +24,10 @@ MAX_SPHERES = 8
 def cover_with_spheres(obj: SceneObject, tool_position: Array, tool_rotation: Array) -> Array:
     """Spheres (k, 4), k ≤ 8, of x, y, z, radius [m] in the tool frame that contain `obj` as perceived.
 
-    `tool_position` is (3,) [m], `tool_rotation` (3, 3). Raises `ConfigurationError` if the shape is unbounded.
+    `tool_position` is (3,) [m], `tool_rotation` (3, 3). Raises `ConfigurationError` if the shape is unbounded, and
+    `GeometryError` if the object has a size or a pose that is not usable.
     """
+    obj = check_scene_object(obj)
     spheres, pose = _local_spheres(obj)
     world = spheres[:, :3] @ quaternion_to_matrix(pose.quaternion).T + np.array(pose.position)
     return np.column_stack([(world - tool_position) @ tool_rotation, spheres[:, 3]])

@@ -209,12 +209,11 @@ def _sphere_rows(robot_model: RobotModel) -> Array:
 
 
 def _opening_range(robot_model: RobotModel) -> dict[str, Any]:
-    """The largest finger opening [m], and spheres that cover the fingers at every opening; none without fingers."""
+    """The largest finger opening [m], and spheres that cover the fingers at every opening; nothing without fingers."""
     hull = opening_hull(robot_model)
-    return {
-        "opening_max": robot_model.gripper.opening.value,
-        "hull_spheres": np.empty((0, 7)) if hull is robot_model else _sphere_rows(hull),
-    }
+    if hull is robot_model:
+        return {}
+    return {"opening_max": robot_model.gripper.opening.value, "hull_spheres": _sphere_rows(hull)}
 
 
 def tool_frame(robot_model: RobotModel) -> tuple[Array, Array]:

@@ -180,11 +180,15 @@ def check_scene_object(obj: object) -> SceneObject:
     )
 
 
+def moves(obj: SceneObject) -> bool:
+    """Whether a scene object moves, so that its observation becomes stale."""
+    return obj.role == "person" or any(obj.velocity) or obj.velocity_error > 0.0
+
+
 def _to_obstacle(obj: SceneObject, stamp: float, known: bool, clearance: float) -> Obstacle:
     age = max(0.0, stamp - obj.stamp)
     shape, pose = bounding_solid(obj.shape, obj.pose)
     x, y, z = (p + v * age for p, v in zip(pose.position, obj.velocity, strict=True))
-    moves = obj.role == "person" or obj.velocity != ZERO_VECTOR or obj.velocity_error > 0.0
     return Obstacle(
         name=obj.name,
         shape=shape,
@@ -193,7 +197,7 @@ def _to_obstacle(obj: SceneObject, stamp: float, known: bool, clearance: float) 
         margin=obj.error + obj.velocity_error * age + clearance,
         velocity_error=obj.velocity_error,
         known=known,
-        static=not moves,
+        static=not moves(obj),
         rank=Rank.BODY if obj.role == "person" else Rank.OBSTACLE,
     )
 

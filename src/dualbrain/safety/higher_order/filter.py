@@ -6,11 +6,22 @@ from collections.abc import Sequence
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from dualbrain.errors import ConfigurationError
+from dualbrain.core.geometry.validation import (
+    as_real_array,
+    check_length,
+    check_number,
+    check_positive,
+    check_real,
+    check_stamp,
+)
+from dualbrain.errors import ConfigurationError, GeometryError
+from dualbrain.robots.collision_model.opening_hull import opening_hull
 from dualbrain.robots.model import RobotModel
-from dualbrain.safety.cbf.obstacles import Obstacle
+from dualbrain.safety.cbf.config import MAX_AGE, MAX_GAIN, MAX_MARGIN, MAX_RATE
+from dualbrain.safety.cbf.kernel import MAX_OBSTACLES
+from dualbrain.safety.cbf.obstacles import MAX_CLOCK_LEAD, Obstacle, check_obstacles
 from dualbrain.safety.cbf.qp import ControlQp, QpResult
 from dualbrain.safety.cbf.relaxation import RelaxationProblem, floor_at_control
 from dualbrain.safety.cbf.result import FilterStatus, Reason
@@ -24,6 +35,9 @@ from dualbrain.safety.higher_order.sphere_kinematics import SphereKinematics
 Array = NDArray[np.float64]
 MAX_LIMIT_EXCESS = 0.2
 """Excess over a joint limit [rad] above which the filter rejects the state."""
+MAX_OPENING_EXCESS = 0.005
+"""Excess of a finger opening over the range of the gripper [m] above which the filter rejects the state."""
+MAX_ACCELERATION_ERROR = 1e4
 IMPLAUSIBLE_FACTOR = 10.0
 """Multiple of a limit above which the filter rejects a velocity, and to which it clips a nominal control."""
 
@@ -38,6 +52,8 @@ class AccelerationConfig(msgspec.Struct, frozen=True, kw_only=True):
     - `self_margin` [m]: clearance between links. `recovery_speed` [rad/s]: speed of return from beyond a joint limit.
     - `scene_stale_after` [s]: age after which moving obstacles are rejected.
     - `period` [s]: control period instead of that of the robot model.
+
+    Raises `GeometryError` for a value of another type, below zero, or not finite.
     """
 
     alpha_1: float | None = None
@@ -47,6 +63,36 @@ class AccelerationConfig(msgspec.Struct, frozen=True, kw_only=True):
     recovery_speed: float = 0.05
     scene_stale_after: float = 0.5
     period: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check every field, also of a configuration that `msgspec.structs.replace` makes."""
+        if self.alpha_1 is not None:
+            check_positive("AccelerationConfig.alpha_1 [1/s]", self.alpha_1, MAX_GAIN)
+        check_positive("AccelerationConfig.alpha_2 [1/s]", self.alpha_2, MAX_GAIN)
+        check_number(
+            "AccelerationConfig.acceleration_error [rad/s²]", self.acceleration_error, 0.0, MAX_ACCELERATION_ERROR
+        )
+        check_length("AccelerationConfig.self_margin [m]", self.self_margin, MAX_MARGIN)
+        check_number("AccelerationConfig.recovery_speed [rad/s]", self.recovery_speed, 0.0, MAX_RATE)
+        check_number("AccelerationConfig.scene_stale_after [s]", self.scene_stale_after, 0.0, MAX_AGE)
+        if self.period is not None:
+            check_positive("AccelerationConfig.period [s]", self.period, 1.0)
+
+
+class _Body:
+    """Spheres and pairs of one collision model: with fingers that slide, or with fingers that cover every opening."""
+
+    def __init__(self, robot_model: RobotModel, self_margin: float, alpha_1: float) -> None:
+        self.robot_model, self._alpha_1 = robot_model, alpha_1
+        self.spheres = SphereKinematics(robot_model)
+        self.self_pairs = SelfCollisionPairs(robot_model, self.spheres, self_margin, alpha_1)
+        self.obstacle_pairs: ObstaclePairs | None = None
+
+    def observe(self, obstacles: Sequence[Obstacle]) -> None:
+        """Prepare the pairs with `obstacles`."""
+        self.obstacle_pairs = (
+            ObstaclePairs(self.robot_model, self.spheres, obstacles, self._alpha_1) if obstacles else None
+        )
 
 
 class AccelerationFilter:
@@ -90,8 +136,12 @@ class AccelerationFilter:
                 "gains of the filter", got=(self.alpha_1, self.config.alpha_2), allowed="α₁ and α₂ above 0, α₂dt ≤ 1"
             )
         self._limits = joint_limits(robot_model)
-        self._spheres = SphereKinematics(robot_model)
-        self._self_pairs = SelfCollisionPairs(robot_model, self._spheres, self.config.self_margin, self.alpha_1)
+        self._known_body = _Body(robot_model, self.config.self_margin, self.alpha_1)
+        hull = opening_hull(robot_model)
+        self._hull_body = (
+            self._known_body if hull is robot_model else _Body(hull, self.config.self_margin, self.alpha_1)
+        )
+        self._body, self._spheres = self._known_body, self._known_body.spheres
         self._qp = ControlQp(self._limits.acceleration, weight)
         self._v, self._u = np.zeros(robot_model.n), np.zeros(robot_model.n)
         self.observe(())
@@ -99,28 +149,39 @@ class AccelerationFilter:
     def observe(self, obstacles: Sequence[Obstacle], stamp: float = 0.0) -> None:
         """Replace the obstacle table by `obstacles`, observed at `stamp` [s].
 
-        The filter stops the robot if an obstacle contains a non-finite number.
+        If this raises, the previous table is no longer in force: every step stops the robot until a valid observation.
 
         Raises:
+            GeometryError: there are too many obstacles, or one has a number, size, pose, shape or field that is not
+                usable (`dualbrain.core.geometry.validation`), or `stamp` is not finite.
             ConfigurationError: an obstacle has speed and separation, which is a rule on velocities.
             UnknownNameError: an obstacle names a part that the robot does not have.
         """
-        numbers = [_numbers(obstacle) for obstacle in obstacles]
-        self._scene_valid = bool(np.isfinite(stamp) and all(np.isfinite(row).all() for row in numbers))
-        usable = tuple(obstacles) if self._scene_valid else ()
-        self._obstacle_pairs = ObstaclePairs(self.robot_model, self._spheres, usable, self.alpha_1) if usable else None
-        self._names, self._stamp = tuple(obstacle.name for obstacle in usable), stamp
-        self._has_moving_obstacles = any(not obstacle.static for obstacle in usable)
+        self._scene_valid = False
+        usable = check_obstacles(obstacles, MAX_OBSTACLES)
+        self._stamp = check_stamp("stamp of the observation", stamp)
+        for body in dict.fromkeys((self._known_body, self._hull_body)):
+            body.observe(usable)
+        self._names = tuple(obstacle.name for obstacle in usable)
+        self._has_moving_obstacles = any(obstacle.moves for obstacle in usable)
+        self._scene_valid = True
 
     def __call__(
-        self, q: Array, v: Array, u_nom: Array, now: float = 0.0, *, opening: float = 0.0
+        self, q: ArrayLike, v: ArrayLike, u_nom: ArrayLike, now: float = 0.0, *, opening: float | None = None
     ) -> FilteredAcceleration:
         """Run one control step from joint positions, velocities and the nominal acceleration, each (n,), in SI units.
 
-        `now` [s] must be on the clock of the stamps passed to `observe`. Raises `ConfigurationError` for wrong sizes.
+        `now` [s] must be on the clock of the stamps passed to `observe`. Without the `opening` [m] of each finger, the
+        spheres of the fingers cover every opening. Raises `ConfigurationError` for wrong sizes and types.
         """
-        q, v, desired = (np.asarray(x, float).reshape(-1) for x in (q, v, u_nom))
-        faults = self._input_faults(q, v, desired, now, opening)
+        n, given = self.robot_model.n, {"q": q, "v": v, "u_nom": u_nom}
+        q, v, desired = arrays = [as_real_array(f"{name} of a step", values) for name, values in given.items()]
+        if any(values.shape != (n,) for values in arrays):
+            shapes = tuple(values.shape for values in arrays)
+            raise GeometryError("sizes of q, v and u_nom", got=shapes, allowed=f"{n} numbers each")
+        now = check_real("now of a step", now)
+        known = 0.0 if opening is None else check_real("opening of a step", opening)
+        faults = self._input_faults(q, v, desired, now, known)
         self._v = self._v + self.period * self._u if Reason.BAD_INPUT in faults else v.copy()
         if faults:
             limit = self._limits.acceleration
@@ -128,28 +189,35 @@ class AccelerationFilter:
                 _empty_result(desired), self._brake(self._v, -limit, limit), FilterStatus.STOPPED, faults
             )
         else:
-            result = self._step(q, v, desired, max(0.0, now - self._stamp), opening)
+            self._body = self._hull_body if opening is None else self._known_body
+            result = self._step(q, v, desired, max(0.0, now - self._stamp), known)
         self._u = result.u
         return result
 
     def _input_faults(self, q: Array, v: Array, u_nom: Array, now: float, opening: float) -> Reason:
-        n, limits, faults = self.robot_model.n, self._limits, Reason(0)
-        if any(x.shape != (n,) for x in (q, v, u_nom)):
-            raise ConfigurationError(
-                "sizes of q, v and u_nom", got=(len(q), len(v), len(u_nom)), allowed=f"{n} numbers each"
-            )
+        limits, faults = self._limits, Reason(0)
         if not (
             np.isfinite([*q, *v, *u_nom, now, opening]).all()
             and np.all(np.abs(v) < IMPLAUSIBLE_FACTOR * limits.velocity)
+            and self._opening_is_plausible(opening)
         ):
             return Reason.BAD_INPUT
         if np.any(q < limits.lower - MAX_LIMIT_EXCESS) or np.any(q > limits.upper + MAX_LIMIT_EXCESS):
             faults |= Reason.OUTSIDE_LIMITS
         if not self._scene_valid:
-            faults |= Reason.BAD_SCENE
-        if self._has_moving_obstacles and now - self._stamp > self.config.scene_stale_after:
+            return faults | Reason.BAD_SCENE
+        age = now - self._stamp
+        if (self._has_moving_obstacles and age > self.config.scene_stale_after) or (
+            self._names and age < -MAX_CLOCK_LEAD
+        ):
             faults |= Reason.STALE_SCENE
         return faults
+
+    def _opening_is_plausible(self, opening: float) -> bool:
+        """Whether the gripper can be open that far; true for a robot without sliding fingers."""
+        most = self.robot_model.gripper.opening.value
+        without_fingers = self._hull_body is self._known_body
+        return without_fingers or -MAX_OPENING_EXCESS <= opening <= most + MAX_OPENING_EXCESS
 
     # --- one step ---------------------------------------------------------------------------------------------
 
@@ -176,13 +244,14 @@ class AccelerationFilter:
     def _pairs(self, q: Array, v: Array, age: float, opening: float, lower: Array, upper: Array) -> Pairs:
         """All pairs at this state; motion bounds over the period include the acceleration error."""
         error, dt = self.config.acceleration_error, self.period
-        self._motion = self._spheres.motion(q, v, opening)
-        seen = motion_bounds(self._spheres, self._motion, v, lower - error, upper + error, dt)
-        own = self._self_pairs.compute(self._motion, seen, dt)
+        body = self._body
+        self._motion = body.spheres.motion(q, v, opening)
+        seen = motion_bounds(body.spheres, self._motion, v, lower - error, upper + error, dt)
+        own = body.self_pairs.compute(self._motion, seen, dt)
         return (
             own
-            if self._obstacle_pairs is None
-            else concatenate(self._obstacle_pairs.compute(self._motion, seen[0], age, dt), own)
+            if body.obstacle_pairs is None
+            else concatenate(body.obstacle_pairs.compute(self._motion, seen[0], age, dt), own)
         )
 
     def _rows(self, pairs: Pairs, free: Array, lower: Array, upper: Array) -> tuple[Pairs, Array, Array]:
@@ -262,10 +331,3 @@ class AccelerationFilter:
 
 def _empty_result(u_nom: Array) -> FilteredAcceleration:
     return FilteredAcceleration(u=np.zeros_like(u_nom), u_nom=u_nom, status=FilterStatus.STOPPED)
-
-
-def _numbers(obstacle: Obstacle) -> Array:
-    """All numbers of an obstacle."""
-    shape = [x for part in msgspec.structs.astuple(obstacle.shape) for x in np.atleast_1d(np.asarray(part, float))]
-    pose = (*obstacle.pose.position, *obstacle.pose.quaternion, *obstacle.velocity)
-    return np.array([*shape, *pose, obstacle.margin, obstacle.velocity_error, obstacle.alpha or 0.0])

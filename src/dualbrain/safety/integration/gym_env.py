@@ -71,7 +71,7 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         decode_action: Callable[[Any], Array] | None = None,
         encode_action: Callable[[Array, Any], Any] | None = None,
         scene: Callable[[Any, float], Sequence[Obstacle]] | None = None,
-        opening: Callable[[Any], float] = lambda _: 0.0,
+        opening: Callable[[Any], float | None] = lambda _: None,
         torque: TorqueDrive | None = None,
         action_repeat: int = 1,
     ) -> None:
@@ -82,7 +82,7 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         - `decode_action(action)`: joint velocities [rad/s] or torques [Nm]; by default the first n numbers.
           `encode_action(control, action)` writes them into a copy of the action.
         - `scene(observation, now)`: the obstacles of this step; by default those of the last `safety.observe`.
-        - `opening(observation)`: opening of each finger [m].
+        - `opening(observation)`: opening of each finger [m]; by default unknown: the fingers cover every opening.
         - `action_repeat`: number of environment steps per action. Each step is filtered again and rewards are summed:
           20 ms of a policy are 4 steps of an environment of 5 ms.
 

@@ -14,10 +14,11 @@ from math import inf, isfinite, nan
 import msgspec
 import numpy as np
 
+from dualbrain.core.geometry import validation
 from dualbrain.core.geometry.distance import bounding_solid
 from dualbrain.core.geometry.rotations import matrix_to_quaternion, quaternion_to_matrix
 from dualbrain.core.geometry.shapes import Pose, Quaternion, Shape, Sphere, Vector
-from dualbrain.errors import ConfigurationError, UnknownNameError
+from dualbrain.errors import ConfigurationError, GeometryError, UnknownNameError
 from dualbrain.records import ZERO_VECTOR
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.kernel import MAX_OBSTACLES
@@ -107,25 +108,33 @@ class SceneFusion:
         self._reports: dict[str, _SourceReport] = {}
         self._frozen_detectors = {name: FrozenSensorDetector() for name in self._sources}
         for name, source in self._sources.items():
-            if not (0.0 <= source.error < inf and 0.0 < source.max_age < inf):
-                raise ConfigurationError(
-                    f"source {name!r}", got=source, allowed="error of 0 or more and max_age above 0, both finite"
-                )
+            validation.check_length(f"error of source {name!r}", source.error)
+            validation.check_positive(f"max_age of source {name!r}", source.max_age)
         for name in self._frames:
             self._check_frame(name)
 
     def set_frame_pose(self, frame: str, pose: Pose, stamp: float) -> None:
-        """Set the pose of a frame in its parent at `stamp` [s]; raises `UnknownNameError`."""
+        """Set the pose of a frame in its parent at `stamp` [s].
+
+        Raises:
+            UnknownNameError: there is no such frame.
+            GeometryError: the pose or the stamp is not usable; reports in this frame are then rejected.
+        """
         if frame not in self._frames or frame == WORLD:
             raise UnknownNameError("frame", frame, tuple(self._frames))
-        self._frames[frame] = msgspec.structs.replace(self._frames[frame], pose=pose)
-        self._frame_stamps[frame] = stamp
+        self._frame_stamps[frame] = nan
+        usable = validation.check_pose(f"pose of frame {frame!r}", pose)
+        self._frames[frame] = msgspec.structs.replace(self._frames[frame], pose=usable)
+        self._frame_stamps[frame] = validation.check_stamp(f"stamp of frame {frame!r}", stamp)
 
     def update(
         self, source: str, frame: str, stamp: float, primitives: Iterable[PerceivedShape], *, now: float
     ) -> SourceAccepted | SourceRefused:
         """Replace the report of `source` by `primitives`, measured in `frame` at `stamp` [s]; the time is `now` [s]."""
-        shapes = tuple(primitives)
+        try:
+            shapes = validation.check_sequence("report", primitives, MAX_OBSTACLES, of="shapes")
+        except GeometryError as error:
+            return SourceRefused(source, str(error))
         why = self._rejection_reason(source, frame, stamp, shapes, now) or self._frozen_reason(source, stamp, shapes)
         if why:
             return SourceRefused(source, why)
@@ -147,7 +156,11 @@ class SceneFusion:
         )
 
     def obstacles(self, now: float) -> tuple[Obstacle, ...]:
-        """All obstacles at `now` [s], extrapolated along their velocity."""
+        """All obstacles at `now` [s], extrapolated along their velocity.
+
+        Raises `GeometryError` if `now` is not finite.
+        """
+        validation.check_stamp("now of the scene fusion", now)
         current: list[Obstacle] = []
         for name, report in self._reports.items():
             age = max(0.0, now - report.stamp)
@@ -177,9 +190,9 @@ class SceneFusion:
         self, source: str, frame: str, stamp: float, shapes: Sequence[PerceivedShape], now: float
     ) -> str:
         """Why a report is implausible, or ""."""
-        if source not in self._sources:
+        if not isinstance(source, str) or source not in self._sources:
             return f"source {source!r} is unknown; known: {', '.join(self._sources)}"
-        if frame not in self._frames:
+        if not isinstance(frame, str) or frame not in self._frames:
             return f"frame {frame!r} is unknown; known: {', '.join(self._frames)}"
         return self._time_reason(source, frame, stamp, now) or _shape_reason(shapes)
 
@@ -198,7 +211,7 @@ class SceneFusion:
 
     def _time_reason(self, source: str, frame: str, stamp: float, now: float) -> str:
         """Why the stamp is implausible, or ""; the comparisons reject NaN."""
-        if not (isfinite(stamp) and stamp <= now):
+        if not (validation.is_real(stamp) and validation.is_real(now) and isfinite(stamp) and stamp <= now):
             return f"stamp {stamp} s is not finite or after the current time {now} s"
         if not now - stamp <= self._sources[source].max_age:
             return f"age {now - stamp:.3f} s exceeds the limit of {self._sources[source].max_age} s"
@@ -228,10 +241,11 @@ class SceneFusion:
             if name not in self._frames:
                 raise UnknownNameError("frame", name, tuple(self._frames))
             mount = self._frames[name]
-            if not (0.0 <= mount.error < inf and 0.0 <= mount.angle_error < inf):
-                raise ConfigurationError(
-                    f"frame {name!r}", got=mount, allowed="error and angle_error of 0 or more, both finite"
-                )
+            validation.check_pose(f"pose of frame {name!r}", mount.pose)
+            validation.check_length(f"error of frame {name!r}", mount.error)
+            validation.check_length(f"angle_error of frame {name!r}", mount.angle_error)
+            if not validation.check_real(f"time_tolerance of frame {name!r}", mount.time_tolerance) >= 0.0:
+                raise GeometryError(f"time_tolerance of frame {name!r}", got=mount.time_tolerance, allowed="0 or more")
             seen.append(name)
             name = mount.parent
 
@@ -276,35 +290,24 @@ def _compose(outer: Pose, inner: Pose) -> Pose:
 
 def _shape_reason(shapes: Sequence[PerceivedShape]) -> str:
     """Which shape is implausible, and why, or ""."""
+    for index, shape in enumerate(shapes):
+        if why := _number_reason(shape):
+            return f"{getattr(shape, 'name', index)!r}: {why}"
     names = [shape.name for shape in shapes]
-    if len(set(names)) != len(names):
-        return "a name occurs twice"
-    return next((f"{shape.name!r}: {why}" for shape in shapes if (why := _number_reason(shape))), "")
+    return "a name occurs twice" if len(set(names)) != len(names) else ""
 
 
 def _number_reason(perceived: PerceivedShape) -> str:
-    """Why the numbers of a shape are implausible, or ""."""
-    sizes = [_numbers(value) for value in msgspec.structs.astuple(perceived.shape)]
-    flat: list[float] = [number for size in sizes for number in size]
-    errors = [perceived.error, perceived.velocity_error]
-    numbers = [*flat, *perceived.pose.position, *perceived.pose.quaternion, *perceived.velocity, *errors]
-    if not all(map(isfinite, numbers)):
-        return "a number is not finite"
-    if min([*flat, *errors]) < 0.0:
-        return "a size or an error is below zero"
-    if not abs(sum(value * value for value in perceived.pose.quaternion) - 1.0) < 1e-3:
-        return "the length of the quaternion is not 1"
+    """Why a shape is not usable, or ""."""
+    try:
+        validation.check_instance("shape", perceived, PerceivedShape)
+        validation.check_name("name", perceived.name)
+        validation.check_shape("shape", perceived.shape)
+        validation.check_pose("pose", perceived.pose)
+        validation.check_velocity("velocity", perceived.velocity)
+        validation.check_length("error", perceived.error)
+        validation.check_length("velocity_error", perceived.velocity_error, validation.MAX_SPEED)
+        validation.check_flag("person", perceived.person)
+    except GeometryError as error:
+        return str(error)
     return ""
-
-
-def _numbers(value: object) -> tuple[float, ...]:
-    """The numbers of a size or a triple of sizes; NaN for any other value."""
-    match value:
-        case bool():
-            return (nan,)
-        case int() | float():
-            return (float(value),)
-        case (float() | int() as x, float() | int() as y, float() | int() as z):
-            return (float(x), float(y), float(z))
-        case _:
-            return (nan,)

@@ -149,12 +149,20 @@ class ShadowFilter:
         self._sum, self._intervention_time, self._h_min = 0.0, 0.0, inf
 
     def evaluate(
-        self, q: Array, v: Array, u_nom: Array, now: float, *, u_prev: Array | None = None, opening: float = 0.0
+        self,
+        q: Array,
+        v: Array,
+        u_nom: Array,
+        now: float,
+        *,
+        u_prev: Array | None = None,
+        opening: float | None = None,
     ) -> FilterResult:
         """Result of the filter for the command `u_nom` (n,) [rad/s] at joint angles q and velocities v at `now` [s].
 
         `u_prev` is the velocity command in force until now. By default it is the `u_nom` of the previous call, or v at
         the start and after a pause of 0.1 s. Pass it if the drive received another command, e.g. from a rate limiter.
+        Without the `opening` [m] of each finger, the fingers cover every opening.
         """
         moment = now if isfinite(now) else max(0.0, self._now)
         if moment < self._now:  # the clock was reset: a new session

@@ -104,7 +104,7 @@ class StateMonitor:
     def _plausibility_conditions(self, state: RobotState) -> int:
         """Bits for values that are not finite, out of range or jump; plausible states are compared across sources."""
         q, v = state.q.tolist(), state.v.tolist()
-        finite = all(map(isfinite, (*q, *v, state.opening, state.stamp)))
+        finite = all(map(isfinite, (*q, *v, state.opening or 0.0, state.stamp)))
         if not finite or not all_in_range(q[self._ranged_joints], self._ranges):
             return C.STATE_IMPLAUSIBLE
         last, self._last_plausible = self._last_plausible, state

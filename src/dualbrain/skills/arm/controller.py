@@ -171,7 +171,7 @@ class ArmController:
         before = self.observation.state.opening
         while self.observation.now - start < 2.0:
             state, now = self.observation.state, self.observation.now
-            if not self.is_gripping() or abs(state.opening - before) > 2e-4:
+            if not self.is_gripping() or _opening_gap(state.opening, before) > 2e-4:
                 steady, before = now, state.opening
             if now - steady > GRIP_SETTLE_TIME:
                 return None
@@ -183,7 +183,7 @@ class ArmController:
         self.opening, self.holding = opening, None
         self.force = self.robot_model.gripper.force_min.value
         start = self.observation.now
-        while self.observation.now - start < 1.0 and abs(self.observation.state.opening - opening) > 2e-3:
+        while self.observation.now - start < 1.0 and not self._is_open(opening):
             yield self.rest("open")
         yield from self.wait("open", 0.2)
         return None
@@ -305,6 +305,11 @@ class ArmController:
             self._threat_key, self._threat_height = key, threat_height(scene, spot, lowest, horizon, radius, now)
         return self._threat_height
 
+    def _is_open(self, opening: float) -> bool:
+        """Whether the fingers have reached `opening` [m]; never without a measurement."""
+        measured = self.observation.state.opening
+        return measured is not None and abs(measured - opening) <= 2e-3
+
     def _distance(self, goal: ToolGoal) -> float:
         away = goal.position - self.observation.tool.position
         return sqrt(float(away @ away))
@@ -322,6 +327,11 @@ class ArmController:
         return Nominal(
             u=u, opening=self.opening, force=self.force, phase=phase, contacts=contacts, holding=self.holding
         )
+
+
+def _opening_gap(opening: float | None, other: float | None) -> float:
+    """Difference of two finger openings [m]; 0 without a measurement, so that time and grip force decide."""
+    return 0.0 if opening is None or other is None else abs(opening - other)
 
 
 def goal_at_height(goal: ToolGoal, height: float) -> ToolGoal:

@@ -48,12 +48,12 @@ class ToolGoal:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PredictionContext:
-    """Context of a prediction: the opening of each finger [m], the scene, and the held object.
+    """Context of a prediction: the opening of each finger [m] (None: unknown), the scene, and the held object.
 
     Objects `known` to φ may be closer by `KNOWN_OBJECT_ALLOWANCE`. Robot parts in `contacts` may touch the obstacle.
     """
 
-    opening: float
+    opening: float | None
     scene: Scene
     held: str | None = None
     known: Collection[str] = ()

@@ -113,12 +113,12 @@ class OutcomeReport(Message, frozen=True):
 
 
 class SceneReport(Message, frozen=True, kw_only=True):
-    """The perceived scene, the joint positions [rad], the finger opening [m], the held object, and the time [s]."""
+    """The perceived scene, the joint positions [rad], the finger opening [m] or None, the held object, the time [s]."""
 
     now: float
     scene: Scene
     q: tuple[float, ...]
-    opening: float
+    opening: float | None
     holding: str | None
 
 
@@ -137,7 +137,7 @@ class TickReport(Message, frozen=True, kw_only=True):
     t: float
     scene: Scene
     q: tuple[float, ...]
-    opening: float
+    opening: float | None
     u: tuple[float, ...]
     delta: float
     h_min: float | None

@@ -55,7 +55,7 @@ class StatePacket(Packet, frozen=True, tag=7, kw_only=True):
     sequence: int
     q: tuple[float, ...]
     v: tuple[float, ...]
-    opening: float
+    opening: float | None
     forces: tuple[float, float]
     drive_enabled: bool
 
