@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+import tomllib
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
@@ -16,14 +18,18 @@ from typing import Annotated, Any, TypeVar, cast, get_args, get_type_hints
 import msgspec
 
 from dualbrain.contracts.gate.authorization import PLANNER
+from dualbrain.core.geometry import validation
 from dualbrain.core.text import closest_name_hint
 from dualbrain.core.untrusted.bounded_file import FileRefusal, read_regular_file
 from dualbrain.core.untrusted.toml_document import TomlFault, parse_toml
 from dualbrain.errors import ConfigurationError
+from dualbrain.errors import ConfigurationError, GeometryError
 from dualbrain.robots.model import Quaternion, Vector
 
 T = TypeVar("T")
 MAX_FILE_BYTES = 2**20
+MAX_CARRIED_DISTANCE = 2.0
+"""Largest coordinate and radius of the tool and of the payload in the tool frame [m]."""
 PRINCIPALS = (PLANNER,)
 """Principals to which a site file can grant skills."""
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
@@ -192,7 +198,39 @@ def read_site(path: Path | str) -> SiteFile:
                 allowed=", ".join(PRINCIPALS),
                 sentence=sentence,
             )
-    return SiteFile(path, site, locations)
+    file = SiteFile(path, site, locations)
+    _check_geometry(file)
+    return file
+
+
+def _check_geometry(file: SiteFile) -> None:
+    """Raise `SiteError` for a pose, size or normal that is not usable."""
+    site = file.site
+    carried: list[tuple[str, tuple[ToolSphere, ...]]] = []
+    if site.tool is not None:
+        _check_entry(file, "tool.position", validation.check_vector, site.tool.position, MAX_CARRIED_DISTANCE)
+        _check_entry(file, "tool.quaternion", validation.check_quaternion, site.tool.quaternion)
+        carried += [("tool", site.tool.spheres)]
+    if site.payload is not None:
+        carried += [("payload", site.payload.spheres)]
+    for table, spheres in carried:
+        for sphere in spheres:
+            _check_entry(file, f"{table}.spheres", validation.check_vector, sphere.centre, MAX_CARRIED_DISTANCE)
+            _check_entry(file, f"{table}.spheres", validation.check_length, sphere.radius, MAX_CARRIED_DISTANCE)
+    for index, plane in enumerate(site.plane):
+        _check_entry(file, f"plane[{index}].point", validation.check_vector, plane.point)
+        _check_entry(file, f"plane[{index}].inward", validation.check_direction, plane.inward)
+    for index, box in enumerate(site.keep_out):
+        _check_entry(file, f"keep_out[{index}].position", validation.check_vector, box.position)
+        for extent in box.half_extents:
+            _check_entry(file, f"keep_out[{index}].half_extents", validation.check_length, extent)
+
+
+def _check_entry(file: SiteFile, entry: str, check: Callable[..., Any], *values: Any) -> None:
+    try:
+        check(entry, *values)
+    except GeometryError as error:
+        raise file.make_error(entry, got=error.got, allowed=error.allowed) from error
 
 
 def _convert(data: Any, kind: type[T], prefix: str, path: Path, locations: Mapping[str, tuple[int, int]]) -> T:

@@ -37,7 +37,7 @@ class CellOptions:
     `goal`: goal that ground truth is judged by; None: the goals of the contract itself. `seed`: randomness of the
     perception. `perception`: makes the perception model of a plant. `visuals`: load meshes for rendering. `pace(now)`
     may delay each period of the simulation. `permitted_skills`: the monitor reports every other skill that begins.
-    `configuration`: initial joint position [rad] and gripper opening [m].
+    `configuration`: initial joint position [rad] and gripper opening [m], None for open.
     """
 
     goal: Goal | None = None
@@ -46,7 +46,7 @@ class CellOptions:
     visuals: bool = False
     pace: Callable[[float], None] | None = None
     permitted_skills: frozenset[str] | None = None
-    configuration: tuple[Any, float] | None = None
+    configuration: tuple[Any, float | None] | None = None
 
 
 class SimulatedCell:

@@ -131,10 +131,10 @@ def columns(n: int, width: int | None = None) -> dict[str, slice]:
     """Position of each quantity in a logged row, for `n` joints and configurations of length `width` (default: n).
 
     Inputs of the filter: `t` (its `now`) [s], the state's `stamp` [s], `sequence`, `q` [rad], `v` [rad/s], finger
-    `opening` [m] (NaN: unknown), finger `forces` [N], `drive`, and `u_nom` [rad/s]. Its outputs: `u` [rad/s], `delta`, `delta_rows`,
-    `delta_box`, `h_min` [m], `status`, `certified`, `iterations`, `n_rows`. Of the supervisor: `delta_supervisor`, the
-    `order` (`SafetyAction` as a number) and `touched`: the scale of u_nom, −1 for a standstill, −2 for braking instead
-    of the filter. Then the `action` index and `phase` code.
+    `opening` [m] (NaN if it is unknown), finger `forces` [N], `drive`, and `u_nom` [rad/s]. Its outputs: `u` [rad/s],
+    `delta`, `delta_rows`, `delta_box`, `h_min` [m], `status`, `certified`, `iterations`, `n_rows`. Of the supervisor:
+    `delta_supervisor`, the `order` (`SafetyAction` as a number) and `touched`: the scale of u_nom, −1 for a standstill,
+    −2 for braking instead of the filter. Then the `action` index and `phase` code.
     """
     widths = {
         "t": 1,

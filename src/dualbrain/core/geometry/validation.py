@@ -41,6 +41,8 @@ SMALLEST_LENGTH = float(np.finfo(np.float32).tiny)
 """Smallest length above 0 [m]; what is below it is not a measurement, but memory that nobody wrote."""
 QUATERNION_TOLERANCE = 0.1
 """Deviation of the length of a quaternion from 1 up to which it is normalised."""
+MIN_DIRECTION_LENGTH = 1e-6
+"""Length below which a vector has no direction."""
 MAX_NAME_LENGTH = 1000
 """Most characters of a name."""
 MAX_STAMP = 1e12
@@ -101,9 +103,11 @@ def check_stamp(name: str, value: object) -> float:
 
 def check_flag(name: str, value: object) -> bool:
     """`value` as a truth value; numbers are refused."""
-    if not isinstance(value, (bool, np.bool_)):
+    if value is True or value is False:
+        return value
+    if not isinstance(value, np.bool_):
         raise GeometryError(name, got=value, allowed="True or False")
-    return bool(value)
+    return value.item() is True
 
 
 def check_name(name: str, value: object) -> str:
@@ -123,7 +127,7 @@ def check_instance(name: str, value: object, kind: type[T]) -> T:
 def check_sequence(name: str, values: object, most: int, *, of: str) -> tuple[Any, ...]:
     """The items of `values`, at most `most`; an endless iterator ends at the limit."""
     if not isinstance(values, Iterable) or isinstance(values, (str, bytes, dict)):
-        raise GeometryError(name, got=values, allowed=f"a sequence of {of}")
+        raise GeometryError(name, got=cast("object", values), allowed=f"a sequence of {of}")
     items = cast("Iterable[Any]", values)
     if isinstance(items, Sized) and len(items) > most:
         raise GeometryError(name, got=len(items), allowed=f"at most {most} {of}")
@@ -140,6 +144,15 @@ def check_vector(name: str, values: object, most: float = MAX_COORDINATE, *, fix
     """`values` as three numbers within ±`most`."""
     x, y, z = _numbers(name, values, 3, -most, most, fix)
     return (x, y, z)
+
+
+def check_direction(name: str, values: object) -> Vector:
+    """`values` as a unit vector; the length of the given vector is free, but above 1e-6."""
+    x, y, z = check_vector(name, values, fix="")
+    size = sqrt(x * x + y * y + z * z)
+    if not size > MIN_DIRECTION_LENGTH:
+        raise GeometryError(name, got=values, allowed="a vector that is not zero")
+    return (x / size, y / size, z / size)
 
 
 def check_velocity(name: str, values: object) -> Vector:
@@ -246,7 +259,9 @@ def _real(value: object) -> float | None:
 
 def _numbers(name: str, values: object, count: int, least: float, most: float, fix: str) -> tuple[float, ...]:
     """`values`, a tuple, list or array of `count` numbers from `least` to `most`."""
-    given: Any = values.tolist() if isinstance(values, np.ndarray) and values.ndim == 1 else values
+    given: Any = values
+    if isinstance(given, np.ndarray) and given.ndim == 1:
+        given = given.tolist()
     if not isinstance(given, (tuple, list)) or len(cast("tuple[Any, ...]", given)) != count:
         raise GeometryError(name, got=values, allowed=f"{count} numbers", fix=fix)
     numbers = tuple(_real(value) for value in cast("tuple[Any, ...]", given))

@@ -7,6 +7,7 @@ from math import cos, sin
 import numpy as np
 
 from dualbrain.core.geometry.shapes import Box, Pose
+from dualbrain.core.geometry.validation import check_length, check_number, check_vector
 from dualbrain.robots.differential_drive import make_differential_base
 from dualbrain.robots.model import Bound, RobotModel, TrackingErrorModel
 from dualbrain.safety.barriers.barrier import Array, BarrierSpec, Scenario
@@ -17,11 +18,19 @@ from dualbrain.safety.cbf.rows import Rank
 
 HALF_HEIGHT = 5.0
 """Half the height of a region [m]: so large that the nearest exit is always horizontal."""
+MAX_YAW = 1e3
+"""Largest yaw [rad]."""
 REGION = (1.2, 0.05, 0.3, 0.4)
 
 
 def keep_out_region(name: str, x: float, y: float, half_x: float, half_y: float, yaw: float = 0.0) -> Obstacle:
-    """Obstacle for a floor rectangle that the footprint must not enter: centre, half sides [m] and yaw [rad]."""
+    """Obstacle for a floor rectangle that the footprint must not enter: centre, half sides [m] and yaw [rad].
+
+    Raises `GeometryError` for numbers that are not usable.
+    """
+    x, y, _ = check_vector(f"centre of keep-out region {name!r}", (x, y, 0.0))
+    half_x, half_y = (check_length(f"half side of keep-out region {name!r}", half) for half in (half_x, half_y))
+    yaw = check_number(f"yaw of keep-out region {name!r}", yaw, -MAX_YAW, MAX_YAW)
     rotation = (cos(0.5 * yaw), 0.0, 0.0, sin(0.5 * yaw))
     return Obstacle(
         name=name,

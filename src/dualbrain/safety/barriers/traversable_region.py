@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
-from dualbrain.errors import ConfigurationError
+from dualbrain.core.geometry.validation import MAX_COORDINATE, check_array, check_sequence
+from dualbrain.errors import ConfigurationError, GeometryError
 from dualbrain.safety.barriers.barrier import Array, BarrierSpec, Scenario
 from dualbrain.safety.barriers.keep_out import scenario_base
 from dualbrain.safety.barriers.scenarios import EXACT_TRACKING
@@ -16,6 +17,8 @@ from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.obstacles import Obstacle
 from dualbrain.safety.cbf.rows import Rank
 
+MAX_CORNERS = 100
+"""Most corners of a region."""
 REGION = ((-1.0, -0.8), (1.5, -0.8), (1.9, 0.3), (0.4, 1.2), (-1.0, 0.8))
 
 
@@ -23,8 +26,12 @@ def traversable_region(name: str, corners: Sequence[tuple[float, float]]) -> tup
     """Obstacles that keep the base inside a convex polygon, one half-space for each edge.
 
     `corners` are (x, y) [m], counter-clockwise. Raises `ConfigurationError` if the polygon is not convex or not
-    counter-clockwise.
+    counter-clockwise, and its `GeometryError` for corners that are not usable.
     """
+    found = check_sequence(f"corners of {name!r}", corners, MAX_CORNERS, of="corners")
+    corners = [check_array(f"corner of {name!r}", corner, (2,), MAX_COORDINATE).tolist() for corner in found]
+    if len(corners) < 3:
+        raise GeometryError(f"corners of {name!r}", got=corners, allowed="three corners or more")
     walls: list[Obstacle] = []
     for index, (x, y) in enumerate(corners):
         to_x, to_y = corners[(index + 1) % len(corners)]

@@ -8,7 +8,7 @@ from math import sqrt
 import numpy as np
 
 from dualbrain.core.geometry.shapes import HalfSpace, Pose, Quaternion, Vector
-from dualbrain.errors import ConfigurationError
+from dualbrain.core.geometry.validation import MAX_COORDINATE, check_direction, check_length, check_number, check_vector
 from dualbrain.safety.barriers.barrier import Array, BarrierSpec, Scenario
 from dualbrain.safety.barriers.scenarios import home_posture, moving_spheres, sparse_panda_filter, tool_push
 from dualbrain.safety.cbf.obstacles import Obstacle
@@ -20,12 +20,15 @@ HAND_PARTS = ("hand", "fingers", "held")
 def plane(
     name: str, point: Vector, inward: Vector, *, parts: Sequence[str] = HAND_PARTS, margin: float = 0.0
 ) -> Obstacle:
-    """Obstacle that keeps `parts` `margin` [m] inside the plane through `point` [m]; `inward` points to the inside."""
+    """Obstacle that keeps `parts` `margin` [m] inside the plane through `point` [m]; `inward` points to the inside.
+
+    Raises `GeometryError` for numbers that are not usable and for a normal of length 0.
+    """
     return Obstacle(
         name=name,
         shape=HalfSpace(),
-        pose=Pose(point, rotation_to_normal(inward)),
-        margin=margin,
+        pose=Pose(check_vector(f"point of plane {name!r}", point), rotation_to_normal(inward)),
+        margin=check_length(f"margin of plane {name!r}", margin),
         rank=Rank.WORKSPACE,
         parts=tuple(parts),
         known=True,
@@ -34,7 +37,12 @@ def plane(
 
 
 def height_limits(lowest: float, highest: float, *, parts: Sequence[str] = HAND_PARTS) -> tuple[Obstacle, Obstacle]:
-    """Obstacles that keep `parts` between two heights [m] above the base."""
+    """Obstacles that keep `parts` between two heights [m] above the base.
+
+    Raises `GeometryError` if a height is not usable, or the greatest is not above the lowest.
+    """
+    lowest = check_number("lowest height", lowest, -MAX_COORDINATE, MAX_COORDINATE)
+    highest = check_number("greatest height", highest, lowest, MAX_COORDINATE)
     return (
         plane("lowest height", (0.0, 0.0, lowest), (0.0, 0.0, 1.0), parts=parts),
         plane("greatest height", (0.0, 0.0, highest), (0.0, 0.0, -1.0), parts=parts),
@@ -43,10 +51,7 @@ def height_limits(lowest: float, highest: float, *, parts: Sequence[str] = HAND_
 
 def rotation_to_normal(normal: Vector) -> Quaternion:
     """The smallest rotation, as a quaternion (w, x, y, z), that maps the z-axis to `normal`."""
-    size = sqrt(sum(e * e for e in normal))
-    if not size > 1e-9:
-        raise ConfigurationError("normal of a plane", got=normal, allowed="a vector that is not zero")
-    x, y, z = (e / size for e in normal)
+    x, y, z = check_direction("normal of a plane", normal)
     if z < -1.0 + 1e-9:
         return (0.0, 1.0, 0.0, 0.0)
     w = sqrt(0.5 * (1.0 + z))

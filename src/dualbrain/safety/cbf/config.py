@@ -72,5 +72,6 @@ class FilterConfig(msgspec.Struct, frozen=True, kw_only=True):
             check_number(f"FilterConfig.{name} [s]", getattr(self, name), 0.0, MAX_AGE)
         for name in ("acceleration_limits", "jerk_limits", "lag_compensation"):
             check_flag(f"FilterConfig.{name}", getattr(self, name))
-        if not isinstance(self.precision, str) or self.precision not in PRECISIONS:
+        precision: object = getattr(self, "precision")  # noqa: B009  (a caller may give any type)
+        if not (isinstance(precision, str) and precision in PRECISIONS):
             raise GeometryError("FilterConfig.precision", got=self.precision, allowed=" or ".join(PRECISIONS))

@@ -190,9 +190,9 @@ class SceneFusion:
         self, source: str, frame: str, stamp: float, shapes: Sequence[PerceivedShape], now: float
     ) -> str:
         """Why a report is implausible, or ""."""
-        if not isinstance(source, str) or source not in self._sources:
+        if source not in tuple(self._sources):
             return f"source {source!r} is unknown; known: {', '.join(self._sources)}"
-        if not isinstance(frame, str) or frame not in self._frames:
+        if frame not in tuple(self._frames):
             return f"frame {frame!r} is unknown; known: {', '.join(self._frames)}"
         return self._time_reason(source, frame, stamp, now) or _shape_reason(shapes)
 
