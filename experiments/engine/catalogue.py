@@ -13,6 +13,7 @@ from experiments.gatekeeper.faults import Faults
 from experiments.gatekeeper.tick import TickTiming
 from experiments.interfaces.contract_delay import ContractDelay
 from experiments.interfaces.fuzz_socket import FuzzSocket
+from experiments.geometry.bad_input import BadInput
 from experiments.memory.crash_recovery import CrashRecovery
 from experiments.memory.learning import Learning
 from experiments.memory.poisoning import Poisoning
@@ -41,6 +42,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         FilterAblation(),
         Conservatism(),
         SlowTests(),
+        BadInput(),
         Adversary(),
         PlantAdversary(),
         CrossEmbodiment(),

@@ -219,7 +219,8 @@ def _check_geometry(file: SiteFile) -> None:
             _check_entry(file, f"{table}.spheres", validation.check_length, sphere.radius, MAX_CARRIED_DISTANCE)
     for index, plane in enumerate(site.plane):
         _check_entry(file, f"plane[{index}].point", validation.check_vector, plane.point)
-        _check_entry(file, f"plane[{index}].inward", validation.check_direction, plane.inward)
+        if any(plane.inward):  # a normal of zeros is an error of `site_obstacles`
+            _check_entry(file, f"plane[{index}].inward", validation.check_direction, plane.inward)
     for index, box in enumerate(site.keep_out):
         _check_entry(file, f"keep_out[{index}].position", validation.check_vector, box.position)
         for extent in box.half_extents:

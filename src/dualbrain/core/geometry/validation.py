@@ -38,7 +38,7 @@ this distance; beyond it the rounding exceeds the margins of the filter, and con
 MAX_SPEED = 1000.0
 """Largest velocity component and velocity error [m/s]."""
 SMALLEST_LENGTH = float(np.finfo(np.float32).tiny)
-"""Smallest length above 0 [m]; what is below it is not a measurement, but memory that nobody wrote."""
+"""Smallest size, margin, error or gain above 0 in SI units; a smaller number is not a measurement or a setting."""
 QUATERNION_TOLERANCE = 0.1
 """Deviation of the length of a quaternion from 1 up to which it is normalised."""
 MIN_DIRECTION_LENGTH = 1e-6
@@ -78,7 +78,7 @@ def check_number(name: str, value: object, least: float = -inf, most: float = in
 def check_positive(name: str, value: object, most: float = inf, *, fix: str = "") -> float:
     """`value` as a finite float above 0, at most `most`."""
     number = _real(value)
-    if number is None or not (0.0 < number <= most and isfinite(number)):
+    if number is None or not (SMALLEST_LENGTH <= number <= most and isfinite(number)):
         raise GeometryError(
             name, got=value, allowed=f"a number above 0{_at_most(most)}", fix=_with_problem(fix, number)
         )
@@ -86,7 +86,7 @@ def check_positive(name: str, value: object, most: float = inf, *, fix: str = ""
 
 
 def check_length(name: str, value: object, most: float = MAX_COORDINATE) -> float:
-    """`value` as a size, margin or error: 0, or from `SMALLEST_LENGTH` to `most`."""
+    """`value` as a size, margin, error, speed or duration: 0, or from `SMALLEST_LENGTH` to `most`."""
     number = _real(value)
     if number is None or not (number == 0.0 or SMALLEST_LENGTH <= number <= most):
         problem = _with_problem("Sizes, margins and errors are in SI units.", number, least=0.0)

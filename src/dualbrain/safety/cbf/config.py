@@ -6,7 +6,7 @@ from typing import Literal
 
 import msgspec
 
-from dualbrain.core.geometry.validation import check_flag, check_length, check_number, check_positive
+from dualbrain.core.geometry.validation import check_flag, check_length, check_positive
 from dualbrain.errors import GeometryError
 
 MAX_GAIN = 1e6
@@ -65,11 +65,11 @@ class FilterConfig(msgspec.Struct, frozen=True, kw_only=True):
                 check_positive(f"FilterConfig.{name} [1/s]", gain, MAX_GAIN)
         for name in ("sampling_margin", "rounding_margin", "self_margin", "projection_margin"):
             check_length(f"FilterConfig.{name} [m]", getattr(self, name), MAX_MARGIN)
-        check_number("FilterConfig.recovery_speed [m/s]", self.recovery_speed, 0.0, MAX_RATE)
+        check_length("FilterConfig.recovery_speed [m/s]", self.recovery_speed, MAX_RATE)
         if self.tracking_error is not None:
-            check_number("FilterConfig.tracking_error [rad/s]", self.tracking_error, 0.0, MAX_RATE)
+            check_length("FilterConfig.tracking_error [rad/s]", self.tracking_error, MAX_RATE)
         for name in ("scene_stale_after", "state_stale_after"):
-            check_number(f"FilterConfig.{name} [s]", getattr(self, name), 0.0, MAX_AGE)
+            check_length(f"FilterConfig.{name} [s]", getattr(self, name), MAX_AGE)
         for name in ("acceleration_limits", "jerk_limits", "lag_compensation"):
             check_flag(f"FilterConfig.{name}", getattr(self, name))
         precision: object = getattr(self, "precision")  # noqa: B009  (a caller may give any type)

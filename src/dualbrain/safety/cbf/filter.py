@@ -259,7 +259,7 @@ class SafetyFilter:
         part = validation.check_name("part of the robot", given.robot_part)
         if part not in self._part_links:
             raise UnknownNameError("part of the robot", part, tuple(self._part_links), owner=self.robot_model.name)
-        validation.check_number("contact speed [m/s]", given.speed, 0.0, MAX_CONTACT_SPEED)
+        validation.check_length("contact speed [m/s]", given.speed, MAX_CONTACT_SPEED)
         return given
 
     def _apply_permits(self) -> None:

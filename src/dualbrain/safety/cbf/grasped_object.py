@@ -39,18 +39,25 @@ def _local_spheres(obj: SceneObject) -> tuple[Array, Pose]:
         case Sphere(radius=r):
             return np.array([[0.0, 0.0, 0.0, r]]), obj.pose
         case Capsule(radius=r, half_length=h):
-            return _axis_spheres(r, h, 0.0), obj.pose
+            return _capsule_spheres(r, h), obj.pose
         case Cylinder(radius=r, half_height=h):
-            return min((_axis_spheres(r, h, h), _box_spheres((r, r, h))), key=lambda s: _excess(s, (r, r, h))), obj.pose
+            return min((_axis_spheres(r, h), _box_spheres((r, r, h))), key=lambda s: _excess(s, (r, r, h))), obj.pose
         case _ if isinstance(shape, Box):
             return _box_spheres(shape.half_extents), pose
         case _:
             raise ConfigurationError("shape of a grasped object", got=type(shape).__name__, allowed="a bounded solid")
 
 
-def _axis_spheres(radius: float, half_length: float, ends: float) -> Array:
-    """Spheres along z whose union contains a capsule, or, with `ends` > 0, a cylinder with flat ends."""
-    count = MAX_SPHERES if ends == 0.0 else max(1, min(MAX_SPHERES, round(2.0 * half_length / max(radius, 1e-3))))
+def _capsule_spheres(radius: float, half_length: float) -> Array:
+    """Spheres along z whose union contains a capsule; the outermost ones are centred on the ends of its axis."""
+    z = np.linspace(-half_length, half_length, MAX_SPHERES)
+    radii = np.full(MAX_SPHERES, hypot(radius, half_length / (MAX_SPHERES - 1)))
+    return np.column_stack([np.zeros(MAX_SPHERES), np.zeros(MAX_SPHERES), z, radii])
+
+
+def _axis_spheres(radius: float, half_length: float) -> Array:
+    """Spheres along z whose union contains a cylinder."""
+    count = max(1, min(MAX_SPHERES, round(2.0 * half_length / max(radius, 1e-3))))
     step = half_length / count
     z = -half_length + step * (1.0 + 2.0 * np.arange(count, dtype=np.float64))
     return np.column_stack([np.zeros(count), np.zeros(count), z, np.full(count, hypot(radius, step))])

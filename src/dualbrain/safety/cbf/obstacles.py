@@ -38,9 +38,9 @@ class SpeedAndSeparation(msgspec.Struct, frozen=True):
 
     def __post_init__(self) -> None:
         """Check the numbers; raises `GeometryError`."""
-        validation.check_number("SpeedAndSeparation.reaction [s]", self.reaction, 0.0, MAX_REACTION)
+        validation.check_length("SpeedAndSeparation.reaction [s]", self.reaction, MAX_REACTION)
         validation.check_positive("SpeedAndSeparation.brake [m/s²]", self.brake, MAX_DECELERATION)
-        validation.check_number("SpeedAndSeparation.approach [m/s]", self.approach, 0.0, MAX_APPROACH)
+        validation.check_length("SpeedAndSeparation.approach [m/s]", self.approach, MAX_APPROACH)
 
 
 class PlacedShape(msgspec.Struct, frozen=True):

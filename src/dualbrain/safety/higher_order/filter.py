@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from dualbrain.core.geometry.validation import (
     as_real_array,
     check_length,
-    check_number,
     check_positive,
     check_real,
     check_stamp,
@@ -69,12 +68,10 @@ class AccelerationConfig(msgspec.Struct, frozen=True, kw_only=True):
         if self.alpha_1 is not None:
             check_positive("AccelerationConfig.alpha_1 [1/s]", self.alpha_1, MAX_GAIN)
         check_positive("AccelerationConfig.alpha_2 [1/s]", self.alpha_2, MAX_GAIN)
-        check_number(
-            "AccelerationConfig.acceleration_error [rad/s²]", self.acceleration_error, 0.0, MAX_ACCELERATION_ERROR
-        )
+        check_length("AccelerationConfig.acceleration_error [rad/s²]", self.acceleration_error, MAX_ACCELERATION_ERROR)
         check_length("AccelerationConfig.self_margin [m]", self.self_margin, MAX_MARGIN)
-        check_number("AccelerationConfig.recovery_speed [rad/s]", self.recovery_speed, 0.0, MAX_RATE)
-        check_number("AccelerationConfig.scene_stale_after [s]", self.scene_stale_after, 0.0, MAX_AGE)
+        check_length("AccelerationConfig.recovery_speed [rad/s]", self.recovery_speed, MAX_RATE)
+        check_length("AccelerationConfig.scene_stale_after [s]", self.scene_stale_after, MAX_AGE)
         if self.period is not None:
             check_positive("AccelerationConfig.period [s]", self.period, 1.0)
 

@@ -13,6 +13,7 @@ from typing import Any, Protocol, SupportsFloat
 import numpy as np
 from numpy.typing import NDArray
 
+from dualbrain.core.geometry.validation import as_real_array
 from dualbrain.errors import ConfigurationError, MissingDependencyError
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.obstacles import Obstacle
@@ -159,7 +160,11 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
 
     def _read_observation(self, observation: Any) -> None:
         q, v = self._state(observation)
-        self._observation, self._joint_state = observation, (np.array(q, float), np.array(v, float))
+        joints = (
+            as_real_array("q of the observation", q, (self.safety.robot_model.nq,)).copy(),
+            as_real_array("v of the observation", v, (self._n,)).copy(),
+        )
+        self._observation, self._joint_state = observation, joints
 
     # --- default layout of observations and actions -------------------------------------------------------------
 

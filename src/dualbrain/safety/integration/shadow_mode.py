@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from dualbrain.core.geometry.validation import as_real_array, check_real
 from dualbrain.core.text import count_noun
 from dualbrain.errors import ConfigurationError
 from dualbrain.safety.cbf.filter import SafetyFilter
@@ -164,10 +165,17 @@ class ShadowFilter:
         the start and after a pause of 0.1 s. Pass it if the drive received another command, e.g. from a rate limiter.
         Without the `opening` [m] of each finger, the fingers cover every opening.
         """
+        n = self.safety.robot_model.n
+        q = as_real_array("q of a step", q, (self.safety.robot_model.nq,)).copy()
+        v, u_nom = (
+            as_real_array(f"{name} of a step", values, (n,)).copy() for name, values in (("v", v), ("u_nom", u_nom))
+        )
+        if u_prev is not None:
+            u_prev = as_real_array("u_prev", u_prev, (n,))
+        now = check_real("now of a step", now)
         moment = now if isfinite(now) else max(0.0, self._now)
         if moment < self._now:  # the clock was reset: a new session
             self.reset()
-        q, v, u_nom = (np.array(values, float) for values in (q, v, u_nom))
         previous = self._previous_command(v, moment, u_prev)
         self.safety.reset(previous)
         result = self.safety(q, v, u_nom, now, opening=opening)

@@ -1,0 +1,1 @@
+"""Experiments on the validation of geometric input."""

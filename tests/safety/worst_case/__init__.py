@@ -1,0 +1,1 @@
+"""Tests that unknown and unusable input counts as the worst case."""
