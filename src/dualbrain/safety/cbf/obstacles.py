@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from typing import cast
+from collections.abc import Callable, Collection
+from typing import Any, cast
 
 import msgspec
 
@@ -22,6 +22,22 @@ MAX_CLOCK_LEAD = 0.005
 MAX_REACTION, MAX_DECELERATION, MAX_APPROACH = 1e3, 1e6, 1e3
 MAX_CONTACT_SPEED = 10.0
 """Largest contact speed of a permit [m/s]."""
+
+
+def _three(values: Any) -> tuple[Any, ...]:
+    """Three values, or a tuple without a number in it."""
+    return values if type(values) is tuple and len(values) == 3 else ("",)
+
+
+_SIZES: dict[type, Callable[[Any], tuple[float, ...]]] = {
+    Sphere: lambda shape: (shape.radius,),
+    Capsule: lambda shape: (shape.radius, shape.half_length),
+    HalfSpace: lambda shape: (),
+    Box: lambda shape: _three(shape.half_extents),
+}
+_NUMBER_TYPES = {float, int}
+_UNIT_TOLERANCE, _LEAST = 1e-9, validation.SMALLEST_LENGTH
+_FAR, _FAST = validation.MAX_COORDINATE, validation.MAX_SPEED
 
 
 class SpeedAndSeparation(msgspec.Struct, frozen=True):
@@ -87,7 +103,51 @@ def check_obstacles(obstacles: object, most: int) -> tuple[Obstacle, ...]:
         GeometryError: a field is not usable; the error names the obstacle and the field.
     """
     found = validation.check_sequence("obstacles", obstacles, most, of="obstacles")
-    return tuple(check_obstacle(obstacle, index) for index, obstacle in enumerate(found))
+    return tuple(
+        obstacle if _is_plain(obstacle) else check_obstacle(obstacle, index) for index, obstacle in enumerate(found)
+    )
+
+
+def _is_plain(obstacle: object) -> bool:
+    """Whether `check_obstacle` would return an equal obstacle: the usual case, decided in a tenth of the time.
+
+    Anything unusual (an alpha, parts, other types, a number near a limit) is left to `check_obstacle`.
+    """
+    if type(obstacle) is not Obstacle or type(obstacle.pose) is not Pose:
+        return False
+    sizes = _SIZES.get(type(obstacle.shape))
+    place, turn, velocity = obstacle.pose.position, obstacle.pose.quaternion, obstacle.velocity
+    if sizes is None or {type(place), type(turn), type(velocity)} != {tuple}:
+        return False
+    if (len(place), len(turn), len(velocity)) != (3, 4, 3):
+        return False
+    lengths = (obstacle.margin, obstacle.velocity_error, *sizes(obstacle.shape))
+    return (
+        {*map(type, (*place, *turn, *velocity, *lengths))} <= _NUMBER_TYPES
+        and -_FAR <= place[0] <= _FAR
+        and -_FAR <= place[1] <= _FAR
+        and -_FAR <= place[2] <= _FAR
+        and -_FAST <= velocity[0] <= _FAST
+        and -_FAST <= velocity[1] <= _FAST
+        and -_FAST <= velocity[2] <= _FAST
+        and _is_unit(*turn)
+        and all(length == 0.0 or _LEAST <= length <= _FAR for length in lengths)
+        and type(obstacle.name) is str
+        and type(obstacle.barrier) is str
+        and max(len(obstacle.name), len(obstacle.barrier)) <= validation.MAX_NAME_LENGTH
+        and type(obstacle.rank) is Rank
+        and type(obstacle.known) is type(obstacle.static) is bool
+        and not (obstacle.static and obstacle.moves)
+        and obstacle.parts == ()
+        and obstacle.alpha is obstacle.separation is None
+    )
+
+
+def _is_unit(w: float, x: float, y: float, z: float) -> bool:
+    """Whether a quaternion has length 1, to the rounding of its numbers."""
+    if not (-2.0 <= w <= 2.0 and -2.0 <= x <= 2.0 and -2.0 <= y <= 2.0 and -2.0 <= z <= 2.0):
+        return False
+    return abs(w * w + x * x + y * y + z * z - 1.0) < _UNIT_TOLERANCE
 
 
 def check_obstacle(obstacle: object, index: int = 0) -> Obstacle:
