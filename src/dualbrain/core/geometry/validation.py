@@ -213,7 +213,7 @@ def check_shape(name: str, shape: object, kinds: tuple[type[Any], ...] = ()) -> 
 
 
 def check_array(name: str, values: object, shape: tuple[int, ...], most: float = inf, *, fix: str = "") -> Array:
-    """`values` as a finite array of float64 of this shape, within ±`most`; −1 stands for any length of an axis."""
+    """`values` as a finite array of float64 of this shape, within ±`most`; −1 is any length of an axis."""
     array = as_real_array(name, values, shape)
     if not bool(np.all(np.abs(array) <= most) and np.isfinite(array).all()):
         problem = "" if np.isfinite(array).all() else "A number is not finite."

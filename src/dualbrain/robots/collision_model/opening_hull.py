@@ -2,7 +2,7 @@
 
 Each finger sphere sweeps a capsule along its slide. Balls at `SEGMENTS` positions of the sweep, enlarged by half a
 segment, contain it. Pairs of balls are replaced by their smallest common ball until a link has as many as it had
-spheres, and then assigned anew to the balls that need to grow least. The model keeps its size and the indices of its
+spheres, and then assigned again to the balls that need to grow least. The model keeps its size and the indices of its
 spheres, so a filter step costs the same.
 """
 

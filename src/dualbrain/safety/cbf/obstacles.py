@@ -26,7 +26,8 @@ MAX_CONTACT_SPEED = 10.0
 
 def _three(values: Any) -> tuple[Any, ...]:
     """Three values, or a tuple without a number in it."""
-    return values if type(values) is tuple and len(values) == 3 else ("",)
+    three = isinstance(values, tuple) and len(cast("tuple[Any, ...]", values)) == 3
+    return cast("tuple[Any, ...]", values) if three else ("",)
 
 
 _SIZES: dict[type, Callable[[Any], tuple[float, ...]]] = {
@@ -73,7 +74,7 @@ class Obstacle(PlacedShape, frozen=True, kw_only=True):
     - `margin` [m] inflates the shape (position error). `velocity_error` [m/s] bounds the error of the velocity and
       increases the margin with the age of the observation.
     - `known`: the projection φ respects the obstacle. `static`: its observation does not become stale. An obstacle with
-      a velocity or a velocity error moves, whatever `static` says.
+      a velocity or a velocity error moves, with or without `static`.
     - `rank` is the order of relaxation, `alpha` [1/s] replaces the gain of the filter.
     - `parts`: robot parts that keep away (groups, links, "held"); empty means all.
     - `separation` adds a speed limit by distance. `barrier` is the name of the barrier that the rows belong to.

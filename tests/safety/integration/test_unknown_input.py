@@ -1,4 +1,4 @@
-"""What the filter is not told counts as the worst case: openings, moving obstacles, clocks, and refused updates."""
+"""Everything unknown counts as the worst case: openings, moving obstacles, clocks, and refused updates."""
 
 from dataclasses import replace
 
@@ -58,7 +58,7 @@ def test_fingers_of_unknown_opening_do_not_touch_a_post(robot, share):
 
 
 def test_the_oracle_sees_open_fingers_touch_a_post_under_a_wrong_opening():
-    """Control: told that the fingers are closed, the filter lets open ones in."""
+    """Control: if closed fingers are reported, the filter lets open ones in."""
     assert drive_to_post("panda", 0.04, opening=0.0)[0] < -0.005
     assert drive_to_post("panda", 0.04, opening=0.04)[0] >= 0.0
 
@@ -144,7 +144,7 @@ MOVING = {"velocity": {"velocity": (0.2, 0.0, 0.0)}, "velocity error": {"velocit
 
 @pytest.mark.parametrize("change", MOVING)
 @pytest.mark.parametrize("static", [True, False])
-def test_an_obstacle_with_a_velocity_becomes_stale_whatever_its_flag(panda, change, static):
+def test_an_obstacle_with_a_velocity_becomes_stale_with_or_without_the_flag(panda, change, static):
     walker = Obstacle("walker", Sphere(0.1), Pose((2.0, 0.0, 0.5)), static=static, **MOVING[change])
     home, rest = np.array(panda.home), np.zeros(7)
     for make in (SafetyFilter, AccelerationFilter):

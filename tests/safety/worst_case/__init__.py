@@ -1,1 +1,0 @@
-"""Tests that unknown and unusable input counts as the worst case."""
