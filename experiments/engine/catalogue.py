@@ -11,9 +11,9 @@ from experiments.engine.experiment import Experiment
 from experiments.gatekeeper.commander_failure import CommanderFailure
 from experiments.gatekeeper.faults import Faults
 from experiments.gatekeeper.tick import TickTiming
+from experiments.interfaces.bad_input import BadInput
 from experiments.interfaces.contract_delay import ContractDelay
 from experiments.interfaces.fuzz_socket import FuzzSocket
-from experiments.geometry.bad_input import BadInput
 from experiments.memory.crash_recovery import CrashRecovery
 from experiments.memory.learning import Learning
 from experiments.memory.poisoning import Poisoning

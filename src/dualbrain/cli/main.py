@@ -15,9 +15,9 @@ from dualbrain import __version__
 from dualbrain.cli.common.console import print_message, redirect_stdout_to_null
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.core.lazy_exports import missing_dependency
-from dualbrain.core.storage.atomic_files import WRITE_REMEDIES, write_remedy
-from dualbrain.core.visible_text import visible_text
 from dualbrain.core.paths import secure_home
+from dualbrain.core.storage.atomic_files import WRITE_REMEDIES, write_remedy
+from dualbrain.core.untrusted.visible_text import visible_text
 from dualbrain.errors import DualbrainError, UsageError
 
 INSTRUCTION_COMMANDS = ("run", "plan", "demo")

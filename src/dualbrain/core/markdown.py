@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from dualbrain.core.visible_text import visible_text
+from dualbrain.core.untrusted.visible_text import visible_text
 
 
 def markdown_table(head: Sequence[object], rows: Iterable[Sequence[object]], *, pipe: str = "/") -> list[str]:

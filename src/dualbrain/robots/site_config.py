@@ -7,8 +7,6 @@ of the robot. All numbers are in SI units, in the robot's base frame.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import isfinite
@@ -22,7 +20,6 @@ from dualbrain.core.geometry import validation
 from dualbrain.core.text import closest_name_hint
 from dualbrain.core.untrusted.bounded_file import FileRefusal, read_regular_file
 from dualbrain.core.untrusted.toml_document import TomlFault, parse_toml
-from dualbrain.errors import ConfigurationError
 from dualbrain.errors import ConfigurationError, GeometryError
 from dualbrain.robots.model import Quaternion, Vector
 

@@ -20,9 +20,9 @@ from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.recording_file import RECORDING_RESERVE
 from dualbrain.control.recording.trace import Trace
 from dualbrain.core import weights
-from dualbrain.core.storage.atomic_files import atomic_file, translated_write_errors, write_atomically
-from dualbrain.core.storage.reserved_space import ReservedSpace
+from dualbrain.core.storage.atomic_files import translated_write_errors, write_atomically
 from dualbrain.core.storage.private_files import create_private_folder, open_private_folder
+from dualbrain.core.storage.reserved_space import ReservedSpace
 from dualbrain.core.text import storable_text
 from dualbrain.core.untrusted.bounded_file import read_bounded_file
 from dualbrain.errors import ConfigurationError

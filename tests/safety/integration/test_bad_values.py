@@ -5,8 +5,8 @@ import os
 import numpy as np
 import pytest
 
-from experiments.geometry.bad_input import BadInput, all_interfaces, run_case
-from experiments.geometry.bad_values import KINDS, VALID
+from experiments.interfaces.bad_input import BadInput, all_interfaces, run_case
+from experiments.interfaces.bad_values import KINDS, VALID
 
 CASES = int(os.environ.get("DUALBRAIN_BAD_VALUES", "4000"))
 """Number of random cases; `python -m experiments run bad-input` runs a million."""

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from dualbrain.core.visible_text import replace_hidden, visible_text
+from dualbrain.core.untrusted.visible_text import replace_hidden, visible_text
 
 MIN_COLUMN_WIDTH = 24
 """Minimum width of a column that wraps [characters]."""

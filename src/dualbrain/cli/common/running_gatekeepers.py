@@ -126,7 +126,7 @@ def _from_process_list() -> Iterator[Registration]:
 
 
 def _spawned(pid: int, arguments: list[str]) -> Registration | None:
-    """`python -m dualbrain.core.parent_pipe PARENT dualbrain.control.gatekeeper.process ROBOT SOCKET`."""
+    """`python -m dualbrain.core.processes.parent_pipe PARENT dualbrain.control.gatekeeper.process ROBOT SOCKET`."""
     if SPAWNED_MODULE not in arguments[3:] or len(arguments) < arguments.index(SPAWNED_MODULE) + 3:
         return None
     at = arguments.index(SPAWNED_MODULE)

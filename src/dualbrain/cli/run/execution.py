@@ -29,7 +29,7 @@ from dualbrain.cli.run.live_feed import LiveFeed
 from dualbrain.cli.run.snapshots import PhaseCamera
 from dualbrain.control.recording.trace import Event
 from dualbrain.core.paths import dualbrain_home
-from dualbrain.core.real_time_pacer import RealTimePacer
+from dualbrain.core.processes.real_time_pacer import RealTimePacer
 from dualbrain.core.text import storable_text
 from dualbrain.memory.maintenance.projection import project_memories
 from dualbrain.memory.plasticity.retrieval_utility import summarize_uses

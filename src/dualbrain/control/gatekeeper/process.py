@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import FrameType
 
@@ -28,8 +28,8 @@ from dualbrain.control.gatekeeper.timing.tick_timing import TickTimingSummary
 from dualbrain.control.recording.recorder import Recorder
 from dualbrain.control.recording.recording_file import reserve_for_recording
 from dualbrain.control.recording.trace import Trace
-from dualbrain.core.parent_pipe import ParentPipe, start_child
-from dualbrain.core.realtime_priority import release_realtime_priority, request_realtime_priority
+from dualbrain.core.processes.parent_pipe import ParentPipe, start_child
+from dualbrain.core.processes.realtime_priority import release_realtime_priority, request_realtime_priority
 from dualbrain.core.storage.atomic_files import write_atomically
 from dualbrain.errors import ConfigurationError
 
@@ -60,47 +60,9 @@ def run_gatekeeper(
         keys=config.keys,
         started_by=config.started_by,
     )
-    deployment, keys = Deployment.from_config(config), load_keys(Path(config.keys), PRINCIPALS)
-    robot_model = deployment.robot_model
-    server = SocketServer(Path(config.socket))
-    robot: RemoteRobot | None = None
-    gate: GateProcess | None = None
-    recorder: Recorder | None = None
-    try:
-        gate = GateProcess(
-            GateSetup(
-                robot_model=robot_model,
-                capabilities={PLANNER: deployment.capability},
-                fixed_obstacles=deployment.fixed_obstacles,
-            )
-        )
-        profile = TickProfiler()
-        robot = RemoteRobot(deployment.process_settings(config), deployment.timing, profile)
-        trace = Trace(robot_model.n, robot_model.nq)
-        if config.recording:
-            path = Path(config.recording)
-            recorder = Recorder(path, trace, reserve=reserve_for_recording(path, unrecorded=config.unrecorded))
-            recorder.episode(0.0, deployment.recording_metadata(config))
-        settings = GatekeeperSettings(
-            timing=deployment.timing,
-            speed_scale=config.speed_scale,
-            fixed_obstacles=deployment.fixed_obstacles,
-            filter_config=deployment.filter_config,
-            drive_initially_off=deployment.driver is not None,
-            unrecorded=config.unrecorded,
-        )
-        gatekeeper = Gatekeeper(
-            robot_model,
-            robot,
-            server,
-            gate,
-            keys,
-            {PLANNER: deployment.capability},
-            settings=settings,
-            recorder=recorder,
-            trace=trace,
-            mark_part=profile.mark_part,
-        )
+    deployment, profile = Deployment.from_config(config), TickProfiler()
+    with ExitStack() as stack:
+        gatekeeper, robot = _assemble(config, deployment, profile, stack)
 
         def stop(number: int, frame: FrameType | None) -> None:
             del number, frame
@@ -108,27 +70,61 @@ def run_gatekeeper(
 
         for number in (signal.SIGTERM, signal.SIGINT, *((signal.SIGHUP,) if parent else ())):
             signal.signal(number, stop)
-        gate.wait_until_ready()
         if parent is not None:
+            stack.callback(parent.on_end, lambda: None)
             parent.on_end(gatekeeper.shut_down)
         with registration:
             on_ready()
             gatekeeper.run()
         release_realtime_priority()
         timing = msgspec.structs.replace(robot.tick_timer.summary(), parts=profile.summary())
-    finally:
-        if parent is not None:
-            parent.on_end(lambda: None)
-        if robot is not None:
-            robot.close()
-        if gate is not None:
-            gate.close()
-        if recorder is not None:
-            recorder.close()
-        server.close()
     if config.tick_timing:  # after the recording has released its reserved space
         write_atomically(Path(config.tick_timing), msgspec.json.encode(timing))
     return timing
+
+
+def _assemble(
+    config: GatekeeperConfig, deployment: Deployment, profile: TickProfiler, stack: ExitStack
+) -> tuple[Gatekeeper, RemoteRobot]:
+    """The gatekeeper with all its parts, ready to run; `stack` closes them, the robot first and the socket last."""
+    robot_model, keys = deployment.robot_model, load_keys(Path(config.keys), PRINCIPALS)
+    server = SocketServer(Path(config.socket))
+    stack.callback(server.close)
+    capabilities = {PLANNER: deployment.capability}
+    gate = GateProcess(
+        GateSetup(robot_model=robot_model, capabilities=capabilities, fixed_obstacles=deployment.fixed_obstacles)
+    )
+    stack.callback(gate.close)
+    recorder, trace = None, Trace(robot_model.n, robot_model.nq)
+    recorder_stack = stack.enter_context(ExitStack())
+    robot = RemoteRobot(deployment.process_settings(config), deployment.timing, profile)
+    stack.callback(robot.close)
+    if config.recording:
+        path = Path(config.recording)
+        recorder = Recorder(path, trace, reserve=reserve_for_recording(path, unrecorded=config.unrecorded))
+        recorder_stack.callback(recorder.close)
+        recorder.episode(0.0, deployment.recording_metadata(config))
+    gate.wait_until_ready()
+    gatekeeper = Gatekeeper(
+        robot_model,
+        robot,
+        server,
+        gate,
+        keys,
+        capabilities,
+        settings=GatekeeperSettings(
+            timing=deployment.timing,
+            speed_scale=config.speed_scale,
+            fixed_obstacles=deployment.fixed_obstacles,
+            filter_config=deployment.filter_config,
+            drive_initially_off=deployment.driver is not None,
+            unrecorded=config.unrecorded,
+        ),
+        recorder=recorder,
+        trace=trace,
+        mark_part=profile.mark_part,
+    )
+    return gatekeeper, robot
 
 
 class GatekeeperProcess:

@@ -17,8 +17,8 @@ import msgspec
 from dualbrain.control.recording.trace import DEAD_BAND
 from dualbrain.core.storage.atomic_files import write_atomically
 from dualbrain.core.storage.jsonl_log import JsonlLog
-from dualbrain.core.untrusted.bounded_file import read_bounded_file
 from dualbrain.core.storage.private_files import open_private_folder
+from dualbrain.core.untrusted.bounded_file import read_bounded_file
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError
 from dualbrain.evaluation.protocol.method import METHODS
 from dualbrain.evaluation.protocol.suite import Suite

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from dualbrain.core.visible_text import visible_text
+from dualbrain.core.untrusted.visible_text import visible_text
 from dualbrain.evaluation.report.captions import headline
 from dualbrain.evaluation.report.tables import Table, markdown_page
 from dualbrain.evaluation.results.episode_row import EpisodeRow

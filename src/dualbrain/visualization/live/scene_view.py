@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dualbrain.core.geometry.shapes import Bowl, Box, Capsule, Cylinder, HalfSpace, Shape, Sphere
-from dualbrain.core.visible_text import visible_text
+from dualbrain.core.untrusted.visible_text import visible_text
 from dualbrain.records import Place, SceneObject
 from dualbrain.visualization.live.view_state import ViewState
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.core.geometry.rotations import matrix_to_quaternion
-from dualbrain.core.visible_text import visible_text
+from dualbrain.core.untrusted.visible_text import visible_text
 from dualbrain.robots.assets.meshes import Mesh
 from dualbrain.robots.collision_model.self_collision import chain_frames, link_clearance, sphere_centres
 from dualbrain.robots.model import RobotModel

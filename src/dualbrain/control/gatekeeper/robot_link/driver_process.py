@@ -2,8 +2,8 @@
 
 The process sends each joint state as it arrives, waits for its command for most of a period and passes the command to
 the driver. If the link is closed, the gatekeeper has ended, or no valid command arrives for `WATCHDOG_TIMEOUT`, the
-driver stops the arm; the arm's own watchdog is a second safeguard. There is no camera: the scene is the surveyed one, in which
-no object may move. Its objects keep the stamp of their survey.
+driver stops the arm; the arm's own watchdog is a second safeguard. There is no camera: the scene is the surveyed one,
+in which no object may move. Its objects keep the stamp of their survey.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from dualbrain.control.gatekeeper.robot_link import packets
 from dualbrain.control.gatekeeper.robot_link.packet_socket import MalformedPacket, PacketSocket
 from dualbrain.control.gatekeeper.robot_link.simulated_robot import WATCHDOG_TIMEOUT, perception_period_ticks
 from dualbrain.core.geometry.shapes import Pose
-from dualbrain.core.parent_pipe import ParentPipe
-from dualbrain.core.real_time_pacer import RealTimePacer
+from dualbrain.core.processes.parent_pipe import ParentPipe
+from dualbrain.core.processes.real_time_pacer import RealTimePacer
 from dualbrain.drivers.catalogue import find_driver_kind
 from dualbrain.drivers.driver import Driver, command_fault
 from dualbrain.errors import ConfigurationError

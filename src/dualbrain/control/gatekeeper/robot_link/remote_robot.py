@@ -15,7 +15,7 @@ from dualbrain.control.gatekeeper.robot_link.packet_socket import MalformedPacke
 from dualbrain.control.gatekeeper.robot_link.simulated_robot import SimulatedRobotSettings
 from dualbrain.control.gatekeeper.timing.tick_profile import TickProfiler
 from dualbrain.control.gatekeeper.timing.tick_timing import TickTimer
-from dualbrain.core.parent_pipe import start_child
+from dualbrain.core.processes.parent_pipe import start_child
 from dualbrain.errors import ConfigurationError
 from dualbrain.records import Scene
 from dualbrain.robots.interface import Command, RobotState

@@ -16,8 +16,8 @@ import numpy as np
 
 from dualbrain.control.gatekeeper.robot_link import packets
 from dualbrain.control.gatekeeper.robot_link.packet_socket import MalformedPacket, PacketSocket
-from dualbrain.core.parent_pipe import ParentPipe
-from dualbrain.core.realtime_priority import release_realtime_priority
+from dualbrain.core.processes.parent_pipe import ParentPipe
+from dualbrain.core.processes.realtime_priority import release_realtime_priority
 from dualbrain.core.storage.atomic_files import write_atomically
 from dualbrain.drivers.driver import command_fault
 from dualbrain.records import Judgement

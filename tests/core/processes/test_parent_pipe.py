@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from dualbrain.core.parent_pipe import PARENT_ENDED, start_child
+from dualbrain.core.processes.parent_pipe import PARENT_ENDED, start_child
 
 ROOT = Path(__file__).parents[2]
 CHILD = "tests.core.parent_pipe_child"
@@ -18,7 +18,7 @@ LIMIT = 10.0
 
 PARENT = f"""
 import os, sys, time
-from dualbrain.core.parent_pipe import start_child
+from dualbrain.core.processes.parent_pipe import start_child
 child = start_child({CHILD!r}, b"x" * 9, *sys.argv[1:])
 if os.fork() == 0:  # inherits the write end of the pipe
     os.closerange(1, 3)
@@ -92,7 +92,7 @@ def test_the_end_of_the_parent_ends_the_child_although_another_process_inherited
 
 
 def test_a_child_whose_parent_ended_before_it_started_ends_at_once(tmp_path):
-    command = [sys.executable, *(["-S"] if sys.flags.no_site else []), "-m", "dualbrain.core.parent_pipe"]
+    command = [sys.executable, *(["-S"] if sys.flags.no_site else []), "-m", "dualbrain.core.processes.parent_pipe"]
     read_end, write_end = os.pipe()
     try:
         arguments = ["1", CHILD, "hang at start", str(tmp_path / "a")]

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dualbrain.core.visible_text import is_hidden, replace_hidden, visible_text
+from dualbrain.core.untrusted.hidden_characters import is_hidden_character
+from dualbrain.core.untrusted.visible_text import replace_hidden, visible_text
 from tests.support.growth import growth_of_cost
 
 HIDDEN = (
@@ -33,7 +34,7 @@ TERMINAL_ATTACKS = (
 
 @pytest.mark.parametrize("character", HIDDEN, ids=lambda one: f"{ord(one):04x}")
 def test_a_hidden_character_is_shown_by_its_number(character: str) -> None:
-    assert is_hidden(character)
+    assert is_hidden_character(character)
     shown = visible_text(f"a{character}b", keep_lines=True)
     assert shown.startswith("a\\u")
     assert shown.isascii()
@@ -58,7 +59,7 @@ def test_line_ends_are_kept_only_where_they_are_wanted() -> None:
 @given(st.text())
 def test_the_result_has_no_hidden_character_and_can_be_encoded(text: str) -> None:
     shown = visible_text(text)
-    assert not any(is_hidden(one) for one in shown)
+    assert not any(is_hidden_character(one) for one in shown)
     assert not any(unicodedata.category(one) in ("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp") for one in shown)
     assert visible_text(shown) == shown
     shown.encode()

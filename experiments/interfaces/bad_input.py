@@ -16,8 +16,8 @@ import numpy as np
 from dualbrain.errors import DualbrainError
 from experiments.engine.experiment import Options, Row, WorkUnit
 from experiments.figures.tables import markdown_table
-from experiments.geometry.bad_values import HARMLESS, KINDS, NUMBER, VALID, make_value
-from experiments.geometry.interfaces import Field, Interface, Refusal, Testbed
+from experiments.interfaces.bad_values import HARMLESS, KINDS, NUMBER, VALID, make_value
+from experiments.interfaces.geometry_interfaces import Field, Interface, Refusal, Testbed
 
 CASES_PER_UNIT = 1000
 UNITS = 1000

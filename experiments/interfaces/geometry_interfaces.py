@@ -27,7 +27,7 @@ from dualbrain.safety.cbf.obstacles import obstacles_from_scene
 from dualbrain.safety.higher_order.filter import AccelerationConfig, AccelerationFilter
 from dualbrain.safety.integration.scene_fusion import PerceivedShape, SceneFusion, SceneSource, SourceRefused
 from dualbrain.safety.integration.shadow_mode import ShadowFilter
-from experiments.geometry.bad_values import LENGTH, NUMBER, QUATERNION, SIZES, VECTOR, WISH
+from experiments.interfaces.bad_values import LENGTH, NUMBER, QUATERNION, SIZES, VECTOR, WISH
 
 TURN = (0.8, 0.0, 0.6, 0.0)
 REFUSED, STOPPED = "refused", "stopped"

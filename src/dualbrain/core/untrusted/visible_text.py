@@ -9,32 +9,11 @@ from __future__ import annotations
 
 import re
 from functools import lru_cache
-from unicodedata import category
 
-_HIDDEN_CATEGORIES = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
-"""Control, format, surrogate, private, unassigned, and line separating characters."""
-_HIDDEN_RANGES = (
-    (0x034F, 0x034F),  # combining grapheme joiner
-    (0x115F, 0x1160),  # Hangul fillers
-    (0x17B4, 0x17B5),  # Khmer inherent vowels
-    (0x180B, 0x180F),  # Mongolian selectors and separator
-    (0x2800, 0x2800),  # blank Braille pattern
-    (0x3164, 0x3164),  # Hangul filler
-    (0xFE00, 0xFE0F),  # variation selectors
-    (0xFFA0, 0xFFA0),  # half-width Hangul filler
-    (0x1D159, 0x1D159),  # null note head
-    (0xE0100, 0xE01EF),  # variation selectors supplement
-)
-"""Characters of other categories that have no glyph of their own."""
+from dualbrain.core.untrusted.hidden_characters import is_hidden_character
+
 _CANDIDATE = re.compile(r"[^ -~]")
 """Everything but printable ASCII, one character at a time, so that the search is linear."""
-
-
-@lru_cache(maxsize=4096)
-def is_hidden(character: str) -> bool:
-    """Whether a reader does not see `character` as itself; spaces of any width are seen."""
-    number = ord(character)
-    return category(character) in _HIDDEN_CATEGORIES or any(first <= number <= last for first, last in _HIDDEN_RANGES)
 
 
 def visible_text(text: str, *, keep_lines: bool = False) -> str:
@@ -53,12 +32,12 @@ def visible_text(text: str, *, keep_lines: bool = False) -> str:
 
 def replace_hidden(text: str, replacement: str = "\N{REPLACEMENT CHARACTER}") -> str:
     """`text` with every hidden character replaced, for a cell of a table, whose width should not change."""
-    return _CANDIDATE.sub(lambda found: replacement if is_hidden(found[0]) else found[0], text)
+    return _CANDIDATE.sub(lambda found: replacement if is_hidden_character(found[0]) else found[0], text)
 
 
 @lru_cache(maxsize=4096)
 def _visible_form(character: str) -> str:
-    if not is_hidden(character):
+    if not is_hidden_character(character):
         return character
     units = character.encode("utf-16-be", "surrogatepass")
     return "".join(f"\\u{units[k]:02x}{units[k + 1]:02x}" for k in range(0, len(units), 2))

@@ -1,6 +1,6 @@
 """Child processes that end with their parent: the parent holds the write end of the child's standard input open.
 
-    python -m dualbrain.core.parent_pipe PARENT_PID MODULE [ARGUMENT ...]
+    python -m dualbrain.core.processes.parent_pipe PARENT_PID MODULE [ARGUMENT ...]
 
 `start_child` starts this command. It waits for the end of the parent in a thread that sleeps in `poll`, which costs
 nothing while the parent runs, and calls `MODULE.main(arguments, pipe)`. The end of the parent is the end of the pipe
@@ -99,7 +99,15 @@ def start_child(module: str, settings: bytes, *arguments: str, pass_fds: Sequenc
     child has a session of its own: signals of the terminal reach the parent only.
     """
     flags = ["-S"] if sys.flags.no_site else []
-    command = [sys.executable, *flags, "-m", "dualbrain.core.parent_pipe", str(os.getpid()), module, *arguments]
+    command = [
+        sys.executable,
+        *flags,
+        "-m",
+        "dualbrain.core.processes.parent_pipe",
+        str(os.getpid()),
+        module,
+        *arguments,
+    ]
     child = subprocess.Popen(command, stdin=subprocess.PIPE, bufsize=0, pass_fds=pass_fds, start_new_session=True)
     assert child.stdin is not None
     data = len(settings).to_bytes(LENGTH_BYTES, "little") + settings
@@ -125,6 +133,6 @@ def main(arguments: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    from dualbrain.core.parent_pipe import main as run
+    from dualbrain.core.processes.parent_pipe import main as run
 
     run(sys.argv[1:])

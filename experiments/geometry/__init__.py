@@ -1,1 +1,0 @@
-"""Experiments on the validation of geometric input."""

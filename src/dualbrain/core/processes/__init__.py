@@ -1,0 +1,1 @@
+"""Processes: end with the parent, real-time priority, pacing of loops in real time."""
