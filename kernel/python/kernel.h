@@ -43,7 +43,7 @@ struct Kernel {
 
   // step.cpp: control sets the type of the result of a step; it is called with u, u_nom, names, status, flags, delta,
   // delta_rows, delta_box, h_min, certified, iterations, n_rows, active rows (packed: three int32 and two doubles
-  // each), relaxed
+  // each), relaxed; after a step with the status STOPPED or FAULT also with 0 and the evidence, see stop_evidence
   void set_result_type(nb::object type, nb::object status_objects);
   void reset(const Array &u_prev);
   // `opening` is a number, or Ellipsis if it is unknown (None would take a slower call): then the finger spheres cover
@@ -56,7 +56,8 @@ struct Kernel {
   // its own u_prev without a warm start, and the state of the filter does not change. `opening` has one number for each
   // state, or none: then no opening is known
   void batch(const Array &q, const Array &v, const Array &u_nom, const Array &u_prev, const Array &opening,
-             double scene_age, const Out &u, const Bytes &status, const Out &delta, const Out &h_min) const;
+             double scene_age, const Out &u, const Bytes &status, const Out &delta, const Out &h_min,
+             const Integers &flags) const;
 
   // read_state.cpp: the last step and the kinematics all rows of the last step that a control within the bounds can
   // violate: list of (kind, i, j, h, norm, b, a...)
@@ -93,6 +94,8 @@ struct Kernel {
                   nb::handle scene_age);
   // the active rows of `out`, packed
   nb::object active() const;
+  // stop_evidence.cpp: why the last step stopped, a tuple of (flag, kind, i, j, value, limit) with one entry per flag
+  nb::object stop_evidence() const;
 };
 
 #endif

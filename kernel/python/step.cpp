@@ -67,8 +67,13 @@ nb::object Kernel::step(nb::handle q, nb::handle v, nb::handle u_nom, nb::handle
   expect(result_type.is_valid(), "set_result_type must be called first");
   const nb::object nominal = load(q, v, u_nom, opening, state_age, scene_age);
   dbk_step(used_model, scene.get(), ctx.get(), &in, &out);
-  return result_type(make_array(out.u, n, pool), nominal, names,
-                     nb::borrow(PyTuple_GET_ITEM(statuses.ptr(), out.status)), out.flags, double(out.delta),
+  const nb::handle status = PyTuple_GET_ITEM(statuses.ptr(), out.status);
+  if (out.status >= DBK_STOPPED) {
+    return result_type(make_array(out.u, n, pool), nominal, names, nb::borrow(status), out.flags, double(out.delta),
+                       double(out.delta_rows), double(out.delta_box), double(out.h_min), out.certified != 0,
+                       out.iterations, out.n_rows, active(), out.relaxed, 0.0, stop_evidence());
+  }
+  return result_type(make_array(out.u, n, pool), nominal, names, nb::borrow(status), out.flags, double(out.delta),
                      double(out.delta_rows), double(out.delta_box), double(out.h_min), out.certified != 0,
                      out.iterations, out.n_rows, active(), out.relaxed);
 }
@@ -86,10 +91,12 @@ int Kernel::project(nb::handle q, nb::handle v, nb::handle u_nom, const Array &u
 }
 
 void Kernel::batch(const Array &q, const Array &v, const Array &u_nom, const Array &u_prev, const Array &opening,
-                   double scene_age, const Out &u, const Bytes &status, const Out &delta, const Out &h_min) const {
+                   double scene_age, const Out &u, const Bytes &status, const Out &delta, const Out &h_min,
+                   const Integers &flags) const {
   const size_t m = status.size(), all = m * n;
   expect(q.size() == all && v.size() == all && u_nom.size() == all && u_prev.size() == all && u.size() == all &&
-             (opening.size() == m || opening.size() == 0) && delta.size() == m && h_min.size() == m,
+             (opening.size() == m || opening.size() == 0) && delta.size() == m && h_min.size() == m &&
+             flags.size() == m,
          "batch of m states");
   const bool known = opening.size() == m;
   const dbk_model *used = model_of(known);
@@ -112,5 +119,6 @@ void Kernel::batch(const Array &q, const Array &v, const Array &u_nom, const Arr
     status.data()[r] = static_cast<int8_t>(result.status);
     delta.data()[r] = static_cast<double>(result.delta);
     h_min.data()[r] = static_cast<double>(result.h_min);
+    flags.data()[r] = result.flags;
   }
 }

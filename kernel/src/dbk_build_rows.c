@@ -15,13 +15,21 @@
 #include "rows/dbk_row_jacobian.h"
 #include "rows/dbk_self_collision_rows.h"
 
+static void mark_unavoidable(dbk_rows *rows, int32_t kind, int32_t i, int32_t j, dbk_real h) {
+  rows->unavoidable = 1;
+  rows->fixed_kind = kind;
+  rows->fixed_i = i;
+  rows->fixed_j = j;
+  rows->fixed_h = h;
+}
+
 /* A row that no joint can change is acceptable if it requires no motion, or if a static obstacle touches the mount of
  * the robot. Otherwise it is unavoidable, and if h < 0 the step stops. */
 static void classify_fixed_row(const dbk_model *model, dbk_rows *rows, int32_t r) {
   const int32_t mount = rows->kind[r] == DBK_ROW_OBSTACLE && model->sphere_frame[rows->i[r]] <= 1 && !rows->moving[r];
   if (rows->b[r] <= (dbk_real)0 || mount) { return; }
   if (rows->h[r] + model->sampling < (dbk_real)0) { rows->no_gradient = 1; }
-  rows->unavoidable = 1;
+  mark_unavoidable(rows, rows->kind[r], rows->i[r], rows->j[r], rows->h[r] + model->sampling);
 }
 
 static void move_row(const dbk_model *model, dbk_rows *rows, int32_t to, int32_t r) {
@@ -89,7 +97,9 @@ static void append_user_rows(const dbk_model *model, const dbk_scene *scene, dbk
     for (int32_t k = 0; k < model->n; ++k) { square += scene->user_a[u][k] * scene->user_a[u][k]; }
     const dbk_real norm = dbk_sqrt(square);
     if (!(norm > DBK_ZERO_GRADIENT)) {
-      if (!(scene->user_b[u] <= (dbk_real)0)) { rows->unavoidable = 1; }
+      if (!(scene->user_b[u] <= (dbk_real)0)) {
+        mark_unavoidable(rows, DBK_ROW_USER, u, 0, scene->user_h[u]);
+      }
       continue;
     }
     if (rows->count >= DBK_MAX_ROWS) {

@@ -59,7 +59,7 @@ static int32_t set_state(const dbk_model *model, const dbk_scene *scene, dbk_ctx
   int32_t conflict = 0, jerk_feasible = 1;
   for (int32_t k = 0; k < model->n; ++k) { y[k] = in->q[k] + model->lag * in->v[k]; }
   dbk_control_bounds(model, y, u_prev, ctx->lower, ctx->upper, &conflict);
-  if (u_change) { jerk_feasible = dbk_jerk_bounds(model, u_prev, u_change, ctx->lower, ctx->upper); }
+  if (u_change) { jerk_feasible = dbk_jerk_bounds(model, y, u_prev, u_change, ctx->lower, ctx->upper); }
   dbk_base_frame(in, &ctx->frames);
   dbk_fk(model, y, &ctx->frames);
   dbk_spheres(model, scene, &ctx->frames, in->opening, &ctx->spheres);
@@ -149,9 +149,10 @@ static int32_t solve_full(const dbk_model *model, const dbk_scene *scene, dbk_ct
 
 /* Keeps u if the next state is certified. Otherwise u moves in four steps toward braking, never toward zero, until the
  * next state is certified. If none is, an obstacle is about to touch the robot: the result is the relaxed control, for
- * which no pair closes faster than under braking, or else the braking control. */
+ * which no pair closes faster than under braking, or else the braking control. Adds DBK_UNVERIFIED to *flags if u
+ * violates a row that the QP was to satisfy. */
 static int32_t certify(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_in *in,
-                       const dbk_real *brake, int32_t relaxed, dbk_real *u) {
+                       const dbk_real *brake, int32_t relaxed, dbk_real *u, int32_t *flags) {
   dbk_real start[DBK_MAX_DOF];
   const int32_t n = model->n;
   for (int32_t k = 0; k < n; ++k) { start[k] = u[k]; }
@@ -166,6 +167,7 @@ static int32_t certify(const dbk_model *model, const dbk_scene *scene, dbk_ctx *
     /* a relaxed control and pure braking may violate rows */
     const int32_t satisfied =
         dbk_check(&ctx->rows, n, ctx->lower, ctx->upper, u, relaxed || tries == 4 ? (dbk_real)1e6 : DBK_CHECK_TOL);
+    if (tries == 0 && !satisfied) { *flags |= DBK_UNVERIFIED; }
     if (satisfied && dbk_certify(model, scene, ctx, in, u)) { return 1; }
   }
   const int32_t keep = relaxed && dbk_check(&ctx->rows, n, ctx->lower, ctx->upper, start, DBK_CHECK_TOL);
@@ -222,7 +224,7 @@ static dbk_status full_step(const dbk_model *model, const dbk_scene *scene, dbk_
   flags |= solve_full(model, scene, ctx, in->u_nom, brake, u, out);
   if (flags & DBK_QP_ITERATIONS) { return finish(model, ctx, in, DBK_STOPPED, flags, 0, brake, out); }
   const int32_t relaxed = (flags & (DBK_INFEASIBLE | DBK_UNAVOIDABLE)) != 0;
-  const int32_t certified = certify(model, scene, ctx, in, brake, relaxed, u);
+  const int32_t certified = certify(model, scene, ctx, in, brake, relaxed, u, &flags);
   if (!certified) { return finish(model, ctx, in, DBK_FAULT, flags | DBK_UNCERTIFIED, 0, u, out); }
   if (relaxed) { return finish(model, ctx, in, DBK_RELAXED, flags, 1, u, out); }
   return accept(model, ctx, in, flags, u, out);
@@ -231,6 +233,7 @@ static dbk_status full_step(const dbk_model *model, const dbk_scene *scene, dbk_
 dbk_status dbk_step(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_in *in, dbk_out *out) {
   dbk_real brake[DBK_MAX_DOF], u[DBK_MAX_DOF];
   dbk_brake(model, ctx->u_prev, brake);
+  dbk_limit_brake_jerk(model, ctx->u_prev, ctx->u_change, brake);
   const int32_t rejected = input_flags(model, scene, in);
   if (rejected) { return reject(model, ctx, in, rejected, brake, out); }
   const int32_t flags = set_state(model, scene, ctx, in, ctx->u_prev, ctx->u_change);

@@ -549,6 +549,51 @@ static void jerk(golden_result *g) {
   }
 }
 
+/* the jerk limit at the position limits: approaches at full speed, states that leave room only for a stop, states that
+ * leave no room, and braking after a rejected input */
+static void jerk_at_limits(golden_result *g) {
+  for (int run = 0; run < 8; ++run) {
+    uint64_t state = (uint64_t)run + 220;
+    start();
+    for (int k = 0; k < model.n; ++k) {
+      const dbk_real toward = run % 2 ? (dbk_real)1 : (dbk_real)-1, limit = run % 2 ? model.q_upper[k] : model.q_lower[k];
+      model.j_max[k] = (dbk_real)(run < 2 ? 3000.0 : run < 4 ? 60.0 : 800.0);
+      in.q[k] = limit - toward * (dbk_real)(run < 4 ? 0.4 : run < 6 ? 0.12 : 0.01);
+      in.u_nom[k] = toward * model.v_max[k];
+      if (run >= 4) { ctx.u_prev[k] = toward * (dbk_real)(run < 6 ? 0.8 : 1.0); }
+      if (run >= 6) { ctx.u_change[k] = toward * (dbk_real)0.01; }
+    }
+    for (int t = 0; t < 700; ++t) {
+      if (t == 350 || t == 351) { in.u_nom[0] = DBK_NAN; }
+      step(g);
+      for (int k = 0; k < model.n; ++k) {
+        in.q[k] += model.period * out.u[k];
+        if (t % 200 == 199) { in.u_nom[k] = random_between(&state, -2.2, 2.2); }
+      }
+      if (t == 352) { in.u_nom[0] = (dbk_real)1; }
+    }
+  }
+}
+
+/* the floor touches the first link, which turns above it: the distance changes only by rounding */
+static void mount(golden_result *g) {
+  for (int run = 0; run < 2; ++run) {
+    uint64_t state = (uint64_t)run + 240;
+    start();
+    step(g);
+    dbk_real lowest = DBK_MAX_DISTANCE;
+    for (int s = 0; s < model.n_spheres; ++s) {
+      const dbk_real bottom = ctx.spheres.z[s] - ctx.spheres.r[s];
+      if (model.sphere_frame[s] == 1 && bottom < lowest) { lowest = bottom; }
+    }
+    dbk_obstacle *floor = add_sphere(0, 0, (double)lowest, 0);
+    floor->shape = DBK_HALF_SPACE;
+    floor->flags = run ? 0 : DBK_STATIC;
+    dbk_scene_prepare(&scene);
+    loop(g, &state, 400, 80);
+  }
+}
+
 /* prismatic joints: a gantry of three joints below the last four joints of the arm */
 static void sliding(golden_result *g) {
   for (int run = 0; run < 2; ++run) {
@@ -676,6 +721,8 @@ static const struct {
     {"separation", separation},
     {"wide_box", wide_box},
     {"jerk", jerk},
+    {"jerk_at_limits", jerk_at_limits},
+    {"mount", mount},
     {"sliding", sliding},
     {"mobile_base", mobile_base},
     {"parts", parts},

@@ -32,7 +32,8 @@ enum {
   DBK_BAD_SCENE = 256,    /* the scene contains an invalid value */
   DBK_UNCERTIFIED = 512,  /* the next state would violate h >= 0, even under braking */
   DBK_UNAVOIDABLE = 1024, /* an obstacle moves toward a part of the robot that cannot move away */
-  DBK_JERK = 2048         /* information only: another limit has overridden the jerk limit in this step */
+  DBK_JERK = 2048,        /* information only: another limit has overridden the jerk limit in this step */
+  DBK_UNVERIFIED = 4096   /* the independent check rejected the solution of the QP; the result is nearer to braking */
 };
 
 enum { DBK_CAPSULE, DBK_BOX, DBK_HALF_SPACE }; /* obstacle shapes; a sphere is a capsule of length 0 */
@@ -145,6 +146,12 @@ typedef struct {
   dbk_active active[DBK_QP_DIM + 1]; /* the active rows, or the conflicting rows if the step was relaxed */
 } dbk_out;
 
+/* the pair that the certificate rejected last: h now, and h at the next state */
+typedef struct {
+  int32_t kind, i, j; /* as in dbk_active */
+  dbk_real h, next;
+} dbk_rejected_pair;
+
 /* frames of the kinematic chain: frame 0 is the base, frame i moves with joint i */
 typedef struct {
   dbk_real rotation[DBK_MAX_DOF + 1][9], origin[DBK_MAX_DOF + 1][3];
@@ -157,6 +164,8 @@ typedef struct {
  * the centre of the row's sphere and n the normal */
 typedef struct {
   int32_t count, overflow, no_gradient, unavoidable;
+  int32_t fixed_kind, fixed_i, fixed_j; /* the last row that is unavoidable, with its h */
+  dbk_real fixed_h;
   int32_t n_spans, span_first[DBK_MAX_SPANS], span_first_joint[DBK_MAX_SPANS], span_end_joint[DBK_MAX_SPANS];
   int32_t span_many_spheres[DBK_MAX_SPANS];
   dbk_real a[DBK_MAX_DOF][DBK_ROW_CAPACITY], b[DBK_ROW_CAPACITY]; /* normalised: |a| = 1 */
@@ -218,6 +227,7 @@ typedef struct {
   dbk_sphere_motion motion;
   dbk_rows rows;
   dbk_revisits revisits;
+  dbk_rejected_pair rejected_pair; /* valid after a step with the status DBK_FAULT */
   int32_t narrow_phase_count; /* spheres tested against all spheres of another link */
   dbk_solution solution;
   dbk_real lower[DBK_MAX_DOF], upper[DBK_MAX_DOF], h_min;

@@ -64,11 +64,15 @@ typedef float dbk_real;
 #define DBK_QP_SHIFT 1e-10 /* the rows are tightened by this amount, so that the solution satisfies the original rows */
 #define DBK_QP_DEPENDENT 1e-9 /* sine of the angle below which a normal counts as linearly dependent */
 #define DBK_CHECK_TOL 1e-8    /* row violation that the independent check accepts */
+#define DBK_CONTROL_ROUNDING 1e-15 /* rounding error of the second difference of the control, as a fraction of v_max */
+#define DBK_MOUNT_TOL 1e-12   /* [m] rounding error of the distance of a pair that no joint moves */
 #else
 #define DBK_QP_TOL 2e-6f
 #define DBK_QP_SHIFT 8e-6f
 #define DBK_QP_DEPENDENT 1e-4f
 #define DBK_CHECK_TOL 1e-4f
+#define DBK_CONTROL_ROUNDING 4e-7f
+#define DBK_MOUNT_TOL 1e-6f
 #endif
 #define DBK_RANK_TOL (DBK_QP_SHIFT * 4)    /* [rad/s] rounding allowance on the minimal violation of a rank */
 #define DBK_VIOLATION_TOL ((dbk_real)1e-4) /* [m/s] a rank counts as relaxed if its violation is larger */
@@ -82,6 +86,7 @@ typedef float dbk_real;
 #define DBK_CLOCK_TOL ((dbk_real)0.005)    /* [s] a time stamp may be in the future by at most this */
 #define DBK_TRUST_TRIES 3                  /* trust regions tried before the full control bounds are used */
 #define DBK_TRUST_RADIUS ((dbk_real)0.02)  /* half width of the trust region as a fraction of v_max */
+#define DBK_STOP_TRIES 8                   /* iterations for the approach to a position limit within the jerk limit */
 #define DBK_OUTSIDE_TOL ((dbk_real)0.2)    /* [rad] a state farther beyond a joint limit is rejected */
 
 #endif

@@ -17,6 +17,7 @@ constexpr const char *kBuild = DBK_SPELLED(DBK_MODULE);
 using Array = nanobind::ndarray<const double, nanobind::c_contig, nanobind::device::cpu>;
 using Out = nanobind::ndarray<double, nanobind::c_contig, nanobind::device::cpu>;
 using Bytes = nanobind::ndarray<int8_t, nanobind::c_contig, nanobind::device::cpu>;
+using Integers = nanobind::ndarray<int32_t, nanobind::c_contig, nanobind::device::cpu>;
 
 inline void expect(bool valid, const char *what) {
   if (!valid) { throw std::invalid_argument(what); }

@@ -10,12 +10,17 @@
 void dbk_control_bounds(const dbk_model *model, const dbk_real y[DBK_MAX_DOF], const dbk_real u_prev[DBK_MAX_DOF],
                         dbk_real lower[DBK_MAX_DOF], dbk_real upper[DBK_MAX_DOF], int32_t *conflict);
 
-/* narrows the bounds by the jerk limit; `u_change` is the previous change of the control. Returns 0 if the jerk limit
- * conflicts with the other bounds of a joint, which then keeps the other bounds */
-int32_t dbk_jerk_bounds(const dbk_model *model, const dbk_real u_prev[DBK_MAX_DOF],
+/* replaces the bounds at joint position y by those within the jerk limit; `u_change` is the previous change of the
+ * control. Returns 0 if the jerk limit conflicts with the other limits of a joint, which then keeps its bounds */
+int32_t dbk_jerk_bounds(const dbk_model *model, const dbk_real y[DBK_MAX_DOF], const dbk_real u_prev[DBK_MAX_DOF],
                         const dbk_real u_change[DBK_MAX_DOF], dbk_real lower[DBK_MAX_DOF], dbk_real upper[DBK_MAX_DOF]);
 
 /* the braking control after u_prev */
 void dbk_brake(const dbk_model *model, const dbk_real u_prev[DBK_MAX_DOF], dbk_real u[DBK_MAX_DOF]);
+
+/* limits the jerk of a braking control, such that the deceleration ends at rest; joints without a jerk limit keep their
+ * control */
+void dbk_limit_brake_jerk(const dbk_model *model, const dbk_real u_prev[DBK_MAX_DOF],
+                          const dbk_real u_change[DBK_MAX_DOF], dbk_real u[DBK_MAX_DOF]);
 
 #endif

@@ -76,6 +76,15 @@ static void set_capsule(const dbk_obstacle *o, dbk_obstacle_capsules *to, int32_
   to->z[at] = o->position[2];
 }
 
+static dbk_real max_speed(const dbk_obstacle *o) {
+  return dbk_length(o->velocity[0], o->velocity[1], o->velocity[2]) + o->velocity_error;
+}
+
+/* an obstacle with a velocity or a velocity error moves, with or without the flag */
+static int32_t obstacle_moves(const dbk_obstacle *o) {
+  return !(o->flags & DBK_STATIC) || max_speed(o) > (dbk_real)0;
+}
+
 /* capsules and row parameters of all obstacles; the entries after the last obstacle have an empty link mask */
 static void prepare_capsules(dbk_scene *scene) {
   static const dbk_obstacle empty = {.shape = DBK_CAPSULE, .flags = DBK_STATIC};
@@ -90,11 +99,10 @@ static void prepare_capsules(dbk_scene *scene) {
     to->margin[i] = o->margin;
     to->alpha[i] = o->alpha;
     to->velocity_error[i] = o->velocity_error;
-    to->max_speed[i] = dbk_length(o->velocity[0], o->velocity[1], o->velocity[2]) + o->velocity_error;
+    to->max_speed[i] = max_speed(o);
     to->link_mask[i] = o->link_mask;
     to->known[i] = (o->flags & DBK_KNOWN) != 0;
-    /* an obstacle with a velocity or a velocity error moves, with or without the flag */
-    to->moving[i] = !(o->flags & DBK_STATIC) || to->max_speed[i] > (dbk_real)0;
+    to->moving[i] = obstacle_moves(o);
     to->rank[i] = o->rank;
     to->plain[i] = o->shape == DBK_CAPSULE && !(o->brake > (dbk_real)0);
     to->static_sphere[i] = !(to->half[i] > (dbk_real)0) && !(to->max_speed[i] > (dbk_real)0);
@@ -122,17 +130,26 @@ static int32_t user_rows_valid(const dbk_scene *scene) {
   return valid;
 }
 
+int32_t dbk_first_invalid_obstacle(const dbk_scene *scene) {
+  int32_t o = 0;
+  while (o < scene->n_obstacles && obstacle_valid(&scene->obstacle[o])) { ++o; }
+  return o;
+}
+
 /* If the scene contains an invalid value, `ready` stays 0 and every step stops the robot. */
 void dbk_scene_prepare(dbk_scene *scene) {
   int32_t valid = scene->n_obstacles >= 0 && scene->n_obstacles <= DBK_MAX_OBSTACLES;
   valid = valid && held_valid(scene) && user_rows_valid(scene);
   scene->moving = 0;
-  for (int32_t o = 0; valid && o < scene->n_obstacles; ++o) {
-    valid &= obstacle_valid(&scene->obstacle[o]);
+  if (valid) {
+    const int32_t invalid = dbk_first_invalid_obstacle(scene);
+    for (int32_t o = 0; o < scene->n_obstacles && o <= invalid; ++o) {
+      scene->moving |= obstacle_moves(&scene->obstacle[o]);
+    }
+    valid = invalid == scene->n_obstacles;
   }
   if (valid) {
     prepare_capsules(scene);
-    for (int32_t o = 0; o < scene->n_obstacles; ++o) { scene->moving |= scene->capsules.moving[o]; }
     scene->held_bounding_sphere =
         dbk_enclosing_sphere(scene->held_x, scene->held_y, scene->held_z, scene->held_r, scene->n_held, (dbk_real)0);
   }

@@ -10,6 +10,9 @@ static inline int32_t dbk_uses_plain_capsule(const dbk_scene *scene, int32_t lin
   return scene->capsules.plain[obstacle] & (scene->permit[link][obstacle] < (dbk_real)0);
 }
 
+/* index of the first obstacle with an invalid value; n_obstacles if there is none */
+int32_t dbk_first_invalid_obstacle(const dbk_scene *scene);
+
 /* Speed and separation monitoring (ISO/TS 15066): the maximum speed v toward a person at distance d at which the robot
  * still stops in time. v solves d = v_h (T_r + T_s) + v T_r + v^2 / (2 a) with the stopping time T_s = v / a, the
  * reaction time T_r, the deceleration a and the speed v_h of the person. The result is 0 if even a robot at rest is too

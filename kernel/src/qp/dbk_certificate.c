@@ -28,20 +28,46 @@ DBK_SIMD_CLONES int32_t dbk_check(const dbk_rows *rows, int32_t n, const dbk_rea
 typedef struct {
   dbk_obstacle now, next;
   dbk_real margin_now, margin_next;
+  int32_t fixed; /* a static obstacle */
 } body_prediction;
 
-/* 1: every sphere first..first+count-1 has h >= 0 at the next state, or an h no smaller than now */
-static int32_t stays_safe(const dbk_sphere_set *now, const dbk_sphere_set *next, const body_prediction *p,
-                          int32_t first, int32_t count) {
+/* Decrease of h that is rounding [m]: a static obstacle that touches the mount of the robot, such as the floor below the
+ * first link, keeps its distance whatever the joints do, but both distances are rounded. 0 for all other pairs. */
+static dbk_real rounding_of(const dbk_model *model, const dbk_ctx *ctx, const body_prediction *p, int32_t s,
+                            const dbk_real n[3]) {
+  if (!p->fixed || model->sphere_frame[s] > 1) { return (dbk_real)0; }
+  const dbk_real *r = ctx->frames.rotation[1], *o = ctx->frames.origin[1];
+  const dbk_real x = ctx->spheres.x[s] - o[0], y = ctx->spheres.y[s] - o[1], z = ctx->spheres.z[s] - o[2];
+  dbk_real v[3] = {r[2], r[5], r[8]}; /* velocity of the centre per unit speed of the first joint */
+  if (model->joint_kind[0] == DBK_REVOLUTE) {
+    v[0] = r[5] * z - r[8] * y;
+    v[1] = r[8] * x - r[2] * z;
+    v[2] = r[2] * y - r[5] * x;
+  }
+  const dbk_real gradient = dbk_abs(n[0] * v[0] + n[1] * v[1] + n[2] * v[2]);
+  return gradient <= DBK_ZERO_GRADIENT ? (dbk_real)DBK_MOUNT_TOL : (dbk_real)0;
+}
+
+/* 1: every sphere first..first+count-1 has h >= 0 at the next state, or an h no smaller than now, up to rounding.
+ * ctx->rejected_pair receives the last sphere that fails. */
+static int32_t stays_safe(const dbk_model *model, dbk_ctx *ctx, const body_prediction *p, int32_t first,
+                          int32_t count) {
+  const dbk_sphere_set *now = &ctx->spheres, *next = &ctx->next_spheres;
   dbk_real d[DBK_ALL_SPHERES], nx[DBK_ALL_SPHERES], ny[DBK_ALL_SPHERES], nz[DBK_ALL_SPHERES];
   int32_t safe = 1;
   dbk_distance(&p->next, count, next->x + first, next->y + first, next->z + first, d, nx, ny, nz);
   for (int32_t s = 0; s < count; ++s) {
     const dbk_real h = d[s] - next->r[first + s] - p->margin_next;
     if (!(h >= (dbk_real)0)) {
-      dbk_real before, x, y, z;
-      dbk_distance(&p->now, 1, now->x + first + s, now->y + first + s, now->z + first + s, &before, &x, &y, &z);
-      safe &= h >= before - now->r[first + s] - p->margin_now;
+      dbk_real before, n[3];
+      dbk_distance(&p->now, 1, now->x + first + s, now->y + first + s, now->z + first + s, &before, n, n + 1, n + 2);
+      const dbk_real h_now = before - now->r[first + s] - p->margin_now;
+      if (!(h >= h_now - rounding_of(model, ctx, p, first + s, n))) {
+        ctx->rejected_pair.i = first + s;
+        ctx->rejected_pair.h = h_now;
+        ctx->rejected_pair.next = h;
+        safe = 0;
+      }
     }
   }
   return safe;
@@ -78,19 +104,24 @@ int32_t dbk_certify(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx
       const dbk_obstacle *o = &scene->obstacle[other];
       p.now = *o;
       p.next = *o;
+      p.fixed = (o->flags & DBK_STATIC) != 0;
       for (int32_t e = 0; e < 3; ++e) {
         p.now.position[e] += o->velocity[e] * in->scene_age;
         p.next.position[e] += o->velocity[e] * (in->scene_age + model->period);
       }
       p.margin_now = o->margin + o->velocity_error * in->scene_age + model->rounding + held_error;
       p.margin_next = p.margin_now + o->velocity_error * model->period;
-      safe &= stays_safe(&ctx->spheres, &ctx->next_spheres, &p, first, count);
     } else {
       /* a sphere of the robot */
+      p.fixed = 0;
       p.margin_now = p.margin_next = model->self_margin + model->rounding + held_error;
       sphere_obstacle(&ctx->spheres, -1 - other, &p.now);
       sphere_obstacle(&ctx->next_spheres, -1 - other, &p.next);
-      safe &= stays_safe(&ctx->spheres, &ctx->next_spheres, &p, first, count);
+    }
+    if (!stays_safe(model, ctx, &p, first, count)) {
+      ctx->rejected_pair.kind = other >= 0 ? DBK_ROW_OBSTACLE : DBK_ROW_SELF;
+      ctx->rejected_pair.j = other >= 0 ? other : -1 - other;
+      safe = 0;
     }
   }
   return safe;

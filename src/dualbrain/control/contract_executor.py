@@ -217,7 +217,9 @@ class ContractExecutor:
         """What is known about the cause of a tripped check, beyond its description."""
         if check.condition is Condition.RECORDING_LOST:
             return self.loop.recording_failure
-        return self._last_result.explain() if check.cause is Cause.FILTER and self._last_result else ""
+        if check.cause is Cause.FILTER and self._last_result:
+            return self._last_result.explain(remedy=False)
+        return ""
 
     def _stop_on_fault(self, error: Exception) -> SkillResult:
         """Switch the drive off at once after an exception, and record its type, text and traceback."""

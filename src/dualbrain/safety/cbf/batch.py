@@ -9,6 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 from dualbrain.core.geometry.validation import as_real_array, is_real
 from dualbrain.errors import GeometryError
 from dualbrain.safety.cbf.compiled._kernel import Kernel
+from dualbrain.safety.cbf.result import FilterStatus
+from dualbrain.safety.stop_cause import StopCause, stop_cause
 
 Array = NDArray[np.float64]
 
@@ -17,13 +19,22 @@ class BatchResult(msgspec.Struct, frozen=True, eq=False):
     """Results of the filter for m states.
 
     `u` (m, n) [rad/s]; `status` (m,), values of `FilterStatus`; `delta` (m,); `h_min` (m,) [m], NaN where the filter
-    rejected the input.
+    rejected the input; `flags` (m,), bits of `Reason`.
     """
 
     u: Array
     status: NDArray[np.int8]
     delta: Array
     h_min: Array
+    flags: NDArray[np.int32]
+
+    @property
+    def causes(self) -> tuple[StopCause | None, ...]:
+        """The cause of each STOPPED or FAULT, and None for the other states."""
+        return tuple(
+            stop_cause(int(flags)) if status >= FilterStatus.STOPPED else None
+            for status, flags in zip(self.status, self.flags, strict=True)
+        )
 
 
 def run_batch(
@@ -48,9 +59,9 @@ def run_batch(
     m, shapes = len(q) if q.ndim else 0, [values.shape for values in arrays]
     if any(shape != (m, n) for shape in shapes):
         raise GeometryError("batch", got=shapes, allowed=f"Q, V, U, u_prev of shape (m, {n})")
-    result = BatchResult(np.empty((m, n)), np.empty(m, np.int8), np.empty(m), np.empty(m))
-    openings = _openings(opening, m)
-    kernel.batch(q, v, u_nom, previous, openings, scene_age, result.u, result.status, result.delta, result.h_min)
+    result = BatchResult(np.empty((m, n)), np.empty(m, np.int8), np.empty(m), np.empty(m), np.empty(m, np.int32))
+    outputs = (result.u, result.status, result.delta, result.h_min, result.flags)
+    kernel.batch(q, v, u_nom, previous, _openings(opening, m), scene_age, *outputs)
     return result
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from enum import IntEnum, IntFlag
+from enum import IntEnum
 from math import inf, sqrt
 from struct import Struct
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.safety.cbf.rows import Rank
+from dualbrain.safety.stop_cause import REASON_TEXTS, Evidence, Reason, describe_evidence, stop_cause, stop_remedy
 
 Array = NDArray[np.float64]
 RawRow = tuple[int, int, int, float, float]
@@ -20,20 +21,6 @@ OBSTACLE, SELF, LOWER, UPPER, USER = range(5)
 """Kinds of rows in the kernel's numbering."""
 LIMIT_NAMES = ("velocity", "acceleration", "jerk", "position")
 """Sources of a bound of the box, in the kernel's numbering."""
-REASON_TEXTS = {
-    "BAD_INPUT": "the input holds a number that is not finite",
-    "STALE_STATE": "the joint state is too old, or the clock stepped",
-    "STALE_SCENE": "moving things were seen too long ago",
-    "OUTSIDE_LIMITS": "a joint is far outside its range",
-    "ROW_OVERFLOW": "more pairs are near than there is room for (shorten the control period or clear the scene)",
-    "NO_GRADIENT": "something is inside the robot where no joint can move it away",
-    "QP_ITERATIONS": "the optimisation did not end in time",
-    "INFEASIBLE": "no control meets all of",
-    "BAD_SCENE": "the obstacle table holds a number that is not finite",
-    "UNCERTIFIED": "not even braking keeps clear",
-    "UNAVOIDABLE": "something comes at a part that cannot move away",
-}
-"""Texts of the reasons. They become part of outcomes, and so of the prompt of a planner that plans again."""
 
 
 class FilterStatus(IntEnum):
@@ -51,23 +38,6 @@ class FilterStatus(IntEnum):
     RELAXED = 2
     STOPPED = 3
     FAULT = 4
-
-
-class Reason(IntFlag):
-    """Reasons for a status above MODIFIED; several may apply. The bits are those of the kernel."""
-
-    BAD_INPUT = 1
-    STALE_STATE = 2
-    STALE_SCENE = 4
-    OUTSIDE_LIMITS = 8
-    ROW_OVERFLOW = 16
-    NO_GRADIENT = 32
-    QP_ITERATIONS = 64
-    INFEASIBLE = 128
-    BAD_SCENE = 256
-    UNCERTIFIED = 512
-    UNAVOIDABLE = 1024
-    JERK = 2048
 
 
 class RowNames(msgspec.Struct, frozen=True, kw_only=True):
@@ -118,6 +88,7 @@ class FilterResult(msgspec.Struct, frozen=True, eq=False, gc=False):  # numbers 
     - `certified`: h(y + dt u) ≥ 0, or no deeper than before.
     - `flags`: bits of `reason`. `iterations` of the QP. `n_rows`: number of rows in the QP.
     - `packed_rows`: the binding rows, see `binding_rows`. `relaxed_mask`: bit r is set if rows of rank r were relaxed.
+    - `packed_evidence`: the numbers behind the reasons of STOPPED and FAULT, see `evidence`.
     """
 
     u: Array
@@ -135,6 +106,7 @@ class FilterResult(msgspec.Struct, frozen=True, eq=False, gc=False):  # numbers 
     packed_rows: bytes
     relaxed_mask: int = 0
     delta_supervisor: float = 0.0
+    packed_evidence: tuple[tuple[int, int, int, int, float, float], ...] = ()
 
     @property
     def binding_rows(self) -> tuple[RawRow, ...]:
@@ -162,8 +134,22 @@ class FilterResult(msgspec.Struct, frozen=True, eq=False, gc=False):  # numbers 
         return tuple((self.names.row_name(kind, i, j), h, weight) for kind, i, j, h, weight in self.binding_rows)
 
     @property
+    def evidence(self) -> tuple[Evidence, ...]:
+        """The numbers behind the reasons of STOPPED and FAULT; empty for other statuses."""
+        return tuple(Evidence(*entry) for entry in self.packed_evidence)
+
+    @property
     def cause(self) -> str:
-        """Name of the row or reason with the largest effect; empty if the control was not changed."""
+        """The cause of the result as a code: for STOPPED and FAULT a `StopCause`, which is a string.
+
+        For other statuses it is the name of the row or reason with the largest effect (`limiting_row`), and empty if
+        the control was not changed.
+        """
+        return stop_cause(self.flags) if self.status >= FilterStatus.STOPPED else self.limiting_row
+
+    @property
+    def limiting_row(self) -> str:
+        """Name of the row with the largest effect; without rows the reasons; empty if the control was not changed."""
         if self.status > FilterStatus.MODIFIED and not self.binding_rows:
             return ", ".join(flag.name.lower().replace("_", " ") for flag in self.reason if flag.name)
         pairs = [row for row in self.binding_rows if row[0] not in (LOWER, UPPER)]
@@ -187,10 +173,14 @@ class FilterResult(msgspec.Struct, frozen=True, eq=False, gc=False):  # numbers 
             delta_box=0.0,
             certified=False,
             packed_rows=b"",
+            packed_evidence=(),
         )
 
-    def explain(self) -> str:
-        """One sentence for people: the closest pair, and how the filter changed the control."""
+    def explain(self, *, remedy: bool = True) -> str:
+        """One sentence for people: the closest pair, and how the filter changed the control.
+
+        For STOPPED and FAULT it states the cause; with `remedy` also its numbers, and what to do.
+        """
         if self.status is FilterStatus.SAFE:
             return f"passed unchanged; nearest pair at {self.h_min * 1e3:.0f} mm"
         if self.status is FilterStatus.MODIFIED:
@@ -205,7 +195,13 @@ class FilterResult(msgspec.Struct, frozen=True, eq=False, gc=False):  # numbers 
             if self.relaxed_ranks
             else ""
         )
-        return f"{self.status.name.lower()}, braking: {why}{pairs}{relaxed}"
+        sentence = f"{self.status.name.lower()}, braking: {why}{pairs}{relaxed}"
+        return f"{sentence}; {self._describe_stop()}" if remedy and self.status >= FilterStatus.STOPPED else sentence
+
+    def _describe_stop(self) -> str:
+        """The numbers of the cause, and the remedy."""
+        numbers = [describe_evidence(evidence, self.names) for evidence in self.evidence]
+        return "; ".join((*filter(None, numbers), stop_remedy(self.flags)))
 
     def _describe_rows(self) -> str:
         """The two rows with the largest multipliers by name, each name once, with its smallest distance."""

@@ -260,7 +260,7 @@ class ShadowFilter:
             self._close_interval(self._interval, continued=True)
         if self._interval is None:
             self._interval = OpenInterval(tick.now)
-        self._interval.add(tick.now, result, tick.h_min, result.cause)
+        self._interval.add(tick.now, result, tick.h_min, result.limiting_row)
 
     def _close_interval(self, interval: OpenInterval, *, continued: bool = False) -> None:
         self._interval = None

@@ -53,6 +53,7 @@ class Kernel:
         status: NDArray[np.int8],
         delta: Array,
         h_min: Array,
+        flags: NDArray[np.int32],
     ) -> None: ...
     def project(
         self,
