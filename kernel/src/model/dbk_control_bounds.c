@@ -137,11 +137,20 @@ static dbk_real jerk_step(const dbk_model *model, int32_t k) {
   return dbk_max(jump - DBK_CONTROL_ROUNDING * model->v_max[k], (dbk_real)0.5 * jump);
 }
 
+/* the same for later periods: slightly smaller, so that rounding leaves room in each of them */
+static dbk_real planned_jerk_step(const dbk_model *model, int32_t k) {
+  const dbk_real jump = jerk_step(model, k), rounding = (dbk_real)2 * DBK_CONTROL_ROUNDING * model->v_max[k];
+  return dbk_max(jump - (dbk_real)2e-3 * jump - rounding, (dbk_real)0.5 * jump);
+}
+
+dbk_real dbk_velocity_ramp(const dbk_model *model, int32_t k, dbk_real room) {
+  return largest_ramp(planned_jerk_step(model, k), dbk_max(room, (dbk_real)0));
+}
+
 /* The change of the control stays within u_change -+ j dt^2. In addition, it is limited such that no later period needs
  * a higher jerk: the acceleration toward v_max can be reduced to zero before the joint reaches v_max, and the approach to
  * a position limit stays below alpha d - tracking if the joint brakes with the maximum jerk from the next period on. The
- * gain is limited to the one that the acceleration limit can follow at v_max. The later periods are planned with a
- * slightly smaller jerk, so that rounding leaves room in each of them. */
+ * gain is limited to the one that the acceleration limit can follow at v_max. */
 int32_t dbk_jerk_bounds(const dbk_model *model, const dbk_real y[DBK_MAX_DOF], const dbk_real u_prev[DBK_MAX_DOF],
                         const dbk_real u_change[DBK_MAX_DOF], dbk_real lower[DBK_MAX_DOF],
                         dbk_real upper[DBK_MAX_DOF]) {
@@ -151,9 +160,8 @@ int32_t dbk_jerk_bounds(const dbk_model *model, const dbk_real y[DBK_MAX_DOF], c
     if (!(model->j_max[k] > (dbk_real)0)) { continue; }
     const dbk_real v = model->v_max[k], u = u_prev[k], rounding = DBK_CONTROL_ROUNDING * v;
     const dbk_real jump = jerk_step(model, k), step = model->a_max[k] * dt - rounding;
-    const dbk_real planned = dbk_max(jump - (dbk_real)2e-3 * jump - (dbk_real)2 * rounding, (dbk_real)0.5 * jump);
-    const dbk_real up = largest_ramp(planned, dbk_max(v - u, (dbk_real)0));
-    const dbk_real down = largest_ramp(planned, dbk_max(v + u, (dbk_real)0));
+    const dbk_real planned = planned_jerk_step(model, k);
+    const dbk_real up = dbk_velocity_ramp(model, k, v - u), down = dbk_velocity_ramp(model, k, v + u);
     const dbk_real low = dbk_max(u_change[k] - jump, dbk_min(-down, u_change[k] + jump));
     const dbk_real high = dbk_min(u_change[k] + jump, dbk_max(up, u_change[k] - jump));
     /* the changes within the velocity and acceleration limits */

@@ -15,6 +15,10 @@ void dbk_control_bounds(const dbk_model *model, const dbk_real y[DBK_MAX_DOF], c
 int32_t dbk_jerk_bounds(const dbk_model *model, const dbk_real y[DBK_MAX_DOF], const dbk_real u_prev[DBK_MAX_DOF],
                         const dbk_real u_change[DBK_MAX_DOF], dbk_real lower[DBK_MAX_DOF], dbk_real upper[DBK_MAX_DOF]);
 
+/* The largest change of the control of joint k in this period from which the acceleration can be reduced to zero within
+ * the jerk limit before the control has changed by `room`, the distance to v_max. */
+dbk_real dbk_velocity_ramp(const dbk_model *model, int32_t k, dbk_real room);
+
 /* the braking control after u_prev */
 void dbk_brake(const dbk_model *model, const dbk_real u_prev[DBK_MAX_DOF], dbk_real u[DBK_MAX_DOF]);
 

@@ -1,6 +1,8 @@
 /* Warm start of the QP. Row numbers change from step to step, so a constraint is stored by kind, i and j. */
 #include "qp/dbk_warm_start.h"
 
+#include "model/dbk_control_bounds.h"
+
 /* stored rows that the current step does not contain are skipped */
 int32_t dbk_warm_start_load(const dbk_model *model, const dbk_ctx *ctx, int32_t ids[DBK_QP_DIM]) {
   int32_t count = 0;
@@ -29,7 +31,11 @@ static int32_t limit_of(const dbk_model *model, const dbk_ctx *ctx, int32_t k, i
   const dbk_real jerk = last + sign * ctx->u_change[k] + model->j_max[k] * dt * dt;
   if (bound >= model->v_max[k] - tolerance) { return DBK_LIMIT_VELOCITY; }
   if (bound >= last + step - tolerance) { return DBK_LIMIT_ACCELERATION; }
-  return model->j_max[k] > (dbk_real)0 && dbk_abs(bound - jerk) <= tolerance ? DBK_LIMIT_JERK : DBK_LIMIT_POSITION;
+  if (!(model->j_max[k] > (dbk_real)0)) { return DBK_LIMIT_POSITION; }
+  if (dbk_abs(bound - jerk) <= tolerance) { return DBK_LIMIT_JERK; }
+  /* the end of the acceleration before v_max */
+  const dbk_real ramp = last + dbk_velocity_ramp(model, k, model->v_max[k] - last);
+  return dbk_abs(bound - ramp) <= tolerance ? DBK_LIMIT_VELOCITY : DBK_LIMIT_POSITION;
 }
 
 /* kind, i, j, h and multiplier of active constraint `at` */

@@ -13,7 +13,6 @@ from dualbrain.safety.cbf.filter import FilterStatus, Obstacle, SafetyFilter
 from dualbrain.safety.cbf.result import Reason
 from dualbrain.safety.cbf.rows import ConstraintRow
 from tests.safety import geometry_oracle, random_scenes
-from tests.safety.cbf import filter_equations
 
 FAR_OUTSIDE = 0.2
 """Excess over a joint range above which the state is rejected [rad]."""
@@ -108,33 +107,56 @@ def test_delta_and_its_split_follow_their_equations(sparse_panda, state_at):
     assert safety.filter(state_at(q), np.full(7, np.nan), 0.0).delta == 2.0
 
 
-def test_the_jerk_box_follows_its_equation(panda, state_at):
-    """The change of the control is within the last change ± j dt², and the control can stop before v_max."""
-    safety = SafetyFilter(panda, random_scenes.exact_config(precision="float64", jerk_limits=True, recovery_speed=0.05))
-    v = np.array([joint.velocity.value for joint in panda.joints])
-    j, dt = np.array([joint.jerk.value for joint in panda.joints]), panda.period
-    rng, before, u, narrowed = np.random.default_rng(1), np.zeros(7), np.zeros(7), 0
-    desired = v
-    plain = filter_equations.FilterCase(panda, safety.config, [])
+def largest_safe_change(u, change, distance, limits, window):
+    """The largest change of the control toward a limit after which the hardest stop within the jerk limit is possible.
+
+    By definition: simulate the stop, and search the change by bisection. `limits` are v_max, a dt, j dt² and α.
+    """
+    (v, step, jump, alpha), (low, high), dt = limits, window, 1e-3
+
+    def stops(c):
+        at, room = u, distance
+        for _ in range(100):
+            at, room, most = at + c, room - dt * (at + c), alpha * room
+            if at > min(v, most) + 1e-12:
+                return False
+            c = max(c - jump, -step)
+        return True
+
+    if stops(high):
+        return high
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if stops(middle) else (low, middle)
+    return low
+
+
+@pytest.mark.parametrize("near", [False, True])
+def test_the_jerk_box_follows_its_definition(panda, state_at, near):
+    """Each bound is the change from which a stop within the jerk limit keeps the velocity limit and the approach."""
+    safety = SafetyFilter(panda, random_scenes.exact_config(precision="float64", jerk_limits=True, rounding_margin=0.0))
+    names = ("lower", "upper", "velocity", "acceleration", "jerk")
+    lower, upper, v, a, j = (np.array([getattr(joint, name).value for joint in panda.joints]) for name in names)
+    dt, rng, before, u = panda.period, np.random.default_rng(1), np.zeros(7), np.zeros(7)
+    q = upper - 0.2 if near else np.array(panda.home)
+    narrowed, desired = 0, v
     for k in range(900):
-        desired = v * rng.choice([-1.0, 1.0], 7) if k % 300 == 0 else desired
-        answer = safety.filter(state_at(panda.home), desired, 0.0)
-        low, high = filter_equations.control_bounds(plain, np.array(panda.home), u)
-        change, twist = u - before, j * dt * dt
-        up, down = (
-            dt * (np.sqrt((0.5 * j * dt) ** 2 + 2.0 * j * np.maximum(room, 0.0)) - 0.5 * j * dt)
-            for room in (v - u, v + u)
-        )
-        floor = u + np.maximum(change - twist, np.minimum(-down, change + twist))
-        ceiling = u + np.minimum(change + twist, np.maximum(up, change - twist))
-        room = (floor <= high) & (ceiling >= low)
+        desired = v * rng.choice([-1.0, 1.0], 7) if k % 150 == 0 else desired
+        answer = safety.filter(state_at(q), desired, 0.0)
         got_low, got_high = (np.array(side) for side in safety._kernel.box())
-        np.testing.assert_allclose(got_low, np.where(room, np.maximum(low, floor), low), atol=1e-9)
-        np.testing.assert_allclose(got_high, np.where(room, np.minimum(high, ceiling), high), atol=1e-9)
-        assert (Reason.JERK in answer.reason) == (not np.all(room))
-        narrowed += int(np.sum(np.maximum(low, floor) > low))
+        for i in range(7):
+            jump, change = j[i] * dt * dt, u[i] - before[i]
+            limits = (v[i], a[i] * dt, 0.998 * jump, panda.alpha)
+            low, high = max(change - jump, -a[i] * dt, -v[i] - u[i]), min(change + jump, a[i] * dt, v[i] - u[i])
+            up = largest_safe_change(u[i], change, upper[i] - q[i], limits, (low, high))
+            down = largest_safe_change(-u[i], -change, q[i] - lower[i], limits, (-high, -low))
+            assert got_high[i] == pytest.approx(u[i] + up, abs=2e-6)
+            assert got_low[i] == pytest.approx(u[i] - down, abs=2e-6)
+            narrowed += int(up < high - 1e-6)
+        assert Reason.JERK not in answer.reason
         before, u = u, answer.u
-    assert narrowed > 1000
+        q = q + dt * u
+    assert narrowed > (100 if near else 3)
 
 
 def test_a_limit_that_the_acceleration_cannot_keep_is_reported(sparse_panda, state_at):

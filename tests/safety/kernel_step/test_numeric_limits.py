@@ -233,15 +233,23 @@ def test_a_bound_is_called_acceleration_within_a_thousandth_of_a_step(more, expe
         assert [row[2] for row in got.binding_rows] == [expected, expected]
 
 
-@pytest.mark.parametrize("j_max", [4000.0, 0.5])
+def position_with_upper_bound(model, bound, u_prev):
+    """The position at which the upper control bound of both joints is `bound` (found by bisection)."""
+    near, far = 2.0, 0.0
+    for _ in range(60):
+        q = 0.5 * (near + far)
+        made, _ = answer(model, q=q, u_prev=u_prev, u_nom=np.full(2, 9.0))
+        near, far = (q, far) if made.box()[1][0] < bound else (near, q)
+    return far
+
+
 @pytest.mark.parametrize(("more", "expected"), [(0.7e-3, JERKED), (1.5e-3, AT_LIMIT)])
-def test_a_bound_is_called_jerk_within_a_thousandth_of_a_step(more, expected, j_max):
-    model = chain_model(j_max=np.full(2, j_max))
-    step, jerk = 0.01, j_max * 1e-3**2  # change of 4 mrad/s per period, or nearly zero
+def test_a_bound_is_called_jerk_within_a_thousandth_of_a_step(more, expected):
+    model = chain_model(j_max=np.full(2, 4000.0))
+    step, jerk = 0.01, 4000.0 * 1e-3**2  # change of 4 mrad/s per period
+    q = position_with_upper_bound(model, 0.5 + jerk - more * step, 0.5)
     for side in (1.0, -1.0):
-        bound = 0.5 + jerk - more * step
-        q = side * (2.0 - bound / 4.0)
-        _, got = answer(model, q=q, u_prev=0.5 * side, u_nom=np.full(2, 9.0 * side))
+        _, got = answer(model, q=side * q, u_prev=0.5 * side, u_nom=np.full(2, 9.0 * side))
         assert [row[2] for row in got.binding_rows] == [expected, expected]
 
 
@@ -278,13 +286,21 @@ def test_outside_its_range_a_joint_returns_at_most_at_four_times_the_recovery_sp
 
 
 def test_a_dropped_jerk_limit_is_reported_and_only_then():
-    """While braking at full acceleration before a joint limit, the joint limit has priority and is reported."""
+    """The jerk limit has priority over the approach speed; it is dropped only if the joint would pass its limit.
+
+    From 0.5 rad/s a stop at 10 rad/s² needs 12.5 mm, and within the jerk limit of 1,000 rad/s³ 15.0 mm.
+    """
     model = chain_model(j_max=np.full(2, 1000.0))
     _, got = answer(model, q=0.0, u_prev=0.5, u_nom=np.full(2, 0.5))
     assert not got.flags & JERK
-    _, got = answer(model, q=2.0 - 0.497 / 4.0, u_prev=0.5, u_nom=np.full(2, 0.5))
-    assert got.flags & JERK
-    assert np.all(np.array(got.u) <= 0.497 + 1e-9)
+    for side in (1.0, -1.0):
+        for distance in (0.497 / 4.0, 0.0155):
+            _, got = answer(model, q=side * (2.0 - distance), u_prev=0.5 * side, u_nom=np.full(2, 0.5 * side))
+            assert not got.flags & JERK
+            np.testing.assert_allclose(got.u, side * (0.5 - 1e-3), atol=1e-9)
+        _, got = answer(model, q=side * (2.0 - 0.0145), u_prev=0.5 * side, u_nom=np.full(2, 0.5 * side))
+        assert got.flags & JERK
+        np.testing.assert_allclose(got.u, side * (0.5 - 0.01), atol=1e-9)
 
 
 def test_sine_and_cosine_are_exact_to_the_last_place_in_float64():
