@@ -22,6 +22,7 @@ from experiments.planning.family_sweep import FamilySweep
 from experiments.planning.language import Language
 from experiments.planning.sensitivity_sweep import SensitivitySweep
 from experiments.robots.cross_embodiment import CrossEmbodiment
+from experiments.robots.franka_limits import FrankaLimits
 from experiments.robots.grasping import Grasping
 from experiments.robots.robosuite_tasks import RobosuiteTasks
 from experiments.robots.robot_zoo import RobotZoo
@@ -62,6 +63,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         SuiteAdapters(),
         Starter(),
         RobosuiteTasks(),
+        FrankaLimits(),
     )
 }
 """`filter_ablation` follows `end_to_end`, whose contracts it carries out."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from importlib import import_module
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -34,6 +34,13 @@ SDK_EXCEPTIONS = (
 """All exceptions of the library, which have no common base class in Python."""
 CYCLE_TIME = 1e-3
 """Period of the states [s]."""
+FOLLOWING_STATES = 5
+"""States in a row that must confirm received commands before the arm counts as following."""
+MAX_START_STATES = 200
+"""States [1 ms each] within which an arm must follow after the start of a motion."""
+
+Realtime = Literal["enforce", "ignore"]
+"""What to do on a kernel without PREEMPT_RT: refuse it, or connect in spite of it."""
 
 
 def import_franka_sdk() -> Any:
@@ -51,19 +58,34 @@ class FrankaDriver:
     watchdog: float = 0.02
     """The arm stops by itself after 20 missed packets of 1 ms."""
 
-    def __init__(self, sdk: Any, address: str, robot_model: RobotModel, *, hand: bool = True) -> None:
+    def __init__(
+        self, sdk: Any, address: str, robot_model: RobotModel, *, hand: bool = True, realtime: Realtime = "enforce"
+    ) -> None:
         """Connect and read the first state; the drive stays off and nothing moves.
 
+        With `realtime` "enforce" the manufacturer's library refuses a kernel without PREEMPT_RT. With "ignore" it
+        connects from any kernel, for simulators and tests: packets can be late, and the arm may then abort a motion.
+
         Raises:
-            ConfigurationError: The robot model does not have 7 joints, or the arm cannot be connected.
+            ConfigurationError: The robot model does not have 7 joints, `realtime` is neither of the two, the kernel is
+                not a real-time kernel, or the arm cannot be connected.
         """
+        if realtime not in ("enforce", "ignore"):
+            raise ConfigurationError("realtime of the Franka driver", got=realtime, allowed="'enforce' or 'ignore'")
         self._sdk, self._sdk_errors = sdk, tuple(getattr(sdk, name) for name in SDK_EXCEPTIONS)
         if robot_model.n != len(sdk.JointVelocities([0.0] * 7).dq):
             raise ConfigurationError(f"joints of {robot_model.name} on a Franka arm", got=robot_model.n, allowed="7")
         try:
-            self._robot = sdk.Robot(address, sdk.RealtimeConfig.kEnforce)
+            config = sdk.RealtimeConfig
+            self._robot = sdk.Robot(address, config.kEnforce if realtime == "enforce" else config.kIgnore)
             gripper = sdk.Gripper(address) if hand else None
             raw = self._robot.read_once()
+        except sdk.RealtimeException as error:
+            raise ConfigurationError.stating(
+                f"The manufacturer's library refuses this computer for the Franka arm at {address}: {error}.",
+                fix="Run a kernel with PREEMPT_RT and allow real-time priorities. For a simulator or a test without a "
+                "person near the arm, set realtime='ignore' (FrankaDriver) or `--realtime ignore` (command line).",
+            ) from error
         except self._sdk_errors as error:
             raise ConfigurationError.stating(
                 f"The Franka arm at {address} cannot be connected: {error}.",
@@ -105,7 +127,13 @@ class FrankaDriver:
         self._end_motion()
 
     def enable(self) -> None:
-        """Clear a reflex and start a motion at velocity zero; no states arrive meanwhile (`drive_on_silence`)."""
+        """Clear a reflex, start a motion, and send zeros until the arm reports that it follows.
+
+        The arm follows when it is in motion mode and has confirmed received commands in `FOLLOWING_STATES` states in a
+        row. The first control of the caller then continues a velocity of zero that the arm has already executed. No
+        states arrive meanwhile (`drive_on_silence`). If the arm does not follow within `MAX_START_STATES` states, the
+        motion ends with a fault.
+        """
         if self._control is not None:
             return
         try:
@@ -116,6 +144,7 @@ class FrankaDriver:
             self._faults = (str(error),)
         else:
             self._faults = ()
+            self._send_zeros()
 
     # --- the driver interface -----------------------------------------------------------------------------------
 
@@ -139,6 +168,26 @@ class FrankaDriver:
             self._hand.close()
 
     # --- private ------------------------------------------------------------------------------------------------
+
+    def _send_zeros(self) -> None:
+        """Answer every state with velocity zero until the arm follows."""
+        zeros, confirmed = self._sdk.JointVelocities([0.0] * len(self._state.q)), 0
+        try:
+            for _ in range(MAX_START_STATES):
+                raw = self._control.readOnce()[0]
+                self._state = self._to_state(raw)
+                confirmed = confirmed + 1 if self._follows(raw) else 0
+                self._control.writeOnce(zeros)
+                if confirmed >= FOLLOWING_STATES:
+                    return
+        except self._sdk_errors as error:
+            self._record_abort(error)
+        else:
+            self._end_motion(f"the arm did not follow within {MAX_START_STATES} states after the start of a motion")
+
+    def _follows(self, raw: Any) -> bool:
+        """Whether a state shows a motion whose commands arrive; the rate is 0 without received commands."""
+        return raw.robot_mode == self._sdk.RobotMode.Move and raw.control_command_success_rate > 0.0
 
     def _end_motion(self, fault: str = "") -> None:
         control, self._control = self._control, None

@@ -9,6 +9,7 @@ stop is pressed. Time advances only when a state is requested.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from enum import Enum
 from types import SimpleNamespace
@@ -22,6 +23,8 @@ from dualbrain.robots.model import RobotModel
 
 DT = 1e-3
 """Period of the controller [s]."""
+SUCCESS_RATE_WINDOW = 100
+"""Number of packets over which the controller computes its success rate."""
 MAX_MISSED_PACKETS = 20
 """Number of missed packets in a row that aborts a motion."""
 ERROR_FLAGS = (
@@ -118,6 +121,8 @@ class FakeFrankaController:
         self._max_acceleration, self._max_jerk = limits.acceleration, limits.jerk
         self.mode, self.errors = RobotMode.Idle, Errors()
         self.missed_in_a_row, self.missed_total = 0, 0
+        self.received: deque[bool] = deque(maxlen=SUCCESS_RATE_WINDOW)
+        """Whether each of the last packets of the motion arrived."""
         self.user_stop_pressed = False
         self._n = robot_model.n
         self._begin()
@@ -126,6 +131,12 @@ class FakeFrankaController:
         self._u, self._acceleration = np.zeros(self._n), np.zeros(self._n)
         self._next: Array | None = None
         self.missed_in_a_row = 0
+        self.received.clear()
+
+    @property
+    def success_rate(self) -> float:
+        """Share of the last 100 packets that arrived; 0 without a motion."""
+        return sum(self.received) / SUCCESS_RATE_WINDOW if self.mode is RobotMode.Move else 0.0
 
     def start(self) -> None:
         """Start a motion; raises the library's exceptions if that is not possible."""
@@ -181,6 +192,7 @@ class FakeFrankaController:
     def _next_velocity(self) -> Array:
         """The command for this millisecond; a missing one is extrapolated at constant acceleration."""
         u, self._next = self._next, None
+        self.received.append(u is not None)
         if u is not None:
             self.missed_in_a_row = 0
             return u
@@ -312,6 +324,7 @@ def _next_state(sdk: FakeFranka) -> Any:
         robot_mode=controller.mode,
         current_errors=controller.errors,
         last_motion_errors=controller.errors,
+        control_command_success_rate=controller.success_rate,
     )
 
 
