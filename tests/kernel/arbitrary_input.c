@@ -77,6 +77,10 @@ int main(int argc, char **argv) {
       printf("step %ld: inadmissible, status %d flags %d\n", t, out.status, out.flags);
       return 1;
     }
+    if (out.status >= DBK_STOPPED && !(out.flags & ~DBK_JERK)) {
+      printf("step %ld: status %d without a cause\n", t, out.status);
+      return 1;
+    }
     dbk_project(&model, &scene, &ctx, &in, before, (dbk_real)5e-4, projected);
     for (int k = 0; k < model.n; ++k) {
       if (!(projected[k] >= -model.v_max[k] && projected[k] <= model.v_max[k])) {

@@ -110,6 +110,27 @@ def test_the_golden_cases_execute_every_line(tmp_path):
     assert len(ran) > 800
 
 
+def golden_with_config(folder, name, value):
+    """The printed lines of the golden cases of a kernel with another value of one tolerance or limit (float32)."""
+    text = (shutil.copytree(ROOT / "kernel/include", folder / "include") / "dbk/dbk_config.h").read_text()
+    changed, found = re.subn(rf"(#define {name}) \S+", rf"\1 {value}", text)
+    assert found >= 1
+    (folder / "include/dbk/dbk_config.h").write_text(changed)
+    cases = [str(ROOT / "tests/kernel" / file) for file in ("golden_cases.c", "golden.c")]
+    GCC.run("-O1", f"-I{folder / 'include'}", *INCLUDES[1:], *kernel_sources(), *cases, "-o", "golden", cwd=folder)
+    printed = subprocess.run([folder / "golden"], cwd=folder, capture_output=True, text=True, check=True).stdout
+    return [line.split() for line in printed.splitlines()]
+
+
+def test_the_independent_check_reports_a_solver_that_violates_rows(tmp_path):
+    """A solver that accepts a violation of 50 mrad/s is not trusted: the result is nearer to braking, with a flag."""
+    unverified = 4096
+    sound = [line.split() for line in build_program(tmp_path, "golden", GCC, "-O1").output_lines()]
+    assert not any(int(line[7]) & unverified for line in sound)
+    loose = golden_with_config(tmp_path, "DBK_QP_TOL", "5e-2f")
+    assert any(int(line[7]) & unverified for line in loose)
+
+
 # --- arbitrary input ----------------------------------------------------------------------------------------------
 
 

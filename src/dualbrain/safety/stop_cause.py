@@ -6,6 +6,9 @@ from collections.abc import Callable
 from enum import IntFlag, StrEnum
 from typing import NamedTuple, Protocol
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 OBSTACLE_ROW = 0
 """Kind of an obstacle row in the kernel's numbering; see `cbf.result`."""
 INPUT_NAMES = ("q", "v", "u_nom", "opening", "rotation of the base", "position of the base")
@@ -144,6 +147,27 @@ def stop_remedy(flags: int) -> str:
     return f"remedy: {REMEDIES[stop_cause(flags)]}"
 
 
+def describe_not_finite(**values: ArrayLike) -> str:
+    """The first number that is not finite, as "q[2] is nan"; empty if all are finite."""
+    for name, value in values.items():
+        array = np.asarray(value, float)
+        bad = np.flatnonzero(~np.isfinite(array))
+        if len(bad):
+            index = f"[{bad[0]}]" if array.ndim else ""
+            return f"{name}{index} is {array.flat[bad[0]]:g}"
+    return ""
+
+
+def describe_age(age: float, limit: float) -> str:
+    """An age [s] and the largest allowed one."""
+    return f"age {age * 1e3:.1f} ms, allowed are {-MAX_LEAD * 1e3:.0f} to {limit * 1e3:.0f} ms"
+
+
+def describe_position(joint: str, value: float, limit: float) -> str:
+    """A joint position that is outside its limits."""
+    return f"{joint} at {value:.3f}, its limit is {limit:.3f} [rad or m]"
+
+
 def describe_evidence(evidence: Evidence, names: IndexNames) -> str:
     """The numbers of one reason in words; empty for a reason that has no text of its own."""
     describe = _DESCRIPTIONS.get(Reason(evidence.flag))
@@ -166,11 +190,11 @@ def _describe_scene(e: Evidence, names: IndexNames) -> str:
 
 def _describe_age(e: Evidence, names: IndexNames) -> str:
     del names
-    return f"age {e.value * 1e3:.1f} ms, allowed are {-MAX_LEAD * 1e3:.0f} to {e.limit * 1e3:.0f} ms"
+    return describe_age(e.value, e.limit)
 
 
 def _describe_joint(e: Evidence, names: IndexNames) -> str:
-    return f"{names.joints[e.i]} at {e.value:.3f}, its limit is {e.limit:.3f} [rad or m]"
+    return describe_position(names.joints[e.i], e.value, e.limit)
 
 
 def _describe_overflow(e: Evidence, names: IndexNames) -> str:

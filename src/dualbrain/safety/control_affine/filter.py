@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -15,6 +16,7 @@ from dualbrain.safety.cbf.rows import Rank
 from dualbrain.safety.control_affine.result import FilteredControl
 from dualbrain.safety.control_affine.rows import CompiledRows
 from dualbrain.safety.control_affine.system import Barrier, ControlAffine
+from dualbrain.safety.stop_cause import describe_not_finite
 
 Array = NDArray[np.float64]
 UNLIMITED_CONTROL = 1e9
@@ -89,7 +91,9 @@ class ControlAffineFilter:
         state, desired = _as_vector(x, self.system.n, "state x"), _as_vector(u_nom, self.system.m, "u_nom")
         A, b, psi = self._rows.evaluate(state)
         if not (np.isfinite(state).all() and np.isfinite(desired).all() and _all_finite(A, b, psi)):
-            return self._result(self._fallback, desired, FilterStatus.STOPPED, Reason.BAD_INPUT)
+            detail = describe_not_finite(x=state, u_nom=desired) or self._describe_barrier(A, b)
+            stopped = self._result(self._fallback, desired, FilterStatus.STOPPED, Reason.BAD_INPUT)
+            return msgspec.structs.replace(stopped, detail=detail)
         chains = tuple(tuple(map(float, chain)) for chain in np.split(psi, self._chain_ends))
         limit = UNLIMITED_CONTROL * self._unit
         found = self._qp.solve(A, b, self._lower, self._upper, np.clip(desired, -limit, limit))
@@ -98,9 +102,19 @@ class ControlAffineFilter:
             return self._result(found.u, desired, status, Reason(0), chains, found)
         relaxed, relaxed_ranks = self._relaxation_problem(A, b).solve(self._ranks)
         if not relaxed.rows_met:
-            return self._result(self._fallback, desired, FilterStatus.STOPPED, Reason.QP_ITERATIONS, chains, found)
+            stopped = self._result(self._fallback, desired, FilterStatus.STOPPED, Reason.QP_ITERATIONS, chains, found)
+            return msgspec.structs.replace(stopped, detail=f"{found.iterations} iterations for {len(b)} rows")
         reason = Reason.QP_ITERATIONS if found.limit_reached else Reason.INFEASIBLE
         return self._result(relaxed.u, desired, FilterStatus.RELAXED, reason, chains, found, relaxed_ranks)
+
+    def _describe_barrier(self, A: Array, b: Array) -> str:
+        """The barrier whose row is not finite at a finite state."""
+        bad = np.flatnonzero(~(np.isfinite(A).all(axis=1) & np.isfinite(b)))
+        return (
+            f"the row of barrier {self._names[bad[0]]!r} (0 to {len(b) - 1}: {bad[0]}) is not finite"
+            if len(bad)
+            else ""
+        )
 
     def _relaxation_problem(self, A: Array, b: Array) -> RelaxationProblem:
         """The relaxation of rows A u ≥ b, with violations in units of the effect of half the box."""

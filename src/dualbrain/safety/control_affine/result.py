@@ -6,8 +6,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.safety.cbf.result import FilterStatus, Reason
+from dualbrain.safety.cbf.result import FilterStatus
 from dualbrain.safety.cbf.rows import Rank
+from dualbrain.safety.stop_cause import Reason, StopCause, stop_cause, stop_remedy
 
 Array = NDArray[np.float64]
 
@@ -19,6 +20,7 @@ class FilteredControl(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     below zero, so that the initial condition of the guarantee does not hold for them. `active_rows` are the binding
     constraints as (name, multiplier), or the conflicting constraints if the status is RELAXED. `relaxed_ranks` are the
     ranks of which some row was relaxed. `delta` is the root mean square of (u − u_nom) in units of half the box.
+    `detail` states the numbers behind a stop.
     """
 
     u: Array
@@ -31,6 +33,7 @@ class FilteredControl(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     active_rows: tuple[tuple[str, float], ...] = ()
     relaxed_ranks: tuple[Rank, ...] = ()
     iterations: int = 0
+    detail: str = ""
 
     @property
     def h(self) -> tuple[float, ...]:
@@ -47,8 +50,13 @@ class FilteredControl(msgspec.Struct, frozen=True, eq=False, kw_only=True):
         """Whether the conditions of the guarantee hold at this state: no ψ is below zero and every row is met."""
         return self.status <= FilterStatus.MODIFIED and not self.violated_barriers
 
+    @property
+    def cause(self) -> StopCause | None:
+        """The cause of STOPPED; None for other statuses."""
+        return stop_cause(int(self.reason)) if self.status >= FilterStatus.STOPPED else None
+
     def explain(self) -> str:
-        """One sentence for people."""
+        """One sentence for people; for STOPPED with the cause, its numbers, and what to do."""
         rows = " and ".join(name for name, _ in sorted(self.active_rows, key=lambda row: -row[1])[:2])
         if self.status is FilterStatus.SAFE:
             text = "passed unchanged"
@@ -57,5 +65,7 @@ class FilteredControl(msgspec.Struct, frozen=True, eq=False, kw_only=True):
         else:
             causes = ", ".join(flag.name.lower().replace("_", " ") for flag in self.reason if flag.name)
             text = f"{self.status.name.lower()}: {causes}" + (f" ({rows})" if rows else "")
+        if self.status >= FilterStatus.STOPPED:
+            return "; ".join(filter(None, (text, self.detail, stop_remedy(int(self.reason)))))
         violated = ", ".join(self.violated_barriers)
         return f"{text}; outside the safe set of {violated}" if violated else text

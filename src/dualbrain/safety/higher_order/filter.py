@@ -30,6 +30,7 @@ from dualbrain.safety.higher_order.pairs import NO_INDEX, ObstaclePairs, Pairs, 
 from dualbrain.safety.higher_order.result import FilteredAcceleration
 from dualbrain.safety.higher_order.sampling_margin import motion_bounds
 from dualbrain.safety.higher_order.sphere_kinematics import SphereKinematics
+from dualbrain.safety.stop_cause import describe_age, describe_not_finite, describe_position
 
 Array = NDArray[np.float64]
 MAX_LIMIT_EXCESS = 0.2
@@ -154,7 +155,7 @@ class AccelerationFilter:
             ConfigurationError: an obstacle has speed and separation, which is a rule on velocities.
             UnknownNameError: an obstacle names a part that the robot does not have.
         """
-        self._scene_valid = False
+        self._scene_valid, self._bad_scene = False, "the last observation was refused"
         usable = check_obstacles(obstacles, MAX_OBSTACLES)
         self._stamp = check_stamp("stamp of the observation", stamp)
         for body in dict.fromkeys((self._known_body, self._hull_body)):
@@ -185,6 +186,7 @@ class AccelerationFilter:
             result = self._finish(
                 _empty_result(desired), self._brake(self._v, -limit, limit), FilterStatus.STOPPED, faults
             )
+            result = msgspec.structs.replace(result, detail=self._describe_faults(faults, q, v, desired, now, known))
         else:
             self._body = self._hull_body if opening is None else self._known_body
             result = self._step(q, v, desired, max(0.0, now - self._stamp), known)
@@ -215,6 +217,32 @@ class AccelerationFilter:
         most = self.robot_model.gripper.opening.value
         without_fingers = self._hull_body is self._known_body
         return without_fingers or -MAX_OPENING_EXCESS <= opening <= most + MAX_OPENING_EXCESS
+
+    def _describe_faults(self, faults: Reason, q: Array, v: Array, u_nom: Array, now: float, opening: float) -> str:
+        """The numbers behind the faults of an input."""
+        limits, parts = self._limits, list[str]()
+        if Reason.BAD_INPUT in faults:
+            parts.append(
+                describe_not_finite(q=q, v=v, u_nom=u_nom, now=now, opening=opening)
+                or self._describe_implausible(v, opening)
+            )
+        if Reason.OUTSIDE_LIMITS in faults:
+            k = int(np.argmax(np.maximum(q - limits.upper, limits.lower - q)))
+            limit = limits.upper[k] if q[k] > limits.upper[k] else limits.lower[k]
+            parts.append(describe_position(self.robot_model.joints[k].name, float(q[k]), float(limit)))
+        if Reason.BAD_SCENE in faults:
+            parts.append(self._bad_scene)
+        if Reason.STALE_SCENE in faults:
+            parts.append(describe_age(now - self._stamp, self.config.scene_stale_after))
+        return "; ".join(parts)
+
+    def _describe_implausible(self, v: Array, opening: float) -> str:
+        """The finite input that is not plausible."""
+        if not self._opening_is_plausible(opening):
+            return f"opening is {opening:g}, the gripper opens by {self.robot_model.gripper.opening.value:g} [m]"
+        limit = self._limits.velocity
+        k = int(np.argmax(np.abs(v) / limit))
+        return f"v[{k}] is {v[k]:g}, more than {IMPLAUSIBLE_FACTOR:g} times its limit {limit[k]:g} [rad/s]"
 
     # --- one step ---------------------------------------------------------------------------------------------
 
@@ -288,6 +316,7 @@ class AccelerationFilter:
             result, relaxed_ranks=tuple(dict.fromkeys(Rank(rank // 2) for rank in relaxed_ranks))
         )
         if not relaxed.rows_met:
+            result = msgspec.structs.replace(result, detail=f"{found.iterations} iterations for {len(b)} rows")
             return self._finish(result, brake, FilterStatus.STOPPED, Reason.QP_ITERATIONS)
         reason = Reason.QP_ITERATIONS if found.limit_reached else Reason.INFEASIBLE
         return self._finish(result, relaxed.u, FilterStatus.RELAXED, reason)

@@ -6,8 +6,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.safety.cbf.result import FilterStatus, Reason
+from dualbrain.safety.cbf.result import FilterStatus
 from dualbrain.safety.cbf.rows import Rank
+from dualbrain.safety.stop_cause import Reason, StopCause, stop_cause, stop_remedy
 
 Array = NDArray[np.float64]
 
@@ -19,6 +20,7 @@ class FilteredAcceleration(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     h and ψ₁ = ḣ + α₁ h of all pairs. `active_rows` are the binding rows as (name, multiplier), or the conflicting rows
     if the status is RELAXED. `penetrating_pairs` have h < 0, `too_fast_pairs` have ψ₁ < 0, so that the initial
     condition of the guarantee does not hold for them. `relaxed_ranks` are the ranks of which some row was relaxed.
+    `detail` states the numbers behind a stop.
     """
 
     u: Array
@@ -34,15 +36,26 @@ class FilteredAcceleration(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     relaxed_ranks: tuple[Rank, ...] = ()
     n_rows: int = 0
     iterations: int = 0
+    detail: str = ""
 
     @property
     def certified(self) -> bool:
         """Whether the conditions of the guarantee hold in this step: the state is safe and every row is met."""
         return self.status <= FilterStatus.MODIFIED and not self.penetrating_pairs and not self.too_fast_pairs
 
+    @property
+    def cause(self) -> StopCause | None:
+        """The cause of STOPPED; None for other statuses."""
+        return stop_cause(int(self.reason)) if self.status >= FilterStatus.STOPPED else None
+
     def explain(self) -> str:
-        """One sentence for people: the closest pair, and how the filter changed the control."""
+        """One sentence for people: the closest pair, and how the filter changed the control.
+
+        For STOPPED it states the cause, its numbers, and what to do.
+        """
         head = self._describe_change()
+        if self.status >= FilterStatus.STOPPED:
+            return "; ".join(filter(None, (head, self.detail, stop_remedy(int(self.reason)))))
         if self.too_fast_pairs:
             head += f"; too fast toward {_join_names(self.too_fast_pairs)}"
         return f"{head}; already inside {_join_names(self.penetrating_pairs)}" if self.penetrating_pairs else head
