@@ -167,6 +167,11 @@ class FrankaDriver:
         if self._hand:
             self._hand.close()
 
+    @property
+    def success_rate(self) -> float:
+        """Share of the last 100 commands that the arm received in time, as it reports it; 0 without a motion."""
+        return float(self._raw.control_command_success_rate)
+
     # --- private ------------------------------------------------------------------------------------------------
 
     def _send_zeros(self) -> None:
