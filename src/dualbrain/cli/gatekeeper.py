@@ -31,6 +31,7 @@ def gatekeeper(
     driver: str = "",
     address: str = "",
     commissioned: Path | None = None,
+    realtime: str = "enforce",
     unrecorded: Annotated[bool, Parameter(negative="")] = False,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
@@ -63,6 +64,8 @@ def gatekeeper(
         Network address of the arm's controller.
     commissioned
         Commissioning record, written by `dualbrain robot commission`.
+    realtime
+        enforce, or ignore to connect from a kernel without PREEMPT_RT (driver franka; for simulators and tests).
     unrecorded
         Move on if the recording of --record cannot be written (disk full). Without this option the arm then comes to
         rest.
@@ -93,6 +96,7 @@ def gatekeeper(
         driver=driver,
         address=address,
         commissioned=str(commissioned or ""),
+        realtime=realtime,
         registrations=str(dualbrain_home() / REGISTRATIONS),
         started_by=STARTED_BY_PERSON,
         unrecorded=unrecorded,

@@ -17,6 +17,7 @@ def conform(
     address: str = "",
     site: Path | None = None,
     commissioned: Path | None = None,
+    realtime: str = "enforce",
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
     """Test every requirement of the driver contract on a driver. A real arm moves every joint by some degrees, fast.
@@ -35,6 +36,8 @@ def conform(
         Site file (TOML) that restricts the robot model.
     commissioned
         Commissioning record, written by `dualbrain robot commission`; required for hardware.
+    realtime
+        enforce, or ignore to connect from a kernel without PREEMPT_RT (driver franka; for simulators and tests).
     json
         Print the findings as one JSON object on stdout.
     """
@@ -59,7 +62,10 @@ def conform(
 
     def make() -> DriverUnderTest:
         return DriverUnderTest(
-            kind.open(address, robot_model, None) if kind else SimulatedDriver(robot_model), robot_model
+            kind.open(address, robot_model, None, realtime=kind.check_realtime(realtime))
+            if kind
+            else SimulatedDriver(robot_model),
+            robot_model,
         )
 
     findings = check_conformance(make)

@@ -52,6 +52,7 @@ class Deployment:
             require_record(Path(config.commissioned) if config.commissioned else None, robot_model, path, kind)
         if kind is not None:
             surveyed_scene(config.scene)
+            kind.check_realtime(config.realtime)
         capability = full_capability(skill_registry(robot_model))
         granted = site_skill_grants(site, capability.skills) if site else None
         if granted is not None:
@@ -73,7 +74,8 @@ class Deployment:
     def process_settings(self, config: GatekeeperConfig) -> SimulatedRobotSettings | DriverSettings:
         """Settings of the robot process."""
         if self.driver is not None:
-            return DriverSettings(self.driver.name, config.address, self.robot_model, config.scene)
+            realtime = self.driver.check_realtime(config.realtime)
+            return DriverSettings(self.driver.name, config.address, self.robot_model, config.scene, realtime)
         robot_model = self.robot_model if config.site else None
         return SimulatedRobotSettings(
             robot=config.robot,

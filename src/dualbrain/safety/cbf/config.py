@@ -33,8 +33,9 @@ class FilterConfig(msgspec.Struct, frozen=True, kw_only=True):
     - `tracking_error` [rad/s]: margin per joint for ẏ ≠ u beyond the modelled lag. None takes the identified value α e
       of the robot model (`TrackingErrorModel.row_margin`), which does not cover a larger gain of one obstacle.
     - `scene_stale_after`, `state_stale_after`: ages after which moving obstacles and the joint state are rejected.
-    - `acceleration_limits`, `jerk_limits`: add these limits of the robot model to the box. Jerk limits are dropped in
-      a step in which other limits leave no room for them (`Reason.JERK`).
+    - `acceleration_limits`, `jerk_limits`: add these limits of the robot model to the box. With jerk limits a joint
+      begins to brake before its position and velocity limits early enough for the ramp of its deceleration. Jerk limits
+      are dropped only in a step from which a joint would pass its position limit otherwise (`Reason.JERK`).
     - `lag_compensation`: evaluate barriers at y = q + lag·v.
     - `precision`: number type of the kernel.
 

@@ -22,6 +22,7 @@ from dualbrain.core.processes.parent_pipe import ParentPipe
 from dualbrain.core.processes.real_time_pacer import RealTimePacer
 from dualbrain.drivers.catalogue import find_driver_kind
 from dualbrain.drivers.driver import Driver, command_fault
+from dualbrain.drivers.franka import Realtime
 from dualbrain.errors import ConfigurationError
 from dualbrain.records import Scene, SceneObject
 from dualbrain.robots.interface import Command
@@ -42,6 +43,7 @@ class DriverSettings(msgspec.Struct, frozen=True):
     address: str
     robot_model: RobotModel
     scene: SceneSpec
+    realtime: Realtime = "enforce"
 
 
 class DriverProcess:
@@ -148,6 +150,7 @@ def main(arguments: list[str], parent: ParentPipe) -> None:
     kind = find_driver_kind(settings.driver, settings.robot_model.name)
     scene = surveyed_scene(settings.scene)
     pace = RealTimePacer(tolerance=WATCHDOG_TIMEOUT)  # of a fake arm
-    process = DriverProcess(kind.open(settings.address, settings.robot_model, pace), scene, link)
+    driver = kind.open(settings.address, settings.robot_model, pace, realtime=settings.realtime)
+    process = DriverProcess(driver, scene, link)
     parent.on_end(process.lose_gatekeeper)
     process.serve()
