@@ -16,8 +16,9 @@ class GatekeeperConfig(
     `capability` narrows the planner's authority; `speed_scale` is the initial one, (0, 1]. `report` and `tick_timing`
     are files that the robot process and the gatekeeper write at their end. `site` is a site file. With a `driver`, the
     gatekeeper moves a real arm at `address` (or its fake) instead of the simulated one; hardware requires the
-    commissioning record `commissioned`. `realtime` is "enforce" or "ignore" (`FrankaDriver`). The gatekeeper registers itself in the folder `registrations` while it runs, as
-    started by `started_by`. With `unrecorded` the arm may move on if the recording cannot be written.
+    commissioning record `commissioned`. `realtime` is "enforce" or "ignore" (`FrankaDriver`). The gatekeeper registers
+    itself in the folder `registrations` while it runs, as started by `started_by`. With `unrecorded` the arm may move
+    on if the recording cannot be written.
     """
 
     robot: str
