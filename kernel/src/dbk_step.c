@@ -20,10 +20,10 @@ void dbk_init(dbk_ctx *ctx) {
   }
 }
 
-/* 1 if the base is where single precision resolves the margins; the comparisons reject NaN */
+/* 1 if the base is where the number type resolves the margins; the comparisons reject NaN */
 static int32_t base_within_bounds(const dbk_in *in) {
   int32_t within = 1;
-  for (int32_t e = 0; e < 3; ++e) { within &= (dbk_abs(in->base_position[e]) <= DBK_MAX_COORDINATE); }
+  for (int32_t e = 0; e < 3; ++e) { within &= (dbk_abs(in->base_position[e]) <= DBK_MAX_BASE); }
   return within;
 }
 

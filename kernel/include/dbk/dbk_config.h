@@ -79,7 +79,14 @@ typedef float dbk_real;
 #define DBK_ZERO_GRADIENT ((dbk_real)1e-4) /* [m/rad] no joint can act on a row with a smaller normal */
 #define DBK_CULL_FLOOR ((dbk_real)1e-3)    /* [m] pairs closer than this are never culled */
 #define DBK_MAX_DISTANCE ((dbk_real)10)    /* [m] larger than the reach of any supported robot */
-#define DBK_MAX_COORDINATE ((dbk_real)1000) /* [m] largest coordinate: beyond it rounding exceeds the margins */
+/* [m] largest coordinate of the base and of an obstacle: beyond it the rounding of the base exceeds the margins */
+#ifdef DBK_DOUBLE
+#define DBK_MAX_BASE 1e9
+#define DBK_MAX_POSITION 1e100
+#else
+#define DBK_MAX_BASE 1000.0f
+#define DBK_MAX_POSITION 1000.0f
+#endif
 #define DBK_MAX_SIZE ((dbk_real)1e6)       /* [m], [m/s] largest size, margin and velocity error: squares are finite */
 #define DBK_MAX_SPEED ((dbk_real)1000)     /* [m/s] largest velocity of an obstacle */
 #define DBK_ROTATION_TOL ((dbk_real)1e-3)  /* error of a dot product between two axes of a rotation */

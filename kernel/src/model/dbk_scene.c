@@ -40,7 +40,7 @@ static int32_t is_rotation(const dbk_real *r) {
 }
 
 static int32_t obstacle_valid(const dbk_obstacle *o) {
-  int32_t valid = all_within(o->position, 3, DBK_MAX_COORDINATE) & is_rotation(o->rotation);
+  int32_t valid = all_within(o->position, 3, DBK_MAX_POSITION) & is_rotation(o->rotation);
   valid &= all_lengths(o->half, 3, DBK_MAX_SIZE) & all_lengths(&o->radius, 1, DBK_MAX_SIZE);
   valid &= all_lengths(&o->margin, 1, DBK_MAX_SIZE) & all_lengths(&o->velocity_error, 1, DBK_MAX_SIZE);
   valid &= all_within(o->velocity, 3, DBK_MAX_SPEED);
