@@ -32,7 +32,7 @@ typedef struct {
 } body_prediction;
 
 /* Decrease of h that is rounding [m]: a static obstacle that touches the mount of the robot, such as the floor below the
- * first link, keeps its distance whatever the joints do, but both distances are rounded. 0 for all other pairs. */
+ * first link, keeps its distance in every posture, but both distances are rounded. 0 for all other pairs. */
 static dbk_real rounding_of(const dbk_model *model, const dbk_ctx *ctx, const body_prediction *p, int32_t s,
                             const dbk_real n[3]) {
   if (!p->fixed || model->sphere_frame[s] > 1) { return (dbk_real)0; }

@@ -34,8 +34,8 @@ class DriverKind:
     """A driver: the `robot` that it moves, and the manufacturer's `limits` and rated `payload` [kg].
 
     If `hardware` is True, a commissioning record is required. If `jerk_limits` is True, the arm aborts a motion whose
-    jerk is too large, so the filter must limit the jerk. `open` connects to the arm. `realtime_option` says whether the
-    manufacturer's library can be told to accept a kernel without PREEMPT_RT.
+    jerk is too large, so the filter must limit the jerk. `open` connects to the arm. `realtime_option`: whether the
+    manufacturer's library has an option to accept a kernel without PREEMPT_RT.
     """
 
     name: str

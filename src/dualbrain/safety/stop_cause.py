@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from enum import IntFlag, StrEnum
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
+import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -101,10 +102,10 @@ REMEDIES = {
 """What to do, by cause. A sentence of `explain` ends with it."""
 
 
-class Evidence(NamedTuple):
+class Evidence(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     """The numbers behind one reason of a stop, from the kernel.
 
-    `flag` is the bit of the reason. `kind`, `i` and `j` say which input, obstacle, joint or pair it was. `value` is the
+    `flag` is the bit of the reason. `kind`, `i` and `j` identify the input, obstacle, joint or pair. `value` is the
     value that was rejected and `limit` the allowed one; for UNCERTIFIED they are h now and after one period [m].
     """
 

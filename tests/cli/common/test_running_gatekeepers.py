@@ -18,7 +18,7 @@ from dualbrain.cli.common import running_gatekeepers as module
 from dualbrain.cli.common.running_gatekeepers import REGISTRATIONS, running_gatekeepers
 from dualbrain.control.gatekeeper.config import GatekeeperConfig
 from dualbrain.control.gatekeeper.process import GatekeeperProcess
-from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys
+from dualbrain.control.gatekeeper.protocol.authentication import PRINCIPALS, load_keys
 from dualbrain.control.gatekeeper.protocol.client import GatekeeperClient
 from dualbrain.control.gatekeeper.protocol.registration import Registration, process_start_ticks, registered
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
@@ -149,7 +149,7 @@ def test_a_gatekeeper_of_a_person_survives_its_terminal_and_its_commander(tmp_pa
         wait_for((tmp_path / REGISTRATIONS / f"{process.pid}.json").exists)
         os.close(master)  # the terminal closes: SIGHUP, and every write to it fails from now on
         time.sleep(0.5)
-        keys = load_or_create_keys(tmp_path / "keys.json")
+        keys = load_keys(tmp_path / "keys", PRINCIPALS)
         commander = GatekeeperClient(tmp_path / "gatekeeper.sock", keys, "planner")
         found = mine(tmp_path, process.pid)
         assert (found.robot, found.commander, found.problem) == ("panda", True, "")
@@ -157,7 +157,7 @@ def test_a_gatekeeper_of_a_person_survives_its_terminal_and_its_commander(tmp_pa
         commander.close()
         wait_for(lambda: mine(tmp_path, process.pid).commander is False)
         elsewhere = mine(tmp_path / "other", process.pid)
-        assert (elsewhere.socket, elsewhere.keys) == (tmp_path / "gatekeeper.sock", tmp_path / "keys.json")
+        assert (elsewhere.socket, elsewhere.keys) == (tmp_path / "gatekeeper.sock", tmp_path / "keys")
         assert f"--socket {tmp_path / 'gatekeeper.sock'}" in elsewhere.ending
         operator = GatekeeperClient(tmp_path / "gatekeeper.sock", keys, "operator")
         wait_for(lambda: operator.status and operator.status.check in ("", "link_lost"))

@@ -12,7 +12,7 @@ from dualbrain.control.gatekeeper.capability import full_capability
 from dualbrain.control.gatekeeper.gate.exchange import GateSetup
 from dualbrain.control.gatekeeper.gate.inline_gate import InlineGate
 from dualbrain.control.gatekeeper.gatekeeper import Gatekeeper, GatekeeperSettings
-from dualbrain.control.gatekeeper.protocol.authentication import Keys, load_or_create_keys
+from dualbrain.control.gatekeeper.protocol.authentication import PRINCIPALS, Keys, load_keys
 from dualbrain.control.gatekeeper.protocol.server import SocketServer
 from dualbrain.evaluation.fault_injection.faults import Fault, FaultInjector, FaultyRobot
 from dualbrain.evaluation.fault_injection.gatekeeper_trial import LockstepRobot
@@ -58,7 +58,7 @@ def lockstep_cell(folder, *, gate=None, recorder=None, trace=None):
     world = SimulatedWorld(plant, NoisyPerception(spec, PerceptionNoise(), np.random.default_rng(0)))
     injector = FaultInjector(Fault("state", "off", "closing"), lambda: plant.now)
     keys_path = folder / "keys"
-    keys, server = load_or_create_keys(keys_path), SocketServer(folder / "s")
+    keys, server = load_keys(keys_path, PRINCIPALS), SocketServer(folder / "s")
     capabilities = {"planner": full_capability(skill_registry(robot_model))}
     robot = LockstepRobot(
         robot=FaultyRobot(plant, injector, robot_model),

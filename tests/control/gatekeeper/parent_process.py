@@ -15,7 +15,7 @@ sys.path.insert(0, str(ROOT))
 from dualbrain.control.gatekeeper import process as process_module  # noqa: E402
 from dualbrain.control.gatekeeper.config import GatekeeperConfig  # noqa: E402
 from dualbrain.control.gatekeeper.process import GatekeeperProcess, start_child  # noqa: E402
-from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys  # noqa: E402
+from dualbrain.control.gatekeeper.protocol.authentication import load_keys  # noqa: E402
 from dualbrain.control.gatekeeper.protocol.client import GatekeeperClient  # noqa: E402
 from dualbrain.simulation.scenes.generators.catalogue import open_scene  # noqa: E402
 from experiments.gatekeeper.commander_messages import contract_bytes  # noqa: E402
@@ -47,7 +47,7 @@ def main(folder):
     )
     with patch.object(process_module, "start_child", start):
         GatekeeperProcess(config)
-    client = GatekeeperClient(folder / "s", load_or_create_keys(folder / "keys"), "planner")
+    client = GatekeeperClient(folder / "s", load_keys(folder / "keys", ("planner",)), "planner")
     client.propose(contract_bytes(), client.request_scene().scene.version)
     print_line("running")
     time.sleep(60.0)

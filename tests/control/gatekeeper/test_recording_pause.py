@@ -5,7 +5,7 @@ import pytest
 
 from dualbrain.control.gatekeeper.capability import full_capability
 from dualbrain.control.gatekeeper.gatekeeper import Gatekeeper, GatekeeperSettings
-from dualbrain.control.gatekeeper.protocol.authentication import load_or_create_keys
+from dualbrain.control.gatekeeper.protocol.authentication import PRINCIPALS, load_keys
 from dualbrain.control.gatekeeper.protocol.server import SocketServer
 from dualbrain.control.recording.channels import read_recording, read_trace
 from dualbrain.control.recording.recorder import Recorder
@@ -44,7 +44,7 @@ def recorded(tmp_path_factory):
     world = make_world(spec, robot_model)
     plant, trace = world.plant, Trace(robot_model.n, robot_model.nq)
     no_fault, phases = (FaultInjector(Fault("state", "off", "closing"), lambda: plant.now) for _ in range(2))
-    keys, server, outcomes = load_or_create_keys(folder / "keys"), SocketServer(folder / "s"), []
+    keys, server, outcomes = load_keys(folder / "keys", PRINCIPALS), SocketServer(folder / "s"), []
     path, rows, commanders, idle_since = folder / "ticks.mcap", [], [], [0.0]
 
     def on_period(now):

@@ -145,7 +145,7 @@ def _started_by_person(pid: int, arguments: list[str]) -> Registration | None:
     home = _home(pid)
     socket, keys = (
         str(folder / options[name]) if name in options else str(home / default)
-        for name, default in (("socket", "gatekeeper.sock"), ("keys", "keys.json"))
+        for name, default in (("socket", "gatekeeper.sock"), ("keys", "keys"))
     )
     return _registration(pid, options.get("robot", "panda"), socket, keys, STARTED_BY_PERSON)
 

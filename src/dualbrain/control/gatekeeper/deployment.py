@@ -75,7 +75,13 @@ class Deployment:
         """Settings of the robot process."""
         if self.driver is not None:
             realtime = self.driver.check_realtime(config.realtime)
-            return DriverSettings(self.driver.name, config.address, self.robot_model, config.scene, realtime)
+            return DriverSettings(
+                driver=self.driver.name,
+                address=config.address,
+                robot_model=self.robot_model,
+                scene=config.scene,
+                realtime=realtime,
+            )
         robot_model = self.robot_model if config.site else None
         return SimulatedRobotSettings(
             robot=config.robot,

@@ -15,7 +15,7 @@ from dualbrain.safety.stop_cause import StopCause, stop_cause
 Array = NDArray[np.float64]
 
 
-class BatchResult(msgspec.Struct, frozen=True, eq=False):
+class BatchResult(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     """Results of the filter for m states.
 
     `u` (m, n) [rad/s]; `status` (m,), values of `FilterStatus`; `delta` (m,); `h_min` (m,) [m], NaN where the filter
@@ -59,7 +59,13 @@ def run_batch(
     m, shapes = len(q) if q.ndim else 0, [values.shape for values in arrays]
     if any(shape != (m, n) for shape in shapes):
         raise GeometryError("batch", got=shapes, allowed=f"Q, V, U, u_prev of shape (m, {n})")
-    result = BatchResult(np.empty((m, n)), np.empty(m, np.int8), np.empty(m), np.empty(m), np.empty(m, np.int32))
+    result = BatchResult(
+        u=np.empty((m, n)),
+        status=np.empty(m, np.int8),
+        delta=np.empty(m),
+        h_min=np.empty(m),
+        flags=np.empty(m, np.int32),
+    )
     outputs = (result.u, result.status, result.delta, result.h_min, result.flags)
     kernel.batch(q, v, u_nom, previous, _openings(opening, m), scene_age, *outputs)
     return result

@@ -136,7 +136,7 @@ class FilterResult(msgspec.Struct, frozen=True, eq=False, gc=False):  # numbers 
     @property
     def evidence(self) -> tuple[Evidence, ...]:
         """The numbers behind the reasons of STOPPED and FAULT; empty for other statuses."""
-        return tuple(Evidence(*entry) for entry in self.packed_evidence)
+        return msgspec.convert(self.packed_evidence, tuple[Evidence, ...])
 
     @property
     def cause(self) -> str:

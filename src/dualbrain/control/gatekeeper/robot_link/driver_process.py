@@ -36,7 +36,7 @@ SURVEY_ERROR = 0.005
 """Bound on the position error of a surveyed object [m]."""
 
 
-class DriverSettings(msgspec.Struct, frozen=True):
+class DriverSettings(msgspec.Struct, frozen=True, kw_only=True):
     """The driver and its address, the robot with the limits of its site, and the surveyed scene."""
 
     driver: str

@@ -1,6 +1,6 @@
 """A mount that touches the floor: its distance does not change, and rounding must not count as an approach.
 
-The importer's SO-101 has a first link whose collision spheres touch the table on which the arm stands.
+The importer's SO-101 has a first link whose collision spheres touch the table on which the arm is mounted.
 """
 
 import msgspec

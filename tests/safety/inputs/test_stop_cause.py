@@ -200,7 +200,7 @@ def test_each_kind_of_bad_input_is_named():
     assert "position of the base[0] is nan" in mobile(q, np.zeros(base.n), np.zeros(base.n)).explain()
 
 
-def test_a_bad_row_is_told_from_a_bad_obstacle():
+def test_a_bad_row_is_distinguished_from_a_bad_obstacle():
     safety = make_filter([Obstacle("wall", HalfSpace(), Pose((0.0, 0.0, -1.0)))])
     safety.constrain([ConstraintRow(name="mine", a=(np.nan,) * 7, b=0.0)])
     assert "a constraint row or the grasped object is not" in safety(home(), np.zeros(7), np.zeros(7)).explain()
