@@ -65,18 +65,17 @@ typedef float dbk_real;
 #define DBK_QP_DEPENDENT 1e-9 /* sine of the angle below which a normal counts as linearly dependent */
 #define DBK_CHECK_TOL 1e-8    /* row violation that the independent check accepts */
 #define DBK_CONTROL_ROUNDING 1e-15 /* rounding error of the second difference of the control, as a fraction of v_max */
-#define DBK_MOUNT_TOL 1e-12   /* [m] rounding error of the distance of a pair that no joint moves */
 #else
 #define DBK_QP_TOL 2e-6f
 #define DBK_QP_SHIFT 8e-6f
 #define DBK_QP_DEPENDENT 1e-4f
 #define DBK_CHECK_TOL 1e-4f
 #define DBK_CONTROL_ROUNDING 4e-7f
-#define DBK_MOUNT_TOL 1e-6f
 #endif
 #define DBK_RANK_TOL (DBK_QP_SHIFT * 4)    /* [rad/s] rounding allowance on the minimal violation of a rank */
 #define DBK_VIOLATION_TOL ((dbk_real)1e-4) /* [m/s] a rank counts as relaxed if its violation is larger */
 #define DBK_ZERO_GRADIENT ((dbk_real)1e-4) /* [m/rad] no joint can act on a row with a smaller normal */
+#define DBK_MOUNT_ROUNDING ((dbk_real)1e-6) /* [m] rounding error of the distance of a pair that no joint moves */
 #define DBK_CULL_FLOOR ((dbk_real)1e-3)    /* [m] pairs closer than this are never culled */
 #define DBK_MAX_DISTANCE ((dbk_real)10)    /* [m] larger than the reach of any supported robot */
 /* [m] largest coordinate of the base and of an obstacle: beyond it the rounding of the base exceeds the margins */

@@ -31,9 +31,10 @@ typedef struct {
   int32_t fixed; /* a static obstacle */
 } body_prediction;
 
-/* Decrease of h that is rounding [m]: a static obstacle that touches the mount of the robot, such as the floor below the
- * first link, keeps its distance in every posture, but both distances are rounded. 0 for all other pairs. */
-static dbk_real rounding_of(const dbk_model *model, const dbk_ctx *ctx, const body_prediction *p, int32_t s,
+/* Decrease of h [m] that no joint causes: a static obstacle that touches the mount of the robot, such as the floor below
+ * the first link, keeps its distance in every posture, up to a gradient that counts as zero and the rounding of both
+ * distances. 0 for all other pairs. */
+static dbk_real allowance_of(const dbk_model *model, const dbk_ctx *ctx, const body_prediction *p, int32_t s,
                             const dbk_real n[3]) {
   if (!p->fixed || model->sphere_frame[s] > 1) { return (dbk_real)0; }
   const dbk_real *r = ctx->frames.rotation[1], *o = ctx->frames.origin[1];
@@ -45,10 +46,11 @@ static dbk_real rounding_of(const dbk_model *model, const dbk_ctx *ctx, const bo
     v[2] = r[2] * y - r[5] * x;
   }
   const dbk_real gradient = dbk_abs(n[0] * v[0] + n[1] * v[1] + n[2] * v[2]);
-  return gradient <= DBK_ZERO_GRADIENT ? (dbk_real)DBK_MOUNT_TOL : (dbk_real)0;
+  const dbk_real allowance = DBK_ZERO_GRADIENT * model->v_max[0] * model->period + DBK_MOUNT_ROUNDING;
+  return gradient <= DBK_ZERO_GRADIENT ? allowance : (dbk_real)0;
 }
 
-/* 1: every sphere first..first+count-1 has h >= 0 at the next state, or an h no smaller than now, up to rounding.
+/* 1: every sphere first..first+count-1 has h >= 0 at the next state, or an h no smaller than now.
  * ctx->rejected_pair receives the last sphere that fails. */
 static int32_t stays_safe(const dbk_model *model, dbk_ctx *ctx, const body_prediction *p, int32_t first,
                           int32_t count) {
@@ -62,7 +64,7 @@ static int32_t stays_safe(const dbk_model *model, dbk_ctx *ctx, const body_predi
       dbk_real before, n[3];
       dbk_distance(&p->now, 1, now->x + first + s, now->y + first + s, now->z + first + s, &before, n, n + 1, n + 2);
       const dbk_real h_now = before - now->r[first + s] - p->margin_now;
-      if (!(h >= h_now - rounding_of(model, ctx, p, first + s, n))) {
+      if (!(h >= h_now - allowance_of(model, ctx, p, first + s, n))) {
         ctx->rejected_pair.i = first + s;
         ctx->rejected_pair.h = h_now;
         ctx->rejected_pair.next = h;

@@ -20,11 +20,17 @@ SHOULDER_HEIGHT = 0.333
 
 
 def robot_that_touches_the_table(depth=0.0, period=5e-3):
-    """A Panda with one sphere on its first link, which touches the table or reaches `depth` [m] into it."""
+    """A Panda with one sphere on its first link, which touches the table or reaches `depth` [m] into it.
+
+    As in most URDF files, the first axis is vertical only up to the decimals of the file.
+    """
     panda = load_robot("panda")
+    first = msgspec.structs.replace(panda.joints[0], quaternion=(1.0, 1.3e-6, -0.7e-6, 0.0))
     sphere = CollisionSphere("link1", (0.1, 0.05, 0.1 - SHOULDER_HEIGHT), 0.1 + depth)
     pairs = msgspec.structs.replace(panda.self_pairs, kept=())
-    return msgspec.structs.replace(panda, spheres=(sphere,), self_pairs=pairs, period=period)
+    return msgspec.structs.replace(
+        panda, joints=(first, *panda.joints[1:]), spheres=(sphere,), self_pairs=pairs, period=period
+    )
 
 
 def run(robot, obstacles, **settings):

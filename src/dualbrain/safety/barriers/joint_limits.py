@@ -26,7 +26,8 @@ BARRIER = BarrierSpec(
     name="joint_limits",
     description="every joint stays in its position range and can brake before the limit at its own deceleration",
     h="h = q_max − q and q − q_min",
-    row="u ≤ min(α h, v_b(h)) − tracking, v_b(h) = −a Δt/2 + √((a Δt/2)² + 2 a h)",
+    row="u ≤ min(α h, v_b(h)) − tracking, v_b(h) = −a Δt/2 + √((a Δt/2)² + 2 a h); with jerk limits "
+    "u ≤ α h − tracking also in every period of a stop with the maximum jerk",
     rank=None,
     alpha="FilterConfig.alpha_joint, or FilterConfig.alpha if that is None",
     margins=("tracking", "rounding"),
