@@ -168,7 +168,8 @@ class FrankaLimits:
     claim = (
         "Against franka-sim 1.1.7, which enforces the limits of the FR3 independently of dualbrain, the driver and the "
         "filter with jerk limits cause no reflex while all commands arrive, in at least 60 s of random wishes and 200 "
-        "approaches to joint limits at full speed; without jerk limits the arm aborts with joint_motion_generator_acceleration_discontinuity."
+        "approaches to joint limits at full speed; without jerk limits the arm aborts with "
+        "joint_motion_generator_acceleration_discontinuity."
     )
     intervals = "none: counts"
 

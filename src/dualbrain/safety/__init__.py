@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     )
     from dualbrain.safety.integration.shadow_mode import ShadowFilter, ShadowSummary
     from dualbrain.safety.integration.site import site_filter
+    from dualbrain.safety.stop_cause import Evidence, Reason, StopCause
     from dualbrain.safety.supervisor.actions import SafetyAction, SupervisorDecision
     from dualbrain.safety.supervisor.controller import SafetyController
 
@@ -87,6 +88,11 @@ _MODULES = {
         "ShadowSummary",
     ),
     "safety.integration.site": ("site_filter",),
+    "safety.stop_cause": (
+        "Evidence",
+        "Reason",
+        "StopCause",
+    ),
     "safety.supervisor.actions": (
         "SafetyAction",
         "SupervisorDecision",
@@ -101,6 +107,7 @@ __all__ = [
     "BatchResult",
     "ConstraintRow",
     "Contact",
+    "Evidence",
     "FilterConfig",
     "FilterResult",
     "FilterStatus",
@@ -112,6 +119,7 @@ __all__ = [
     "PerceivedShape",
     "PythonBarrier",
     "Rank",
+    "Reason",
     "SafetyAction",
     "SafetyController",
     "SafetyFilter",
@@ -123,6 +131,7 @@ __all__ = [
     "SourceAccepted",
     "SourceRefused",
     "SpeedAndSeparation",
+    "StopCause",
     "SupervisorDecision",
     "ToolState",
     "TorqueDrive",
