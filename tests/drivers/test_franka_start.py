@@ -1,5 +1,6 @@
 """The Franka driver at the start of a motion, and on a kernel without PREEMPT_RT."""
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -9,6 +10,7 @@ from dualbrain.drivers.franka import FOLLOWING_STATES, MAX_START_STATES, FrankaD
 from dualbrain.errors import ConfigurationError
 from dualbrain.robots.interface import Command
 from dualbrain.robots.loader import load_robot
+from dualbrain.safety.cbf.filter import FilterConfig, SafetyFilter
 
 FR3 = load_robot("fr3")
 STEP = 4e-3
@@ -143,3 +145,36 @@ def test_only_the_franka_drivers_have_the_option():
                 kind.check_realtime("ignore")
     kind = find_driver_kind("fake_franka", "fr3")
     assert kind.open("fake", FR3, None, realtime=kind.check_realtime("ignore")).read().q == pytest.approx(FR3.home)
+
+
+@pytest.mark.parametrize(("jerk_limits", "reflex"), [(True, ""), (False, "acceleration_discontinuity")])
+def test_joint_ends_are_reached_at_full_speed_without_a_reflex_only_with_jerk_limits(jerk_limits, reflex):
+    """The arm aborts a motion for every excess of velocity, acceleration or jerk; the first wish follows `enable`."""
+    joints = tuple(
+        msgspec.structs.replace(
+            joint,
+            **{
+                name: msgspec.structs.replace(getattr(joint, name), value=0.97 * getattr(joint, name).value)
+                for name in ("velocity", "acceleration", "jerk")
+            },
+        )
+        for joint in FR3.joints
+    )
+    robot = msgspec.structs.replace(FR3, joints=joints)
+    driver = FrankaDriver(FakeFranka(robot), "fake", robot, hand=False)
+    driver.enable()
+    safety = SafetyFilter(robot, FilterConfig(jerk_limits=jerk_limits))
+    lower, upper, v_max = (
+        np.array([getattr(joint, name).value for joint in joints]) for name in ("lower", "upper", "velocity")
+    )
+    turning = np.array([1.0, 0.0, -1.0, 0.0, 1.0, 0.0, -1.0])
+    closest = np.full(7, np.inf)
+    for side in (1.0, -1.0):
+        for _ in range(4500):
+            driver.wait()
+            state = driver.read()
+            driver.write(Command(safety(state.q, state.v, side * turning * v_max).u, 0.0, 0.0))
+        closest = np.minimum(closest, np.minimum(state.q - lower, upper - state.q))
+    assert reflex in "".join(driver.faults())
+    assert bool(driver.faults()) == bool(reflex)
+    assert reflex or np.all(closest[turning != 0.0] < 0.01)
