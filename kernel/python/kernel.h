@@ -18,6 +18,7 @@ struct Kernel {
   // the model whose finger spheres cover every opening, for states of an unknown opening; null without fingers
   std::unique_ptr<dbk_model> hull_model;
   double opening_max = 0.0;  // of the gripper, per finger [m]
+  double given_opening = 0.0;  // of the last step [m]
   std::unique_ptr<dbk_scene> scene{new dbk_scene()};
   // the state of the steps and of the projections
   std::unique_ptr<dbk_ctx> ctx{new dbk_ctx()}, projection_ctx{new dbk_ctx()};

@@ -42,6 +42,7 @@ nb::object Kernel::load(nb::handle q, nb::handle v, nb::handle u, nb::handle ope
   read_vector(v, in.v, n, "v");
   nb::object nominal = read_vector(u, in.u_nom, n, "u_nom");
   in.opening = plausible_opening(number);
+  given_opening = number;
   in.state_age = static_cast<dbk_real>(ages[0]);
   in.scene_age = static_cast<dbk_real>(ages[1]);
   used_model = model_of(known);

@@ -26,7 +26,7 @@ int first_not_finite(const dbk_real *values, size_t count) {
   return -1;
 }
 
-nb::tuple bad_input(const dbk_in &in, size_t n) {
+nb::tuple bad_input(const dbk_in &in, size_t n, double opening, double largest_opening) {
   const struct {
     int kind;
     const dbk_real *values;
@@ -40,7 +40,7 @@ nb::tuple bad_input(const dbk_in &in, size_t n) {
     const int at = first_not_finite(array.values, array.count);
     if (at >= 0) { return entry(DBK_BAD_INPUT, array.kind, at, 0, double(array.values[at]), INFINITY); }
   }
-  return entry(DBK_BAD_INPUT, INPUT_OPENING, 0, 0, double(in.opening), kMaxOpening);
+  return entry(DBK_BAD_INPUT, INPUT_OPENING, 0, 0, opening, largest_opening);
 }
 
 // the joint that is farthest outside its limits
@@ -66,7 +66,7 @@ nb::object Kernel::stop_evidence() const {
   nb::list all;
   const int32_t flags = out.flags;
   const dbk_rows &rows = ctx->rows;
-  if (flags & DBK_BAD_INPUT) { all.append(bad_input(in, n)); }
+  if (flags & DBK_BAD_INPUT) { all.append(bad_input(in, n, given_opening, hull_model ? opening_max : kMaxOpening)); }
   if (flags & DBK_BAD_SCENE) {
     all.append(entry(DBK_BAD_SCENE, 0, dbk_first_invalid_obstacle(scene.get()), 0, 0.0, 0.0));
   }

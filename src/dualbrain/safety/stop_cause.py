@@ -70,7 +70,7 @@ REASON_TEXTS = {
     "NO_GRADIENT": "something is inside the robot where no joint can move it away",
     "QP_ITERATIONS": "the optimisation did not end in time",
     "INFEASIBLE": "no control meets all of",
-    "BAD_SCENE": "the obstacle table holds a number that is not finite",
+    "BAD_SCENE": "the obstacles, a constraint row or the grasped object cannot be used",
     "UNCERTIFIED": "not even braking keeps clear",
     "UNAVOIDABLE": "something comes at a part that cannot move away",
     "UNVERIFIED": "the independent check rejected the solution of the optimisation",
@@ -101,6 +101,9 @@ REMEDIES = {
 }
 """What to do, by cause. A sentence of `explain` ends with it."""
 
+MAX_REFUSAL_LENGTH = 300
+"""Largest length of the message of a refused update in an explanation [characters]."""
+
 
 class Evidence(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     """The numbers behind one reason of a stop, from the kernel.
@@ -123,6 +126,11 @@ class IndexNames(Protocol):
     @property
     def obstacles(self) -> tuple[str, ...]:
         """Names of the obstacles."""
+        ...
+
+    @property
+    def refusal(self) -> str:
+        """The reason why the last update of the scene was refused, "" if it was not."""
         ...
 
     @property
@@ -159,6 +167,11 @@ def describe_not_finite(**values: ArrayLike) -> str:
     return ""
 
 
+def describe_refusal(error: BaseException) -> str:
+    """The message of a refused update on one line, cut after `MAX_REFUSAL_LENGTH` characters."""
+    return " ".join(str(error).split())[:MAX_REFUSAL_LENGTH]
+
+
 def describe_age(age: float, limit: float) -> str:
     """An age [s] and the largest allowed one."""
     return f"age {age * 1e3:.1f} ms, allowed are {-MAX_LEAD * 1e3:.0f} to {limit * 1e3:.0f} ms"
@@ -179,11 +192,13 @@ def _describe_input(e: Evidence, names: IndexNames) -> str:
     del names
     name = INPUT_NAMES[e.kind]
     if name == "opening":
-        return f"the opening is {e.value:g} m, allowed are {-e.limit:g} to {e.limit:g} m"
+        return f"the opening is {e.value:g} m, allowed is at most {e.limit:g} m"
     return f"{name}[{e.i}] is {e.value:g}"
 
 
 def _describe_scene(e: Evidence, names: IndexNames) -> str:
+    if names.refusal:
+        return f"the last update was refused: {names.refusal}"
     if e.i < len(names.obstacles):
         return f"obstacle {e.i} of {len(names.obstacles)}, {names.obstacles[e.i]!r}, is not valid"
     return f"all {len(names.obstacles)} obstacles are valid, but a constraint row or the grasped object is not"

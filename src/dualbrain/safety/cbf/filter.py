@@ -31,6 +31,7 @@ from dualbrain.safety.cbf.kernel import (
 from dualbrain.safety.cbf.obstacles import MAX_CONTACT_SPEED, Contact, Obstacle, SpeedAndSeparation, check_obstacles
 from dualbrain.safety.cbf.result import FilterResult, FilterStatus, RowNames
 from dualbrain.safety.cbf.rows import BarrierRow, ConstraintRow, PythonBarrier, Rank, row_table
+from dualbrain.safety.stop_cause import describe_refusal
 
 __all__ = [
     "BarrierRow",
@@ -121,6 +122,7 @@ class SafetyFilter:
         self._tool_rotation, self._tool_offset = tool_frame(robot_model)
         self._part_links = _links_by_part(robot_model)
         links = [link.name for link in robot_model.links for sphere in robot_model.spheres if sphere.link == link.name]
+        self._refusals: dict[str, str] = {}
         self._names = RowNames(
             spheres=tuple(links),
             obstacles=(),
@@ -157,9 +159,11 @@ class SafetyFilter:
         """
         try:
             self._replace_obstacles(obstacles, validation.check_stamp("stamp of the observation", stamp))
-        except BaseException:
+        except BaseException as error:
             self._discard_obstacles()
+            self._note_refusal("obstacles", error)
             raise
+        self._note_refusal("obstacles", None)
 
     def _replace_obstacles(self, obstacles: Sequence[Obstacle], stamp: float) -> None:
         room = MAX_OBSTACLES - len(self._fixed_obstacles)
@@ -179,6 +183,15 @@ class SafetyFilter:
         """Put a table in force that the kernel rejects, so that no step relies on an observation that was refused."""
         self._kernel.set_obstacles(UNUSABLE_TABLE)
         self._obstacles, self._table_usable = (), False
+
+    def _note_refusal(self, update: str, error: BaseException | None) -> None:
+        """Note that an `update` was refused because of `error`, or accepted (None), for the explanation of a stop."""
+        if error is None and update not in self._refusals:
+            return
+        self._refusals.pop(update, None)
+        if error is not None:
+            self._refusals[update] = describe_refusal(error)
+        self._names = msgspec.structs.replace(self._names, refusal="; ".join(self._refusals.values()))
 
     def _check_gains(self, obstacles: Sequence[Obstacle]) -> None:
         """Reject gains above the largest gain of the filter, up to which the tracking margin was identified."""
@@ -202,10 +215,15 @@ class SafetyFilter:
         unusable = ConstraintRow(name="rows that were refused", a=(nan,) * self._n, b=nan)
         self._rows = (unusable,)
         self._set_rows(self._rows)
-        found = validation.check_sequence("rows at once", rows, MAX_ROWS, of="rows")
-        usable = tuple(self._check_row(row) for row in found)
-        self._set_rows(usable)
+        try:
+            found = validation.check_sequence("rows at once", rows, MAX_ROWS, of="rows")
+            usable = tuple(self._check_row(row) for row in found)
+            self._set_rows(usable)
+        except BaseException as error:
+            self._note_refusal("rows", error)
+            raise
         self._rows = usable
+        self._note_refusal("rows", None)
 
     @property
     def extra_rows(self) -> tuple[ConstraintRow, ...]:
@@ -281,6 +299,14 @@ class SafetyFilter:
                 0.5 m from the tool.
         """
         self._kernel.attach(np.full((1, 4), nan), 0.0)
+        try:
+            self._attach(spheres, error)
+        except BaseException as problem:
+            self._note_refusal("held object", problem)
+            raise
+        self._note_refusal("held object", None)
+
+    def _attach(self, spheres: ArrayLike, error: float) -> None:
         held = validation.check_array("held spheres", spheres, (-1, 4), MAX_HELD_DISTANCE).copy()
         error = validation.check_length("error of the held object", error, MAX_HELD_DISTANCE)
         for radius in held[:, 3]:
@@ -298,6 +324,7 @@ class SafetyFilter:
     def detach(self) -> None:
         """Remove the grasped object."""
         self._kernel.attach(np.empty((0, 4)), 0.0)
+        self._note_refusal("held object", None)
 
     def reset(self, u_prev: ArrayLike = 0.0) -> None:
         """Clear the memory of the filter and set the last control to `u_prev`, one number or (n,) [rad/s].

@@ -44,6 +44,7 @@ class RowNames(msgspec.Struct, frozen=True, kw_only=True):
     """Names for the indices of the kernel: the link of each sphere, the obstacles, and the joints.
 
     `barriers` are the barriers of the obstacles; `rows` are the rows of `SafetyFilter.constrain` and Python barriers.
+    `refusal` is the reason why the last update of obstacles, rows or the grasped object was refused, "" if none was.
     """
 
     spheres: tuple[str, ...]
@@ -52,6 +53,7 @@ class RowNames(msgspec.Struct, frozen=True, kw_only=True):
     v_max: tuple[float, ...]
     barriers: tuple[str, ...] = ()
     rows: tuple[str, ...] = ()
+    refusal: str = ""
 
     def row_name(self, kind: int, i: int, j: int) -> str:
         """Name of a row: "hand vs 'cup'", "link5 vs link2", "panda_joint4 acceleration limit"."""

@@ -30,7 +30,7 @@ from dualbrain.safety.higher_order.pairs import NO_INDEX, ObstaclePairs, Pairs, 
 from dualbrain.safety.higher_order.result import FilteredAcceleration
 from dualbrain.safety.higher_order.sampling_margin import motion_bounds
 from dualbrain.safety.higher_order.sphere_kinematics import SphereKinematics
-from dualbrain.safety.stop_cause import describe_age, describe_not_finite, describe_position
+from dualbrain.safety.stop_cause import describe_age, describe_not_finite, describe_position, describe_refusal
 
 Array = NDArray[np.float64]
 MAX_LIMIT_EXCESS = 0.2
@@ -156,13 +156,20 @@ class AccelerationFilter:
             UnknownNameError: an obstacle names a part that the robot does not have.
         """
         self._scene_valid, self._bad_scene = False, "the last observation was refused"
+        try:
+            self._replace_obstacles(obstacles, stamp)
+        except BaseException as error:
+            self._bad_scene = f"the last observation was refused: {describe_refusal(error)}"
+            raise
+        self._scene_valid = True
+
+    def _replace_obstacles(self, obstacles: Sequence[Obstacle], stamp: float) -> None:
         usable = check_obstacles(obstacles, MAX_OBSTACLES)
         self._stamp = check_stamp("stamp of the observation", stamp)
         for body in dict.fromkeys((self._known_body, self._hull_body)):
             body.observe(usable)
         self._names = tuple(obstacle.name for obstacle in usable)
         self._has_moving_obstacles = any(obstacle.moves for obstacle in usable)
-        self._scene_valid = True
 
     def __call__(
         self, q: ArrayLike, v: ArrayLike, u_nom: ArrayLike, now: float = 0.0, *, opening: float | None = None

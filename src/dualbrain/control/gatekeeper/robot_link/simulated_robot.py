@@ -94,6 +94,7 @@ class RobotProcess:
         self._scene_period_ticks = perception_period_ticks(robot_model.period)
         self._last_command_at, self._armed = time.monotonic(), False
         self._off_at: float | None = None
+        self._priority_released = False
         self._off_cause, self._off_q = "", self.plant.read().q
         self._resynchronizations = self._ticks = 0
 
@@ -138,8 +139,9 @@ class RobotProcess:
         silent = self._armed and now - self._last_command_at > WATCHDOG_TIMEOUT
         if self._off_at is None and (silent or not self._packet_socket.is_open):
             self._stop_drive("watchdog")
-            if not self._packet_socket.is_open:
-                release_realtime_priority()
+        if not self._packet_socket.is_open and not self._priority_released:
+            self._priority_released = True
+            release_realtime_priority()
 
     def _stop_drive(self, cause: str) -> None:
         self.plant.stop()
