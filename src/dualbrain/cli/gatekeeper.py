@@ -130,7 +130,8 @@ def operate(
     Parameters
     ----------
     act
-        The command. `estop` reads no key; after it, `release_estop`, `reset` and `resume` are needed in this order.
+        The command. `estop` reads no key, and without an address stops every running gatekeeper of this user; after
+        it, `release_estop`, `reset` and `resume` are needed in this order.
     speed
         With the command `speed`, which requires it: the speed scale, as 10% or 0.1.
     socket
@@ -146,17 +147,18 @@ def operate(
         raise UsageError.stating(
             "The command `speed` needs the speed scale.", fix="For example: dualbrain operate speed --speed 25%"
         )
-    where = socket or (_run_address(run)[0] if run is not None else dualbrain_home() / "gatekeeper.sock")
     if act == "estop":
-        return _stop(where)
+        return _stop_all() if socket is None and run is None else _stop(socket or _run_address(run)[0])
+    where = socket or (_run_address(run)[0] if run is not None else dualbrain_home() / "gatekeeper.sock")
     secrets = keys or (_run_address(run)[1] if run is not None else dualbrain_home() / "keys")
     return _send_command(where, secrets, act, parse_fraction(speed) if speed else 1.0)
 
 
-def _run_address(run: Path) -> tuple[Path, Path]:
+def _run_address(run: Path | None) -> tuple[Path, Path]:
     """Socket and keys of the gatekeeper of a run; raises `ConfigurationError` if the run folder names none."""
     from dualbrain.errors import ConfigurationError
 
+    assert run is not None
     address = run / "gatekeeper.address"
     try:
         socket, *more = address.read_text(encoding="utf-8").splitlines()
@@ -168,6 +170,20 @@ def _run_address(run: Path) -> tuple[Path, Path]:
     return Path(socket), Path(more[0] if more else "")
 
 
+def _stop_all() -> int:
+    """Stop the gatekeeper at the default socket first, then every other running gatekeeper of this user."""
+    from dualbrain.cli.common.running_gatekeepers import running_sockets
+
+    results, default = list[int](), Path()
+    with suppress(Exception):  # there may be no home folder
+        default = dualbrain_home() / "gatekeeper.sock"
+        if default.exists():
+            results.append(_stop(default))
+    with suppress(Exception):  # a list of processes that cannot be read must not hide the results so far
+        results += [_stop(one) for one in running_sockets(dualbrain_home()) if one != default]
+    return max(results) if results else _stop(default)
+
+
 def _stop(where: Path) -> int:
     """Send an emergency stop, which reads no file, and report whether the gatekeeper confirms it."""
     from dualbrain.control.gatekeeper.protocol.emergency_stop import send_emergency_stop
@@ -176,7 +192,7 @@ def _stop(where: Path) -> int:
     advice = "Use the emergency stop of the robot itself."
     unconfirmed = f"dualbrain: The emergency stop is not confirmed: {problem}. {advice}"
     with suppress(OSError, ValueError, AttributeError):  # stderr may be closed or absent
-        print(unconfirmed if problem else "estop: ESTOP, reported by the gatekeeper", file=sys.stderr)
+        print(unconfirmed if problem else f"estop: ESTOP, reported by the gatekeeper at {where}", file=sys.stderr)
     return ExitCode.SETUP if problem else ExitCode.SUCCESS
 
 

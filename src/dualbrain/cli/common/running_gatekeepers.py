@@ -74,6 +74,12 @@ def running_gatekeepers(home: Path) -> list[RunningGatekeeper]:
     return [_examine(one) for pid, one in sorted(found.items()) if not _is_part_of(found.get(_parent(pid)), one)]
 
 
+def running_sockets(home: Path) -> list[Path]:
+    """The sockets of all running gatekeepers of this user, found as by `running_gatekeepers`, without a question."""
+    found = [*_from_process_list(), *read_registrations(home / REGISTRATIONS)]
+    return list(dict.fromkeys(Path(one.socket) for one in found))
+
+
 def _is_part_of(parent: Registration | None, one: Registration) -> bool:
     """Whether `one` is a process that a gatekeeper forked: it has the command line of its parent."""
     return parent is not None and parent.socket == one.socket

@@ -11,11 +11,14 @@ from contextlib import ExitStack, suppress
 
 import pytest
 
+from dualbrain.cli.common import running_gatekeepers
+from dualbrain.cli.common.running_gatekeepers import REGISTRATIONS
 from dualbrain.cli.main import run_command_line
 from dualbrain.control.gatekeeper.protocol.client import ConnectionLostError, GatekeeperClient
 from dualbrain.control.gatekeeper.protocol.emergency_stop import send_emergency_stop
 from dualbrain.control.gatekeeper.protocol.frames import encode
 from dualbrain.control.gatekeeper.protocol.messages import Heartbeat, Propose, encode_body, kind_code
+from dualbrain.control.gatekeeper.protocol.registration import registered
 from dualbrain.control.gatekeeper.protocol.server import MAX_AUTHENTICATED, MAX_CONNECTIONS
 from dualbrain.runtime.backends.gatekeeper import GatekeeperBackend
 from tests.control.gatekeeper.lockstep_cell import lockstep_cell
@@ -235,6 +238,21 @@ def test_a_removed_working_folder_is_no_obstacle(cell, tmp_path):
 def test_no_file_can_be_written(cell):
     assert press_in_a_process(cell, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))) == 0
     cell.wait_for_action("ESTOP")
+
+
+def test_without_an_address_every_running_gatekeeper_is_stopped(cell, tmp_path, monkeypatch, capsys):
+    """One at the default socket, which is broken, and one that is registered."""
+    home = tmp_path / "home"
+    home.mkdir()
+    (home / "gatekeeper.sock").write_text("no socket")
+    monkeypatch.setenv("DUALBRAIN_HOME", str(home))
+    monkeypatch.setattr(running_gatekeepers, "_from_process_list", lambda: iter(()))
+    with registered(home / REGISTRATIONS, robot="panda", socket=str(cell.socket), keys="", started_by="a test"):
+        assert run_command_line(["operate", "estop"]) == 5
+    cell.wait_for_action("ESTOP")
+    messages = capsys.readouterr().err
+    assert "not confirmed" in messages
+    assert f"reported by the gatekeeper at {cell.socket}" in messages
 
 
 # --- no gatekeeper -------------------------------------------------------------------------------------------------
