@@ -556,7 +556,8 @@ static void jerk_at_limits(golden_result *g) {
     uint64_t state = (uint64_t)run + 220;
     start();
     for (int k = 0; k < model.n; ++k) {
-      const dbk_real toward = run % 2 ? (dbk_real)1 : (dbk_real)-1, limit = run % 2 ? model.q_upper[k] : model.q_lower[k];
+      const dbk_real toward = run % 2 ? (dbk_real)1 : (dbk_real)-1;
+      const dbk_real limit = run % 2 ? model.q_upper[k] : model.q_lower[k];
       model.j_max[k] = (dbk_real)(run < 2 ? 3000.0 : run < 4 ? 60.0 : 800.0);
       in.q[k] = limit - toward * (dbk_real)(run < 4 ? 0.4 : run < 6 ? 0.12 : 0.01);
       in.u_nom[k] = toward * model.v_max[k];

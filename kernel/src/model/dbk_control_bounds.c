@@ -40,8 +40,8 @@ DBK_SIMD_CLONES void dbk_control_bounds(const dbk_model *model, const dbk_real y
   *conflict |= violated;
 }
 
-/* A stop with the maximum jerk, seen along the direction toward a position limit at distance d: the control changes by c
- * in this period, by c - J in the next one, by c - 2 J in the one after that, with J = j dt^2. After k periods
+/* A stop with the maximum jerk, seen along the direction toward a position limit at distance d: the control changes by
+ * c in this period, by c - J in the next one, by c - 2 J in the one after that, with J = j dt^2. After k periods
  *
  *   u_k = u + k c - J k (k - 1) / 2,   d_k = d - dt (u_1 + ... + u_k),
  *   u_1 + ... + u_k = k u + c k (k + 1) / 2 - J (k - 1) k (k + 1) / 6 */
@@ -120,9 +120,9 @@ static int32_t stops_in_time(const jerk_stop *s, dbk_real step, dbk_real c) {
   return stop_travel(s, c, k) + braking <= s->d;
 }
 
-/* The upper bound of the change in [low, high] toward a position limit: the approach within the jerk limit. If the state
- * leaves no room for it (the joint did not follow), the bound is the hardest braking within the jerk limit, as long as
- * the joint stops before the limit. *fits is set to 0 if it does not. */
+/* The upper bound of the change in [low, high] toward a position limit: the approach within the jerk limit. If the
+ * state leaves no room for it (the joint did not follow), the bound is the hardest braking within the jerk limit, as
+ * long as the joint stops before the limit. *fits is set to 0 if it does not. */
 static dbk_real change_toward(const jerk_stop *s, dbk_real alpha, dbk_real tracking, dbk_real step, dbk_real low,
                               dbk_real high, int32_t *fits) {
   const dbk_real c = approach_change(s, alpha, tracking, low, high);
@@ -148,9 +148,9 @@ dbk_real dbk_velocity_ramp(const dbk_model *model, int32_t k, dbk_real room) {
 }
 
 /* The change of the control stays within u_change -+ j dt^2. In addition, it is limited such that no later period needs
- * a higher jerk: the acceleration toward v_max can be reduced to zero before the joint reaches v_max, and the approach to
- * a position limit stays below alpha d - tracking if the joint brakes with the maximum jerk from the next period on. The
- * gain is limited to the one that the acceleration limit can follow at v_max. */
+ * a higher jerk: the acceleration toward v_max can be reduced to zero before the joint reaches v_max, and the approach
+ * to a position limit stays below alpha d - tracking if the joint brakes with the maximum jerk from the next period on.
+ * The gain is limited to the one that the acceleration limit can follow at v_max. */
 int32_t dbk_jerk_bounds(const dbk_model *model, const dbk_real y[DBK_MAX_DOF], const dbk_real u_prev[DBK_MAX_DOF],
                         const dbk_real u_change[DBK_MAX_DOF], dbk_real lower[DBK_MAX_DOF],
                         dbk_real upper[DBK_MAX_DOF]) {
