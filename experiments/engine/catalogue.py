@@ -13,6 +13,8 @@ from experiments.gatekeeper.faults import Faults
 from experiments.gatekeeper.tick import TickTiming
 from experiments.interfaces.bad_input import BadInput
 from experiments.interfaces.contract_delay import ContractDelay
+from experiments.interfaces.fuzz_documents import FuzzDocuments
+from experiments.interfaces.fuzz_observations import FuzzObservations
 from experiments.interfaces.fuzz_socket import FuzzSocket
 from experiments.memory.crash_recovery import CrashRecovery
 from experiments.memory.learning import Learning
@@ -54,6 +56,8 @@ EXPERIMENTS: dict[str, Experiment] = {
         Faults(),
         CommanderFailure(),
         FuzzSocket(),
+        FuzzObservations(),
+        FuzzDocuments(),
         ContractDelay(),
         TickTiming(),
         Language(),

@@ -89,7 +89,7 @@ def _check_answer(interface: Interface, field: Field, kind: str, certified: bool
 class BadInput:
     """One million bad values at every interface that takes geometric input."""
 
-    name = "bad-input"
+    name = "bad_input"
     claim = "Every bad value is refused or stops the robot, and no step is certified after a refused update."
 
     def units(self, options: Options) -> list[WorkUnit]:

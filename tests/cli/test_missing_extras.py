@@ -62,7 +62,7 @@ def test_help_and_doctor_work(tmp_path):
     ],
 )
 def test_a_missing_extra_is_one_line_with_the_install_command(tmp_path, command):
-    (tmp_path / "x.mcap").touch()
+    (tmp_path / "x.mcap").write_bytes(b"\x89MCAP0\r\n")  # only the first bytes are read without the extra
     done = without_extras(tmp_path, *command)
     assert (done.returncode, done.stdout) == (ExitCode.SETUP, "")
     assert done.stderr.count("\n") == 1

@@ -99,7 +99,7 @@ def test_a_target_that_disappeared_ends_the_contract_stopped():
 def test_more_obstacles_than_the_kernel_takes_end_the_contract_stopped(when):
     world, outcome, _ = run(lambda t: scene_with_posts(600 if t > when else 3), Action("hold", {"duration": 0.4}))
     assert outcome.kind == "stopped"
-    assert "obstacles at once" in outcome.reason
+    assert "at most 512 obstacles" in outcome.reason
     assert world.stopped
 
 

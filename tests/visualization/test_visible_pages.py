@@ -8,7 +8,7 @@ from dualbrain.records import Episode
 from dualbrain.visualization.evaluation.markdown_page import escape_markdown
 from dualbrain.visualization.html.page import Html, badge, document, element, join, section, table
 from dualbrain.visualization.live.panel import final_html, lines_html
-from tests.core.test_visible_text import HIDDEN, TERMINAL_ATTACKS
+from tests.core.untrusted.test_visible_text import HIDDEN, TERMINAL_ATTACKS
 
 
 def assert_visible(page: str) -> None:

@@ -240,6 +240,10 @@ class ControlLoop:
         self._mark_part("sense")
         return result
 
+    def begin(self) -> None:
+        """Read the sensors before the first tick; the state of the construction may be too old by then."""
+        self._read_sensors()
+
     def _record(
         self, now: float, nominal: Nominal, result: FilterResult, action: int, decision: SupervisorDecision
     ) -> None:

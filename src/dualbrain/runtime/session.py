@@ -68,7 +68,7 @@ RESERVED_BYTES = 8_000_000
 """Space [bytes] that is reserved in the run folder, beside that for the recording, and beside the memory ledger."""
 RECORDING = 2
 """Index of the space for the recording among the reserved ones."""
-RUN_FILES = ("config.json", "scene.json", "episode.mcap", "episode.json", "report.html")
+RUN_FILES = ("config.json", "scene.json", "episode.mcap", "episode.json", "report.html", RUN_ANCHOR_FILE)
 """Files of a run folder."""
 __all__ = ["RUN_FILES", "Clocks", "RunConfig", "RunObserver", "RunResult", "Session"]
 

@@ -11,7 +11,7 @@ from rich.table import Table
 from dualbrain.cli.common import console as output
 from dualbrain.cli.main import run_command_line
 from dualbrain.errors import ConfigurationError
-from tests.core.test_visible_text import TERMINAL_ATTACKS
+from tests.core.untrusted.test_visible_text import TERMINAL_ATTACKS
 
 
 def assert_inert(text: str) -> None:

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from dualbrain.control.gatekeeper.capability import full_capability
+from dualbrain.control.gatekeeper.gate.exchange import GateSetup
+from dualbrain.control.gatekeeper.gate.inline_gate import InlineGate
 from dualbrain.control.gatekeeper.gatekeeper import Gatekeeper, GatekeeperSettings
 from dualbrain.control.gatekeeper.protocol.authentication import PRINCIPALS, load_keys
 from dualbrain.control.gatekeeper.protocol.server import SocketServer
@@ -41,6 +43,7 @@ def recorded(tmp_path_factory):
     """Recording, trace of all ticks in memory, and outcomes of a gatekeeper with pauses before two contracts."""
     folder = tmp_path_factory.mktemp("pause")
     robot_model, spec = load_robot("panda"), open_scene("forearm:1")
+    capabilities = {"planner": full_capability(skill_registry(robot_model))}
     world = make_world(spec, robot_model)
     plant, trace = world.plant, Trace(robot_model.n, robot_model.nq)
     no_fault, phases = (FaultInjector(Fault("state", "off", "closing"), lambda: plant.now) for _ in range(2))
@@ -48,7 +51,6 @@ def recorded(tmp_path_factory):
     path, rows, commanders, idle_since = folder / "ticks.mcap", [], [], [0.0]
 
     def on_period(now):
-        gatekeeper.wait_for_gate_worker()
         if len(trace):
             rows.append(trace._block[trace._used - 1].copy())
         if len(outcomes) < len(commanders):
@@ -76,8 +78,9 @@ def recorded(tmp_path_factory):
             robot_model,
             robot,
             server,
+            InlineGate(GateSetup(robot_model=robot_model, capabilities=capabilities)),
             keys,
-            {"planner": full_capability(skill_registry(robot_model))},
+            capabilities,
             settings=GatekeeperSettings(timing=SIMULATED),
             recorder=recorder,
             trace=trace,

@@ -11,8 +11,8 @@ import pytest
 
 from dualbrain.core.processes.parent_pipe import PARENT_ENDED, start_child
 
-ROOT = Path(__file__).parents[2]
-CHILD = "tests.core.parent_pipe_child"
+ROOT = Path(__file__).parents[3]
+CHILD = "tests.core.processes.parent_pipe_child"
 LIMIT = 10.0
 """Longest wait [s] of a test for another process."""
 

@@ -128,11 +128,13 @@ class Gatekeeper:
         self._status_period_ticks, self._cleanup_period_ticks = (
             max(1, round(t / robot_model.period)) for t in (STATUS_PERIOD, CLEANUP_PERIOD)
         )
+        safety = SafetyFilter(robot_model, settings.filter_config, obstacles=settings.fixed_obstacles)
+        robot.skip_to_newest_state()  # the preparations may have taken longer than a state remains valid
         self.loop = ControlLoop(
             robot_model,
             robot,
             robot,
-            SafetyFilter(robot_model, settings.filter_config, obstacles=settings.fixed_obstacles),
+            safety,
             self._log,
             ControlLoopConfig(
                 snapshot_period=TICK_REPORT_PERIOD, timing=settings.timing, unrecorded=settings.unrecorded
@@ -148,6 +150,8 @@ class Gatekeeper:
         gc.collect()
         gc.freeze()
         gc.disable()
+        self.robot.skip_to_newest_state()
+        self.loop.begin()
         if self._drive_initially_off:
             self.robot.enable()
             self.loop.safety_controller.expect_drive_on(self.loop.state, self.robot.clock())

@@ -95,16 +95,15 @@ def _assemble(
         GateSetup(robot_model=robot_model, capabilities=capabilities, fixed_obstacles=deployment.fixed_obstacles)
     )
     stack.callback(gate.close)
-    gate.wait_until_ready()  # before the robot: its states must not wait for a tick
+    gate.wait_until_ready()  # before the robot, like the recorder: its states must not wait for a tick
     recorder, trace = None, Trace(robot_model.n, robot_model.nq)
-    recorder_stack = stack.enter_context(ExitStack())
-    robot = RemoteRobot(deployment.process_settings(config), deployment.timing, profile)
-    stack.callback(robot.close)
     if config.recording:
         path = Path(config.recording)
         recorder = Recorder(path, trace, reserve=reserve_for_recording(path, unrecorded=config.unrecorded))
-        recorder_stack.callback(recorder.close)
+        stack.callback(recorder.close)
         recorder.episode(0.0, deployment.recording_metadata(config))
+    robot = RemoteRobot(deployment.process_settings(config), deployment.timing, profile)
+    stack.callback(robot.close)
     gatekeeper = Gatekeeper(
         robot_model,
         robot,

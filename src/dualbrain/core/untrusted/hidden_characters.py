@@ -45,6 +45,7 @@ _HIDDEN_RANGES = (
     (0x110CD, 0x110CD),
     (0x13430, 0x1343F),  # format controls of hieroglyphs
     (0x1BCA0, 0x1BCA3),  # format controls of shorthand
+    (0x1D159, 0x1D159),  # note head without a form
     (0x1D173, 0x1D17A),  # format controls of music
     (0x1FFFE, 0x1FFFF),
     (0x2FFFE, 0x2FFFF),

@@ -83,6 +83,9 @@ class LockstepRobot:
         self.world.advance()
         self.on_period(self.plant.now)
 
+    def skip_to_newest_state(self) -> None:
+        """There is one state, the present one."""
+
     def clock(self) -> float:
         """Simulated time [s]."""
         return self.plant.now

@@ -12,6 +12,10 @@ from dualbrain.robots.interface import RobotInterface
 class RobotLink(RobotInterface, WorldInterface, Protocol):
     """A robot and its environment, with a clock and timing conditions."""
 
+    def skip_to_newest_state(self) -> None:
+        """Take the newest state before the first tick; older ones arrived while the gatekeeper was being prepared."""
+        ...
+
     def clock(self) -> float:
         """Estimate of the robot's time [s]."""
         ...

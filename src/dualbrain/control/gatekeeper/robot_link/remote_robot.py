@@ -97,6 +97,11 @@ class RemoteRobot:
                 self._receive()
                 self._profiler.mark_part("read")
 
+    def skip_to_newest_state(self) -> None:
+        """Take the newest state, and begin to measure ticks."""
+        self._receive()
+        self.tick_timer = TickTimer(self._timing)
+
     def clock(self) -> float:
         """The stamp of the newest state plus the time since its arrival [s]."""
         return self.read().stamp + (time.monotonic() - self._state_received_at)
