@@ -35,7 +35,6 @@ PUBLIC_PLACES = {
     "cli/robot/commission.py": "a record at a path that the user names",
     "cli/robot/identify.py": "a record at a path that the user names",
     "core/storage/atomic_files.py": "the writer of exports",
-    "core/storage/download.py": "weights of public models",
     "core/storage/jsonl_log.py": "a private file, or an archive of an experiment for publication",
     "core/storage/private_files.py": "the place where private files are created",
     "core/storage/resumable_steps.py": "copies of private folders",

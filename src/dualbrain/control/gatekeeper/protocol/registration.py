@@ -14,6 +14,7 @@ from pathlib import Path
 import msgspec
 
 from dualbrain.core.storage.atomic_files import FileWriteError, write_atomically
+from dualbrain.core.storage.private_files import create_private_folder
 
 SUFFIX = ".json"
 
@@ -64,7 +65,7 @@ def registered(folder: Path | None, *, robot: str, socket: str, keys: str, start
         started_by=started_by,
     )
     with suppress(OSError, FileWriteError):
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        create_private_folder(folder)
         _remove_stale_files(folder)
         write_atomically(path, msgspec.json.encode(registration))
     try:
