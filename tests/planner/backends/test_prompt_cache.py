@@ -176,7 +176,7 @@ def test_two_processes_may_prune_one_folder(model, monkeypatch):
         return stat(path, **options)
 
     def unlink_twice(path, missing_ok=False):
-        unlink(path)
+        unlink(path, missing_ok=True)  # the other process
         unlink(path, missing_ok=missing_ok)
 
     monkeypatch.setattr(Path, "stat", stat_after_removal)
