@@ -33,7 +33,7 @@ from experiments.engine.experiment import Options, Row, WorkUnit
 from experiments.figures.tables import markdown_table
 from experiments.interfaces.worst_contracts import worst_contracts
 
-REPEATS = 5
+REPEATS = 3
 N_TICKS = 20_000
 """Ticks of one run: 20 s at 1 kHz."""
 N_RANDOM_CONTRACTS = 200
