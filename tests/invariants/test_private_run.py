@@ -16,14 +16,14 @@ COMMAND = [sys.executable, *(("-S",) if sys.flags.no_site else ()), "-m", "dualb
 
 
 @pytest.mark.parametrize("options", [(), ("--live",)])
-def test_a_run_leaves_only_private_files(tmp_path: Path, options: tuple[str, ...]) -> None:
+def test_a_run_is_private(tmp_path: Path, options: tuple[str, ...]) -> None:
     home = tmp_path / "home"
     home.mkdir(mode=0o755)
     (home / "ledger.sqlite").touch(mode=0o644)
     contract = tmp_path / "c.json"
     contract.write_text(hold_contract())
-    (tmp_path / "temporary").mkdir(mode=0o755)
-    environment = os.environ | {"DUALBRAIN_HOME": str(home), "TMPDIR": str(tmp_path / "temporary")}
+    (tmp_path / "t").mkdir(mode=0o755)
+    environment = os.environ | {"DUALBRAIN_HOME": str(home), "TMPDIR": str(tmp_path / "t")}
     words = ["run", "--contract", str(contract), "--headless", "--scene", "bare:0", "--out", "runs/one"]
     done = subprocess.run(
         [*COMMAND, *words, *options],
@@ -41,5 +41,5 @@ def test_a_run_leaves_only_private_files(tmp_path: Path, options: tuple[str, ...
     assert {"ledger.sqlite", "ledger.sqlite.anchor", "episode.mcap", "report.html", "ledger_anchor.json"} <= names
     modes = {str(path): stat.S_IMODE(path.lstat().st_mode) for path in created}
     assert {path: oct(bits) for path, bits in modes.items() if bits & 0o077} == {}
-    left = [path.name for path in (tmp_path / "temporary").iterdir() if path.name.startswith("dualbrain")]
+    left = [path.name for path in (tmp_path / "t").iterdir() if path.name.startswith("dualbrain")]
     assert left == []  # onnxruntime leaves a file of its own there

@@ -103,7 +103,7 @@ def test_rows_are_derivatives_of_h_along_the_true_motion(seed):
     centres, _, _ = safety.spheres(q, 0.0)
     obstacles = centres[rng.integers(0, len(centres), 5)] + rng.uniform(-0.25, 0.25, (5, 3))
     safety.observe([Obstacle(f"o{k}", Sphere(0.02), Pose(tuple(map(float, at)))) for k, at in enumerate(obstacles)])
-    safety(q, np.zeros(9), np.zeros(9))
+    safety(q, np.zeros(9), np.zeros(9), opening=0.0)
     u = rng.uniform(-0.5, 0.5, 9)
     ahead, back = (safety.spheres(integrate_configuration(q, u, dt), 0.0)[0] for dt in (1e-5, -1e-5))
     safety.spheres(q, 0.0)

@@ -130,7 +130,7 @@ def test_the_error_for_an_invalid_file_names_the_problem(case, tmp_path):
 
 
 def test_the_error_for_a_missing_file(tmp_path):
-    with pytest.raises(ConfigurationError, match="No such file"):
+    with pytest.raises(ConfigurationError, match="There is no file"):
         load_scene(tmp_path / "absent.json")
 
 

@@ -20,11 +20,15 @@ MAX_DIGITS = 64
 """Largest number of digits in a row outside strings."""
 
 _SPECIAL = re.compile(rf"[\"'#\[\]{{}}.=,\n]|[0-9A-Fa-f_]{{{MAX_DIGITS + 1}}}")
-_STRING_ENDS = {
-    '"': re.compile(r'(?:[^"\\\n]|\\.)*+"'),
-    '"""': re.compile(r'(?:[^"\\]|\\.|"(?!""))*+"{3,5}', re.DOTALL),
-    "'": re.compile(r"[^'\n]*+'"),
-    "'''": re.compile(r"(?:[^']|'(?!''))*+'{3,5}"),
+_BASIC_END = re.compile(r'(?:[^"\\\n]|\\.)*+"')
+_MULTILINE_BASIC_END = re.compile(r'(?:[^"\\]|\\.|"(?!""))*+"{3,5}', re.DOTALL)
+_LITERAL_END = re.compile(r"[^'\n]*+'")
+_MULTILINE_LITERAL_END = re.compile(r"(?:[^']|'(?!''))*+'{3,5}")
+_MATCH_STRING_END = {
+    '"': _BASIC_END.match,
+    '"""': _MULTILINE_BASIC_END.match,
+    "'": _LITERAL_END.match,
+    "'''": _MULTILINE_LITERAL_END.match,
 }
 _LOCATION = re.compile(r"line (\d+), column (\d+)")
 
@@ -61,7 +65,7 @@ def _find_excess(text: str) -> TomlFault | None:
         mark, position = found.group(), found.end()
         if mark in "\"'":
             quotes = mark * 3 if text.startswith(mark * 3, found.start()) else mark
-            end = _STRING_ENDS[quotes].match(text, found.start() + len(quotes))
+            end = _MATCH_STRING_END[quotes](text, found.start() + len(quotes))
             if end is None:
                 return None  # not closed: the parser names the place
             position = end.end()

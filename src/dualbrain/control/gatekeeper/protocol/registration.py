@@ -15,6 +15,7 @@ import msgspec
 
 from dualbrain.core.storage.atomic_files import FileWriteError, write_atomically
 from dualbrain.core.storage.private_files import create_private_folder
+from dualbrain.errors import DECODE_ERRORS
 
 SUFFIX = ".json"
 
@@ -91,7 +92,7 @@ def process_start_ticks(pid: int) -> int | None:
 
 
 def _read(path: Path) -> Registration | None:
-    with suppress(OSError, msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+    with suppress(OSError, *DECODE_ERRORS):
         return msgspec.json.decode(path.read_bytes(), type=Registration)
     return None
 

@@ -155,7 +155,7 @@ class SocketServer:
         except OSError as error:
             self._listener.close()
             raise ConfigurationError.stating(
-                f"The socket {path} cannot be created: {error.strerror}.",
+                f"The socket {path} cannot be created: {error.strerror or error}.",
                 fix="Name a path of up to 107 bytes in a writable folder with --socket.",
             ) from error
         finally:
