@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any, cast
 
@@ -242,8 +243,7 @@ def _is_column(values: list[Any], count: int, width: int) -> bool:
 
 def _read_records(path: Path, limits: ProcessLimits) -> Iterator[tuple[str, bytes]]:
     """(topic, JSON) of every message, then (METADATA, JSON of the recording's state) if the file was closed."""
-    import mcap  # noqa: F401, PLC0415  (a missing package is reported before a process is started)
-
+    import_module("mcap")  # a missing package is reported before a process is started
     if isinstance(refusal := read_regular_file(path, 0), FileRefusal) and refusal.kind != "too large":
         raise ConfigurationError.stating(refusal.sentence, fix="Name a recording of dualbrain.")
     argument = msgspec.msgpack.encode((str(path.resolve()), limits.memory_bytes // 2, str(path)))
