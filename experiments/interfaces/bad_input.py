@@ -98,7 +98,7 @@ class BadInput:
         return [WorkUnit(f"seed {seed}", {"seed": seed, "cases": CASES_PER_UNIT}) for seed in range(UNITS)]
 
     def run(self, parameters: dict[str, Any]) -> Row:
-        """Run the cases of one seed; the row counts them by kind and lists what was wrong."""
+        """Run the cases of one seed; the row counts them by kind and lists the wrong outcomes."""
         rng, counts = np.random.default_rng(parameters["seed"]), Counter[str]()
         problems: list[str] = []
         for _ in range(parameters["cases"]):

@@ -66,7 +66,7 @@ class FuzzObservations:
         return [WorkUnit(f"seed {seed}", {"seed": seed, "observations": OBSERVATIONS_PER_UNIT}) for seed in units]
 
     def run(self, parameters: dict[str, Any]) -> Row:
-        """Observe and step; the row counts the outcomes and lists what was wrong."""
+        """Observe and step; the row counts the outcomes and lists the wrong outcomes."""
         rng, safety = np.random.default_rng(parameters["seed"]), _safety_filter()
         q, limits = np.array(safety.robot_model.home), [joint.velocity.value for joint in safety.robot_model.joints]
         v, u = np.zeros(len(q)), np.full(len(q), 0.3)

@@ -1,4 +1,4 @@
-"""Validation of numbers, poses, shapes and arrays that come from outside: the one place that decides what is usable.
+"""Validation of numbers, poses, shapes and arrays that come from outside: one place decides on their use.
 
 Every function returns the value in its plain form (float, tuple, array of float64) or raises `GeometryError` with the
 name of the field. A number is an integer or a real number of Python or numpy; text, truth values, None, complex numbers
