@@ -42,6 +42,16 @@ def process_id(_: bytes) -> bytes:
     return str(os.getpid()).encode()
 
 
+def process_ids(_: bytes) -> bytes:
+    return f"{os.getpid()} {os.getppid()}".encode()
+
+
+def kill_its_starter(_: bytes) -> bytes:
+    os.kill(os.getppid(), signal.SIGKILL)
+    time.sleep(60.0)
+    return b""
+
+
 def allocate(argument: bytes) -> bytes:
     return bytes(len(bytearray(int(argument))) % 256)
 

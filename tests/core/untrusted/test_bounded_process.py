@@ -1,6 +1,7 @@
 """Bounded processes: a result for an honest argument, a failure as a value for every way to misbehave."""
 
 import os
+import socket
 import time
 
 import pytest
@@ -55,14 +56,12 @@ def test_an_allocation_within_the_limit_is_no_failure():
 def test_processor_time_ends_a_process_whose_parent_waits_longer():
     from dualbrain.core.untrusted import bounded_process  # noqa: PLC0415
 
-    request = bounded_process.ChildRequest(
-        function=f"{PARSERS}:compute", memory_bytes=64 << 20, cpu_seconds=0.1, parent=os.getpid()
-    )
-    process = bounded_process._start(bounded_process.msgspec.msgpack.encode(request), b"")
+    limits = ProcessLimits(memory_bytes=64 << 20, seconds=0.1)
+    call = bounded_process._begin(f"{PARSERS}:compute", b"", limits, streams=False)
     try:
-        assert bounded_process._await_reply(process, ProcessLimits(seconds=60.0)).kind == "time"
+        assert bounded_process._await_reply(call, ProcessLimits(seconds=60.0)).kind == "time"
     finally:
-        bounded_process._end(process)
+        call.end()
 
 
 def test_refusals_of_the_function_are_raised_with_the_same_message():
@@ -137,3 +136,62 @@ def test_the_process_ends_with_the_process_that_started_it(tmp_path):
         time.sleep(0.02)
     else:
         assert not os.path.exists(f"/proc/{child}")
+
+
+def test_calls_share_the_imports_but_no_process():
+    own, starters = zip(*(run("process_ids").split() for _ in range(3)), strict=True)
+    assert len(set(own)) == 3
+    assert len(set(starters)) == 1
+
+
+def test_interleaved_streams_have_their_own_results():
+    first, second = (stream_bounded(f"{PARSERS}:repeat", argument, SMALL) for argument in (b"3", b"4"))
+    assert [next(first), next(second), *first, *second] == [
+        b"3" * 1000,
+        b"4" * 1000,
+        *[b"3" * 1000] * 2,
+        *[b"4" * 1000] * 3,
+    ]
+
+
+def test_a_prepared_process_that_has_ended_is_replaced():
+    starter = int(run("process_ids").split()[1])
+    os.kill(starter, 9)
+    os.waitpid(starter, 0)
+    assert int(run("process_ids").split()[1]) != starter
+
+
+def test_a_call_whose_prepared_process_is_killed_is_a_failure():
+    assert run("kill_its_starter").kind in ("start", "signal")
+    assert run("echo", b"x") == b"x"
+
+
+def test_another_environment_has_another_prepared_process(monkeypatch):
+    starter = run("process_ids").split()[1]
+    monkeypatch.setenv("TMPDIR", "/")
+    assert run("process_ids").split()[1] != starter
+
+
+def test_a_fork_of_the_caller_has_prepared_processes_of_its_own():
+    starter = run("process_ids").split()[1]
+    reader, writer = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.write(writer, run("process_ids").split()[1])
+        os._exit(0)
+    os.waitpid(child, 0)
+    assert os.read(reader, 20) != starter
+    assert run("process_ids").split()[1] == starter
+    os.close(reader)
+    os.close(writer)
+
+
+def test_an_idle_prepared_process_ends_and_loses_no_call(monkeypatch):
+    from dualbrain.core.untrusted import bounded_process_child as child  # noqa: PLC0415
+
+    own, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    monkeypatch.setattr(child, "IDLE_SECONDS", 0.05)
+    with own, other, open(os.devnull, "rb") as file:
+        assert child._next_call(other) is None
+        with pytest.raises(OSError, match="Broken pipe"):
+            socket.send_fds(own, [b"call"], [file.fileno(), file.fileno()])

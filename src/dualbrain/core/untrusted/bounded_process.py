@@ -1,7 +1,8 @@
 """Running of a parser in a process with bounded memory, time and output, for untrusted files.
 
 The process gets the argument in memory, inherits no other open file and only named environment variables, cannot write
-files, and ends with the process that started it. Result and argument are bytes that the caller encodes with msgspec,
+files, and ends with the process that started it. It is a fork of a prepared process, so that imports are not repeated.
+Result and argument are bytes that the caller encodes with msgspec,
 never pickles. Everything that a hostile file can do to the process is a value (`ProcessFailure`); an exception of
 dualbrain that the function raises (a refused file, a missing package) is raised in the caller.
 """
@@ -11,28 +12,21 @@ from __future__ import annotations
 import os
 import select
 import signal
-import subprocess
-import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
 import msgspec
 
 from dualbrain.core.untrusted.bounded_file import byte_size
+from dualbrain.core.untrusted.prepared_process import BoundedCall, begin_call
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError, DualbrainError, MissingDependencyError
 
 READY = b"\x01"
 """First byte of the output: the modules are imported, and the clock starts."""
 START_SECONDS = 120.0
 """Largest time until the process is ready [s]: imports on a loaded machine."""
-_ENVIRONMENT = ("PATH", "HOME", "LANG", "LC_ALL", "LD_LIBRARY_PATH", "TMPDIR", "PYTHONPATH", "PYTHONHOME", "MUJOCO_GL")
-_ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "MALLOC_ARENA_MAX": "2"}
-_START = (
-    "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
-    "from dualbrain.core.untrusted import bounded_process_child as child; child.main()"
-)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,12 +50,10 @@ class ProcessFailure:
 
 
 class ChildRequest(msgspec.Struct, frozen=True, kw_only=True):
-    """The head of what the process reads: the function ("module:name"), its limits, the process that started it."""
+    """The head of what the process reads: the limits of the call, and whether it yields many results."""
 
-    function: str
     memory_bytes: int
     cpu_seconds: float
-    parent: int
     streams: bool = False
 
 
@@ -83,14 +75,11 @@ def run_bounded(function: str, argument: bytes, limits: ProcessLimits = DEFAULT_
     Raises `ConfigurationError` or `MissingDependencyError` if the function raises it (as the same type, with the same
     message).
     """
-    request = ChildRequest(
-        function=function, memory_bytes=limits.memory_bytes, cpu_seconds=limits.seconds, parent=os.getpid()
-    )
-    process = _start(msgspec.msgpack.encode(request), argument)
+    call = _begin(function, argument, limits, streams=False)
     try:
-        return _await_reply(process, limits)
+        return _await_reply(call, limits)
     finally:
-        _end(process)
+        call.end()
 
 
 def stream_bounded(
@@ -100,25 +89,23 @@ def stream_bounded(
 
     `output_bytes` limits their sum. Time in which the caller works on a result is not counted. Raises as `run_bounded`.
     """
-    request = ChildRequest(
-        function=function,
-        memory_bytes=limits.memory_bytes,
-        cpu_seconds=limits.seconds,
-        parent=os.getpid(),
-        streams=True,
-    )
-    process = _start(msgspec.msgpack.encode(request), argument)
+    call = _begin(function, argument, limits, streams=True)
     try:
-        yield from _await_replies(process, limits)
+        yield from _await_replies(call, limits)
     finally:
-        _end(process)
+        call.end()
 
 
-def _await_replies(process: subprocess.Popen[bytes], limits: ProcessLimits) -> Iterator[bytes | ProcessFailure]:
+def _begin(function: str, argument: bytes, limits: ProcessLimits, *, streams: bool) -> BoundedCall:
+    request = ChildRequest(memory_bytes=limits.memory_bytes, cpu_seconds=limits.seconds, streams=streams)
+    head = msgspec.msgpack.encode(request)
+    return begin_call(function, len(head).to_bytes(8, "little") + head + argument)
+
+
+def _await_replies(call: BoundedCall, limits: ProcessLimits) -> Iterator[bytes | ProcessFailure]:
     """Each reply is its length in 8 bytes and its content; one without a result ends the stream."""
-    assert process.stdout is not None
-    out = process.stdout.fileno()
-    if (failure := _await_start(process, out, limits)) is not None:
+    out = call.output
+    if (failure := _await_start(call, limits)) is not None:
         yield failure
         return
     left, total = limits.seconds, 0
@@ -136,7 +123,7 @@ def _await_replies(process: subprocess.Popen[bytes], limits: ProcessLimits) -> I
             yield _time_failure(limits)
             return
         if len(head) < 8 or len(data) < length:
-            yield _failure_of_end(process, limits)
+            yield _failure_of_end(call, limits)
             return
         reply = msgspec.msgpack.decode(data, type=ChildReply)
         if reply.error:
@@ -148,35 +135,9 @@ def _await_replies(process: subprocess.Popen[bytes], limits: ProcessLimits) -> I
         yield reply.result
 
 
-def _start(request: bytes, argument: bytes) -> subprocess.Popen[bytes]:
-    flags = ["-S"] if sys.flags.no_site else []  # so that the process finds the same packages
-    folders = [os.path.abspath(folder) for folder in sys.path]  # the process runs in another folder
-    command = [sys.executable, "-P", *flags, "-c", _START, msgspec.json.encode(folders).decode()]
-    handle = os.memfd_create("argument")
-    with os.fdopen(handle, "r+b") as source:
-        source.write(len(request).to_bytes(8, "little") + request + argument)
-        source.seek(0)
-        return subprocess.Popen(
-            command,
-            stdin=source,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            env=_environment(os.environ),
-            cwd="/",
-            start_new_session=True,
-            bufsize=0,
-        )
-
-
-def _environment(variables: Mapping[str, str]) -> dict[str, str]:
-    """The few variables that Python and its libraries need: no keys and no secrets."""
-    return {name: variables[name] for name in _ENVIRONMENT if name in variables} | _ONE_THREAD
-
-
-def _await_reply(process: subprocess.Popen[bytes], limits: ProcessLimits) -> bytes | ProcessFailure:
-    assert process.stdout is not None
-    out = process.stdout.fileno()
-    if (failure := _await_start(process, out, limits)) is not None:
+def _await_reply(call: BoundedCall, limits: ProcessLimits) -> bytes | ProcessFailure:
+    out = call.output
+    if (failure := _await_start(call, limits)) is not None:
         return failure
     data = _read_until(out, limits.output_bytes + 1, time.monotonic() + limits.seconds)
     if data is None:
@@ -186,16 +147,16 @@ def _await_reply(process: subprocess.Popen[bytes], limits: ProcessLimits) -> byt
     try:
         reply = msgspec.msgpack.decode(data, type=ChildReply)
     except DECODE_ERRORS:
-        return _failure_of_end(process, limits)
+        return _failure_of_end(call, limits)
     return _result_of(reply, limits)
 
 
-def _await_start(process: subprocess.Popen[bytes], out: int, limits: ProcessLimits) -> ProcessFailure | None:
+def _await_start(call: BoundedCall, limits: ProcessLimits) -> ProcessFailure | None:
     """Wait until the process is ready; the failure if it does not get so far."""
-    ready = _read_until(out, 1, time.monotonic() + START_SECONDS)
+    ready = _read_until(call.output, 1, time.monotonic() + START_SECONDS)
     if ready is None:
         return ProcessFailure("start", f"cannot be read: its reader did not start within {START_SECONDS:g} s")
-    return None if ready == READY else _failure_of_end(process, limits)
+    return None if ready == READY else _failure_of_end(call, limits)
 
 
 def _read_until(handle: int, limit: int, deadline: float) -> bytes | None:
@@ -214,12 +175,11 @@ def _read_until(handle: int, limit: int, deadline: float) -> bytes | None:
     return b"".join(parts)
 
 
-def _failure_of_end(process: subprocess.Popen[bytes], limits: ProcessLimits) -> ProcessFailure:
+def _failure_of_end(call: BoundedCall, limits: ProcessLimits) -> ProcessFailure:
     """The failure of a process that ended without a reply."""
-    try:
-        code = process.wait(limits.seconds)
-    except subprocess.TimeoutExpired:
-        return _time_failure(limits)
+    code = call.exit_code(limits.seconds)
+    if code is None:
+        return ProcessFailure("start", "cannot be read: its reader was ended by another process")
     if code == -signal.SIGXCPU:
         return _time_failure(limits)
     if code < 0:
@@ -251,17 +211,6 @@ def _result_of(reply: ChildReply, limits: ProcessLimits) -> bytes | ProcessFailu
             raise ConfigurationError(
                 reply.what, got=reply.got, allowed=reply.allowed, fix=reply.fix, sentence=reply.message
             )
-
-
-def _end(process: subprocess.Popen[bytes]) -> None:
-    """End the process and all that it started."""
-    try:
-        os.killpg(process.pid, signal.SIGKILL)
-    except (ProcessLookupError, PermissionError):
-        process.kill()
-    process.wait()
-    if process.stdout is not None:
-        process.stdout.close()
 
 
 def refused(error: DualbrainError) -> ChildReply:

@@ -1,4 +1,4 @@
-"""The process that `bounded_process.run_bounded` starts: it limits itself, runs one function and writes its reply."""
+"""The prepared process, and what its forks do: each limits itself, runs the function once and writes its reply."""
 
 from __future__ import annotations
 
@@ -7,16 +7,18 @@ import gc
 import logging
 import os
 import resource
+import select
 import signal
-import sys
+import socket
 import warnings
 from collections.abc import Callable, Iterator
 from importlib import import_module
-from typing import Any
+from typing import Any, NoReturn
 
 import msgspec
 
 from dualbrain.core.untrusted.bounded_process import READY, ChildReply, ChildRequest, refused
+from dualbrain.core.untrusted.prepared_process import CHANNEL, IDLE_SECONDS, ORDER, STATUS, kill_group
 from dualbrain.errors import DualbrainError
 
 _PR_SET_PDEATHSIG = 1
@@ -27,32 +29,80 @@ _MAX_OPEN_FILES = 64
 _MAX_MESSAGE = 300
 
 
-def main() -> None:
-    """Read the request and the argument from standard input, write the reply to standard output, and exit."""
-    reply_to = os.dup(1)
-    os.dup2(2, 1)  # what a library prints is not part of the reply
-    with os.fdopen(0, "rb", closefd=False) as source:
-        length = int.from_bytes(source.read(8), "little")
-        request = msgspec.msgpack.decode(source.read(length), type=ChildRequest)
-        _end_with_parent(request.parent)
-        logging.disable(logging.CRITICAL)
-        warnings.simplefilter("ignore")
-        try:
-            function = _import_function(request.function)
-        except Exception as error:
-            known = refused(error) if isinstance(error, DualbrainError) else _reply_for(error)
-            reply = msgspec.msgpack.encode(known)
-            _write_all(reply_to, READY + (_framed(reply) if request.streams else reply))
-            os._exit(0)
-        argument = source.read()
+def main(function: str) -> None:
+    """Import the `function` ("package.module:name"), then fork a process for each call until the caller ends."""
+    os.closerange(CHANNEL + 1, os.sysconf("SC_OPEN_MAX"))
+    os.chdir("/")
+    channel = socket.socket(fileno=CHANNEL)
+    logging.disable(logging.CRITICAL)
+    warnings.simplefilter("ignore")
+    try:
+        prepared: Callable[[bytes], Any] | ChildReply = _import_function(function)
+    except Exception as error:
+        prepared = refused(error) if isinstance(error, DualbrainError) else _reply_for(error)
+    gc.freeze()
+    while (handles := _next_call(channel)) is not None:
+        child = os.fork()
+        if child == 0:
+            channel.close()
+            _serve(prepared, *handles)
+        for handle in handles:
+            os.close(handle)
+        order = channel.recv(ORDER.size)
+        status = _collect(child, ORDER.unpack(order)[0] if order else 0.0)
+        if not order:
+            return
+        if isinstance(prepared, ChildReply):
+            channel.shutdown(socket.SHUT_RD)  # the next call imports again: the package may be there by then
+        channel.send(STATUS.pack(status))
+
+
+def _next_call(channel: socket.socket) -> tuple[int, int] | None:
+    """The files of the next call; None if the caller has ended, or for want of calls."""
+    channel.settimeout(IDLE_SECONDS)
+    try:
+        message, handles, _, _ = socket.recv_fds(channel, 16, 2)
+    except TimeoutError:
+        channel.shutdown(socket.SHUT_RD)  # from here on the caller starts another one; a call that it has sent is done
+        message, handles, _, _ = socket.recv_fds(channel, 16, 2)
+    channel.settimeout(None)
+    return (handles[0], handles[1]) if message else None
+
+
+def _collect(child: int, seconds: float) -> int:
+    """The exit code of the child; that of SIGXCPU if it ran for longer than `seconds` and was killed."""
+    handle = os.pidfd_open(child)
+    try:
+        poll = select.poll()
+        poll.register(handle, select.POLLIN)
+        in_time = bool(poll.poll(seconds * 1e3))
+    finally:
+        os.close(handle)
+    kill_group(child)  # also what the child has started
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    return code if in_time else -signal.SIGXCPU
+
+
+def _serve(prepared: Callable[[bytes], Any] | ChildReply, source: int, target: int) -> NoReturn:
+    """Read the request and the argument, write the reply, and exit."""
+    starter = os.getppid()
+    os.setsid()
+    _end_with_parent(starter)
+    with os.fdopen(source, "rb") as file:
+        length = int.from_bytes(file.read(8), "little")
+        request = msgspec.msgpack.decode(file.read(length), type=ChildRequest)
+        argument = file.read()
+    if isinstance(prepared, ChildReply):
+        reply = msgspec.msgpack.encode(prepared)
+        _write_all(target, READY + (_framed(reply) if request.streams else reply))
+        os._exit(0)
     reserve = [bytearray(_RESERVE_BYTES)]
     _limit(request)
-    _write_all(reply_to, READY)
+    _write_all(target, READY)
     if request.streams:
-        _stream(function, argument, reserve, reply_to)
+        _stream(prepared, argument, reserve, target)
     else:
-        reply = _call(function, argument, reserve)
-        _write_all(reply_to, msgspec.msgpack.encode(reply))
+        _write_all(target, msgspec.msgpack.encode(_call(prepared, argument, reserve)))
     os._exit(0)
 
 
@@ -139,7 +189,3 @@ def _write_all(handle: int, data: bytes) -> None:
     view = memoryview(data)
     while view:
         view = view[os.write(handle, view) :]
-
-
-if __name__ == "__main__":
-    sys.exit("This module is started by dualbrain.core.untrusted.bounded_process.")
