@@ -30,12 +30,18 @@ TIMEOUT = 60.0
 
 @dataclass(kw_only=True)
 class LockstepCell:
-    """A running gatekeeper: its socket, the folder of its keys, and the keys themselves."""
+    """A gatekeeper: its server, the plant that it controls, the folder of its keys, and the keys themselves."""
 
     gatekeeper: Gatekeeper
-    socket: Path
+    server: SocketServer
+    plant: Plant
     keys_path: Path
     keys: Keys
+
+    @property
+    def socket(self) -> Path:
+        """The path of its socket."""
+        return self.server.path
 
     @property
     def action(self) -> str:
@@ -50,22 +56,25 @@ class LockstepCell:
             time.sleep(0.005)
 
 
-@contextmanager
-def lockstep_cell(folder, *, gate=None, recorder=None, trace=None):
-    """A gatekeeper that runs in a thread until the context ends; `gate` replaces its gate."""
-    robot_model, spec = load_robot("panda"), open_scene("bare:0")
+def make_cell(folder, scene="bare:0", *, gate=None, on_period=lambda now: None, robot_time=False, **options):
+    """A gatekeeper that does not run yet.
+
+    `on_period(now)` is called after every period of the robot, `gate` replaces the gate, `robot_time` times connections
+    by the robot's clock, and `options` are further arguments of the gatekeeper.
+    """
+    robot_model, spec = load_robot("panda"), open_scene(scene)
     plant = Plant(spec, robot_model)
     world = SimulatedWorld(plant, NoisyPerception(spec, PerceptionNoise(), np.random.default_rng(0)))
-    injector = FaultInjector(Fault("state", "off", "closing"), lambda: plant.now)
+    no_fault, phases = (FaultInjector(Fault("state", "off", "closing"), lambda: plant.now) for _ in range(2))
     keys_path = folder / "keys"
     keys, server = load_keys(keys_path, PRINCIPALS), SocketServer(folder / "s")
     capabilities = {"planner": full_capability(skill_registry(robot_model))}
     robot = LockstepRobot(
-        robot=FaultyRobot(plant, injector, robot_model),
+        robot=FaultyRobot(plant, no_fault, robot_model),
         world=world,
         plant=plant,
-        injector=injector,
-        on_period=lambda now: time.sleep(1e-3),
+        injector=phases,  # only this one learns the phases, so that no fault begins
+        on_period=on_period,
     )
     gatekeeper = Gatekeeper(
         robot_model,
@@ -75,14 +84,21 @@ def lockstep_cell(folder, *, gate=None, recorder=None, trace=None):
         keys,
         capabilities,
         settings=GatekeeperSettings(timing=SIMULATED),
-        recorder=recorder,
-        trace=trace,
+        monotonic=(lambda: plant.now) if robot_time else time.monotonic,
+        **options,
     )
-    thread = Thread(target=gatekeeper.run, name="gatekeeper")
+    return LockstepCell(gatekeeper=gatekeeper, server=server, plant=plant, keys_path=keys_path, keys=keys)
+
+
+@contextmanager
+def lockstep_cell(folder, **options):
+    """A gatekeeper that runs in a thread until the context ends; `options` are those of `make_cell`."""
+    cell = make_cell(folder, on_period=lambda now: time.sleep(1e-3), **options)
+    thread = Thread(target=cell.gatekeeper.run, name="gatekeeper")
     thread.start()
     try:
-        yield LockstepCell(gatekeeper=gatekeeper, socket=server.path, keys_path=keys_path, keys=keys)
+        yield cell
     finally:
-        gatekeeper.shut_down()
+        cell.gatekeeper.shut_down()
         thread.join()
-        server.close()
+        cell.server.close()

@@ -3,26 +3,16 @@
 import numpy as np
 import pytest
 
-from dualbrain.control.gatekeeper.capability import full_capability
-from dualbrain.control.gatekeeper.gate.exchange import GateSetup
-from dualbrain.control.gatekeeper.gate.inline_gate import InlineGate
-from dualbrain.control.gatekeeper.gatekeeper import Gatekeeper, GatekeeperSettings
-from dualbrain.control.gatekeeper.protocol.authentication import PRINCIPALS, load_keys
-from dualbrain.control.gatekeeper.protocol.server import SocketServer
 from dualbrain.control.recording.channels import read_recording, read_trace
 from dualbrain.control.recording.recorder import Recorder
 from dualbrain.control.recording.recording_pause import UNATTENDED_TIME, RecordingPause
 from dualbrain.control.recording.replay import replay
 from dualbrain.control.recording.trace import Event, Trace
-from dualbrain.evaluation.fault_injection.faults import Fault, FaultInjector, FaultyRobot
+from dualbrain.evaluation.fault_injection.faults import Fault, FaultInjector
 from dualbrain.evaluation.fault_injection.faulty_client import FaultyCommander
-from dualbrain.evaluation.fault_injection.gatekeeper_trial import LockstepRobot
 from dualbrain.robots.loader import load_robot
-from dualbrain.safety.supervisor.timing import SIMULATED
-from dualbrain.simulation.scenes.generators.catalogue import open_scene
-from dualbrain.simulation.world import make_world
-from dualbrain.skills.registry import skill_registry
 from experiments.gatekeeper.commander_messages import PICK_AND_PLACE, contract_bytes
+from tests.control.gatekeeper.lockstep_cell import make_cell
 
 PAUSE_AFTER = 0.4
 IDLE_TIME = 1.2
@@ -41,14 +31,10 @@ def test_the_recording_pauses_a_minute_after_the_last_activity():
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
     """Recording, trace of all ticks in memory, and outcomes of a gatekeeper with pauses before two contracts."""
-    folder = tmp_path_factory.mktemp("pause")
-    robot_model, spec = load_robot("panda"), open_scene("forearm:1")
-    capabilities = {"planner": full_capability(skill_registry(robot_model))}
-    world = make_world(spec, robot_model)
-    plant, trace = world.plant, Trace(robot_model.n, robot_model.nq)
-    no_fault, phases = (FaultInjector(Fault("state", "off", "closing"), lambda: plant.now) for _ in range(2))
-    keys, server, outcomes = load_keys(folder / "keys", PRINCIPALS), SocketServer(folder / "s"), []
+    folder, robot_model = tmp_path_factory.mktemp("pause"), load_robot("panda")
+    trace, outcomes = Trace(robot_model.n, robot_model.nq), []
     path, rows, commanders, idle_since = folder / "ticks.mcap", [], [], [0.0]
+    no_fault = FaultInjector(Fault("state", "off", "closing"), lambda: 0.0)
 
     def on_period(now):
         if len(trace):
@@ -60,36 +46,25 @@ def recorded(tmp_path_factory):
             commanders[-1].close()
         if len(outcomes) == len(commanders) and now > idle_since[0] + IDLE_TIME:
             if len(outcomes) == len(CONTRACTS):
-                gatekeeper.shut_down()
+                cell.gatekeeper.shut_down()
                 return
             text = contract_bytes(*CONTRACTS[len(outcomes)])
-            commanders.append(FaultyCommander(server.path, keys, "planner", no_fault, text, text))
+            commanders.append(FaultyCommander(cell.socket, cell.keys, "planner", no_fault, text, text))
 
-    robot = LockstepRobot(
-        robot=FaultyRobot(plant, no_fault, robot_model),
-        world=world,
-        plant=plant,
-        injector=phases,  # only this one learns the phases, so that no fault begins
-        on_period=on_period,
-    )
     with Recorder(path, trace, when_full="wait") as recorder:
         recorder.episode(0.0, {"robot": "panda", "guard": True})
-        gatekeeper = Gatekeeper(
-            robot_model,
-            robot,
-            server,
-            InlineGate(GateSetup(robot_model=robot_model, capabilities=capabilities)),
-            keys,
-            capabilities,
-            settings=GatekeeperSettings(timing=SIMULATED),
+        cell = make_cell(
+            folder,
+            "forearm:1",
+            on_period=on_period,
+            robot_time=True,
             recorder=recorder,
             trace=trace,
-            monotonic=lambda: plant.now,
             on_outcome=outcomes.append,
         )
-        gatekeeper._recording_pause = RecordingPause(PAUSE_AFTER)
-        gatekeeper.run()
-    server.close()
+        cell.gatekeeper._recording_pause = RecordingPause(PAUSE_AFTER)
+        cell.gatekeeper.run()
+    cell.server.close()
     return path, np.array(rows), outcomes
 
 

@@ -1,11 +1,14 @@
 """The packet socket: packets arrive complete and in order, malformed ones are reported, and nothing blocks."""
 
 import time
+from dataclasses import fields
 
+import numpy as np
 import pytest
 
 from dualbrain.control.gatekeeper.robot_link import packets
 from dualbrain.control.gatekeeper.robot_link.packet_socket import MalformedPacket, PacketSocket, socket_pair
+from dualbrain.robots.interface import RobotState
 
 PACKETS = (packets.DrivePacket(on=True), packets.CommandPacket((0.1, -0.2), 0.04, 20.0), packets.ShutdownPacket())
 
@@ -72,3 +75,22 @@ def test_send_detects_a_closed_end(ends):
     here.close()
     there.send(packets.ShutdownPacket())
     assert not there.is_open
+
+
+def test_a_joint_state_is_the_same_after_its_packet():
+    state = RobotState(
+        stamp=1.5,
+        sequence=7,
+        q=np.array([0.1, -0.2]),
+        v=np.array([0.3, 0.4]),
+        opening=None,
+        finger_forces=(1.0, 2.0),
+        drive_enabled=False,
+    )
+    received = packets.decode_from_robot(packets.encode(packets.StatePacket.from_state(state)))
+    assert isinstance(received, packets.StatePacket)
+    np.testing.assert_equal(vars_of(received.to_robot_state()), vars_of(state))
+
+
+def vars_of(state):
+    return {field.name: getattr(state, field.name) for field in fields(state)}

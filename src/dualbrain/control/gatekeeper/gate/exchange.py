@@ -8,7 +8,6 @@ from __future__ import annotations
 from typing import Protocol
 
 import msgspec
-import numpy as np
 
 from dualbrain.contracts.contract import ContractHeader
 from dualbrain.contracts.verdict import Rejected, Verdict
@@ -122,7 +121,6 @@ def encode_check(number: int, request: GateRequest) -> bytes:
 
 def request_of(packet: CheckPacket) -> GateRequest:
     """The request in a packet, with connection 0."""
-    state = packet.state
     return GateRequest(
         connection_number=0,
         sequence=packet.number,
@@ -130,15 +128,7 @@ def request_of(packet: CheckPacket) -> GateRequest:
         stamp=packet.stamp,
         now=packet.now,
         scene=packet.scene,
-        state=RobotState(
-            stamp=state.stamp,
-            sequence=state.sequence,
-            q=np.array(state.q),
-            v=np.array(state.v),
-            opening=state.opening,
-            finger_forces=state.forces,
-            drive_enabled=state.drive_enabled,
-        ),
+        state=packet.state.to_robot_state(),
         holding=packet.holding,
     )
 

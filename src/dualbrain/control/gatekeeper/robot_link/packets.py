@@ -7,6 +7,7 @@ and its own watchdog then switches its drive off.
 from __future__ import annotations
 
 import msgspec
+import numpy as np
 
 from dualbrain.contracts.contract import Contract
 from dualbrain.records import Scene
@@ -71,6 +72,18 @@ class StatePacket(Packet, frozen=True, tag=7, kw_only=True):
             opening=state.opening,
             forces=state.finger_forces,
             drive_enabled=state.drive_enabled,
+        )
+
+    def to_robot_state(self) -> RobotState:
+        """The joint state of the packet."""
+        return RobotState(
+            stamp=self.stamp,
+            sequence=self.sequence,
+            q=np.array(self.q),
+            v=np.array(self.v),
+            opening=self.opening,
+            finger_forces=self.forces,
+            drive_enabled=self.drive_enabled,
         )
 
 

@@ -6,7 +6,6 @@ import subprocess
 import time
 
 import msgspec
-import numpy as np
 
 from dualbrain.contracts.contract import Contract
 from dualbrain.control.gatekeeper.robot_link import packets
@@ -164,15 +163,7 @@ class RemoteRobot:
     def _accept_state(self, state: packets.StatePacket) -> None:
         self._state_received_at = time.monotonic()
         lost = state.sequence - self._state.sequence - 1 if self._state else 0
-        self._state = RobotState(
-            stamp=state.stamp,
-            sequence=state.sequence,
-            q=np.array(state.q),
-            v=np.array(state.v),
-            opening=state.opening,
-            finger_forces=state.forces,
-            drive_enabled=state.drive_enabled,
-        )
+        self._state = state.to_robot_state()
         self.tick_timer.on_state(self._state_received_at, lost)
 
 
