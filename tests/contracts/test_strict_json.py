@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dualbrain.contracts.gate.strict_json import MAX_BYTES, MAX_DEPTH, parse
+from dualbrain.contracts.gate.strict_json import MAX_BYTES, MAX_COMMAS, MAX_DEPTH, parse
 from dualbrain.contracts.verdict import Rejected
 
 TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=12)
@@ -141,3 +141,51 @@ def test_documents_at_the_limits_are_accepted(data: bytes, value: Any) -> None:
     answer = parse(data)
     assert not isinstance(answer, Rejected)
     assert value is None or answer == value
+
+
+def scan(data: bytes) -> tuple[int, int]:
+    """Commas outside strings, and the largest depth of brackets, counted byte by byte."""
+    inside, escaped, commas, depth, deepest = False, False, 0, 0, 0
+    for byte in data:
+        if escaped:
+            escaped = False
+        elif byte == ord("\\"):
+            escaped = True
+        elif byte == ord('"'):
+            inside = not inside
+        elif not inside:
+            commas += byte == ord(",")
+            depth += (byte in b"[{") - (byte in b"]}")
+            deepest = max(deepest, depth)
+    return commas, deepest
+
+
+PIECES = st.sampled_from(
+    [
+        *("[", "]", "{", "}", "{}", "[]", "[{", "}]", "[],[]", "[" * 9, "]" * 9, "{[" * 8, "]}" * 8),
+        *('"', '""', '","', '"[["', '"}"', '"\\""', "\\\\", ",", "," * 600, "1"),
+    ]
+)
+
+
+@settings(max_examples=600, deadline=None)
+@given(st.lists(PIECES, max_size=40).map("".join).map(str.encode))
+def test_commas_and_depth_are_those_of_a_scan_of_every_byte(data: bytes) -> None:
+    commas, deepest = scan(data)
+    refused_for = parse(data)
+    text = str(refused_for.got) if isinstance(refused_for, Rejected) else ""
+    assert (text == f"{commas} commas") == (commas > MAX_COMMAS)
+    if commas <= MAX_COMMAS:
+        assert (text == f"deeper than {MAX_DEPTH}") == (deepest > MAX_DEPTH)
+
+
+@pytest.mark.parametrize("opening", ["[", "{", "[{", "{[", "[[{", "{{["])
+@pytest.mark.parametrize("depth", [15, 16, 17, 18, 24, 32, 33, 48])
+def test_the_depth_of_mixed_brackets_is_exact(opening: str, depth: int) -> None:
+    opened = (opening * depth)[:depth]
+    closed = opened[::-1].translate(str.maketrans("[{", "]}"))
+    for text in (opened + closed, f"[]{{}}{opened}{closed}", f"{opened}[]{{}}"):
+        found = parse(text.encode())
+        deepest = scan(text.encode())[1]
+        got = found.got if isinstance(found, Rejected) else None
+        assert (got == f"deeper than {MAX_DEPTH}") == (deepest > MAX_DEPTH)

@@ -21,7 +21,10 @@ class EnvelopeStage:
 
     def __init__(self, registry: SkillRegistry) -> None:
         """Use the parameters of the skills in `registry`."""
-        self._parameters = {skill.name: skill.parameters for skill in registry.skills}
+        self._parameters = {
+            skill.name: tuple((p.name, isinstance(p, NumberParameter), p) for p in skill.parameters)
+            for skill in registry.skills
+        }
 
     def check(self, steps: list[Any], names: SceneNames) -> tuple[Action, ...] | Rejected:
         """The actions with every number as a float, or the rejection of the first value outside its domain.
@@ -32,11 +35,11 @@ class EnvelopeStage:
         for index, step in enumerate(steps):
             skill, given = step["skill"], step["params"]
             params: dict[str, ParameterValue] = {}
-            for parameter in self._parameters[skill]:
-                value = given[parameter.name]
+            for name, is_number, parameter in self._parameters[skill]:
+                value = given[name]
                 if not _is_in_domain(parameter, value, names):
                     return _rejection(index, parameter, value, names)
-                params[parameter.name] = float(value) if isinstance(parameter, NumberParameter) else value
+                params[name] = float(value) if is_number else value
             actions.append(Action(skill, params))
         return tuple(actions)
 

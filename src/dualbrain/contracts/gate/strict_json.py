@@ -24,7 +24,9 @@ MAX_INT_DIGITS = 15
 MAX_FLOAT_LENGTH = 40
 
 _ESCAPE_PATTERN = re.compile(rb"\\.", re.DOTALL)
-_NON_STRUCTURAL_BYTES = bytes(set(range(256)) - set(b'[]{}",'))
+_ALL_BUT_BRACKETS = bytes(set(range(256)) - set(b'[]{}"'))
+_ALL_BUT_COMMAS = bytes(set(range(256)) - set(b',"'))
+"""Bytes that `_outside_strings` drops; quotes stay, because they show where a string begins and ends."""
 _DEPTH_CHANGE = {ord("["): 1, ord("{"): 1, ord("]"): -1, ord("}"): -1}
 
 
@@ -63,13 +65,11 @@ def parse(data: bytes) -> Any:
 def _decode(data: bytes) -> Any:
     """The value in `data`; raises the exceptions that `parse` turns into rejections."""
     text = data.decode("utf-8", "strict")
-    outside_strings = _structure_outside_strings(data)
-    n_commas = outside_strings.count(b",")
-    if n_commas > MAX_COMMAS:
+    if data.count(b",") > MAX_COMMAS and (n_commas := len(_outside_strings(data, _ALL_BUT_COMMAS))) > MAX_COMMAS:
         raise _RejectedError(
             _reject(f"{n_commas} commas", f"at most {MAX_COMMAS} commas outside strings", "send fewer values")
         )
-    if _is_too_deep(outside_strings):
+    if _is_too_deep(_outside_strings(data, _ALL_BUT_BRACKETS)):
         raise _RejectedError(
             _reject(f"deeper than {MAX_DEPTH}", f"brackets at most {MAX_DEPTH} deep", "a contract is 5 deep")
         )
@@ -79,26 +79,41 @@ def _decode(data: bytes) -> Any:
     return value
 
 
-def _structure_outside_strings(data: bytes) -> bytes:
-    """The brackets and commas outside strings.
+def _outside_strings(data: bytes, dropped: bytes) -> bytes:
+    """The bytes of `data` that are outside strings and not `dropped`.
 
     The result is exact for every text that begins as JSON, because quotes are paired as the decoder pairs them. The
     time is linear in the size of the data.
     """
     if b"\\" in data:
         data = _ESCAPE_PATTERN.sub(b"", data)
-    structure = data.translate(None, _NON_STRUCTURAL_BYTES).replace(b'""', b"")  # a string without structural bytes
-    return b"".join(structure.split(b'"')[::2])
+    kept = data.translate(None, dropped).replace(b'""', b"")  # a string in which every byte is dropped
+    return b"".join(kept.split(b'"')[::2]) if b'"' in kept else kept
 
 
-def _is_too_deep(outside_strings: bytes) -> bool:
-    """Whether brackets nest deeper than `MAX_DEPTH`."""
+def _is_too_deep(brackets: bytes) -> bool:
+    """Whether `brackets` nest deeper than `MAX_DEPTH`."""
+    if _is_shallow(brackets):
+        return False
     depth = 0
-    for bracket in outside_strings.replace(b",", b""):
+    for bracket in brackets:
         depth += _DEPTH_CHANGE[bracket]
         if depth > MAX_DEPTH:
             return True
     return False
+
+
+def _is_shallow(brackets: bytes) -> bool:
+    """Whether removing closed pairs shows that `brackets` nest at most `MAX_DEPTH` deep: a fast test, not an exact one.
+
+    To remove pairs that are next to each other makes the text at most one level less deep.
+    """
+    for _ in range(MAX_DEPTH // 2):
+        length = len(brackets)
+        brackets = brackets.replace(b"{}", b"").replace(b"[]", b"")
+        if len(brackets) in (0, length):
+            break
+    return not brackets
 
 
 def _reject(got: object, allowed: str, hint: str) -> Rejected:
@@ -132,7 +147,7 @@ def _parse_float(literal: str) -> float:
 
 def _parse_int(literal: str) -> int:
     """An integer that double precision represents exactly."""
-    if len(literal.lstrip("-")) > MAX_INT_DIGITS:
+    if len(literal) > MAX_INT_DIGITS and len(literal.lstrip("-")) > MAX_INT_DIGITS:
         raise _RejectedError(
             _reject(to_printable(literal), f"whole numbers of at most {MAX_INT_DIGITS} digits", "write a plain number")
         )
