@@ -96,6 +96,8 @@ def check_length(name: str, value: object, most: float = MAX_COORDINATE) -> floa
 
 def check_stamp(name: str, value: object) -> float:
     """`value` as a time stamp [s]."""
+    if type(value) is float and -MAX_STAMP <= value <= MAX_STAMP:  # the usual case
+        return value
     return check_number(
         name, value, -MAX_STAMP, MAX_STAMP, fix="Stamps are seconds on the clock of the filter's `now`."
     )

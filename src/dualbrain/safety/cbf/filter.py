@@ -167,15 +167,13 @@ class SafetyFilter:
 
     def _replace_obstacles(self, obstacles: Sequence[Obstacle], stamp: float) -> None:
         room = MAX_OBSTACLES - len(self._fixed_obstacles)
-        usable = (*validation.check_sequence("obstacles", obstacles, room, of="obstacles"), *self._fixed_obstacles)
-        self._check_gains(usable := check_obstacles(usable, MAX_OBSTACLES))
+        usable = (*check_obstacles(obstacles, room), *self._fixed_obstacles)
+        self._check_gains(usable)
         self._kernel.set_obstacles(obstacle_table(usable, self._part_links))
         self._obstacles, self._stamp = usable, stamp
-        self._names = msgspec.structs.replace(
-            self._names,
-            obstacles=tuple(obstacle.name for obstacle in usable),
-            barriers=tuple(obstacle.barrier for obstacle in usable),
-        )
+        names, barriers = tuple([one.name for one in usable]), tuple([one.barrier for one in usable])
+        if (names, barriers) != (self._names.obstacles, self._names.barriers):
+            self._names = msgspec.structs.replace(self._names, obstacles=names, barriers=barriers)
         self._table_usable = True
         self._apply_permits()
 

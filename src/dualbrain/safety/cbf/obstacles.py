@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
-from typing import Any, cast
+from collections.abc import Collection
+from typing import cast
 
 import msgspec
 
@@ -24,21 +24,8 @@ MAX_CONTACT_SPEED = 10.0
 """Largest contact speed of a permit [m/s]."""
 
 
-def _three(values: Any) -> tuple[Any, ...]:
-    """Three values, or a tuple without a number in it."""
-    three = isinstance(values, tuple) and len(cast("tuple[Any, ...]", values)) == 3
-    return cast("tuple[Any, ...]", values) if three else ("",)
-
-
-_SIZES: dict[type, Callable[[Any], tuple[float, ...]]] = {
-    Sphere: lambda shape: (shape.radius,),
-    Capsule: lambda shape: (shape.radius, shape.half_length),
-    HalfSpace: lambda shape: (),
-    Box: lambda shape: _three(shape.half_extents),
-}
-_NUMBER_TYPES = {float, int}
 _UNIT_TOLERANCE, _LEAST = 1e-9, validation.SMALLEST_LENGTH
-_FAR, _FAST = validation.MAX_COORDINATE, validation.MAX_SPEED
+_FAR, _FAST, _LONG = validation.MAX_COORDINATE, validation.MAX_SPEED, validation.MAX_NAME_LENGTH
 
 
 class SpeedAndSeparation(msgspec.Struct, frozen=True):
@@ -103,6 +90,10 @@ def check_obstacles(obstacles: object, most: int) -> tuple[Obstacle, ...]:
     Raises:
         GeometryError: a field is not usable; the error names the obstacle and the field.
     """
+    if type(obstacles) in (tuple, list):  # the usual case
+        given = cast("tuple[Obstacle, ...]", obstacles)
+        if len(given) <= most and all(map(_is_plain, given)):
+            return tuple(given)
     found = validation.check_sequence("obstacles", obstacles, most, of="obstacles")
     return tuple(
         obstacle if _is_plain(obstacle) else check_obstacle(obstacle, index) for index, obstacle in enumerate(found)
@@ -114,41 +105,65 @@ def _is_plain(obstacle: object) -> bool:
 
     Anything unusual (an alpha, parts, other types, a number near a limit) is left to `check_obstacle`.
     """
-    if type(obstacle) is not Obstacle or type(obstacle.pose) is not Pose:
-        return False
-    sizes = _SIZES.get(type(obstacle.shape))
-    place, turn, velocity = obstacle.pose.position, obstacle.pose.quaternion, obstacle.velocity
-    if sizes is None or {type(place), type(turn), type(velocity)} != {tuple}:
-        return False
-    if (len(place), len(turn), len(velocity)) != (3, 4, 3):
-        return False
-    lengths = (obstacle.margin, obstacle.velocity_error, *sizes(obstacle.shape))
     return (
-        {*map(type, (*place, *turn, *velocity, *lengths))} <= _NUMBER_TYPES
-        and -_FAR <= place[0] <= _FAR
-        and -_FAR <= place[1] <= _FAR
-        and -_FAR <= place[2] <= _FAR
-        and -_FAST <= velocity[0] <= _FAST
-        and -_FAST <= velocity[1] <= _FAST
-        and -_FAST <= velocity[2] <= _FAST
-        and _is_unit(*turn)
-        and all(length == 0.0 or _LEAST <= length <= _FAR for length in lengths)
-        and type(obstacle.name) is str
-        and type(obstacle.barrier) is str
-        and max(len(obstacle.name), len(obstacle.barrier)) <= validation.MAX_NAME_LENGTH
+        type(obstacle) is Obstacle
+        and type(obstacle.pose) is Pose
+        and _has_plain_numbers(obstacle, obstacle.pose)
+        and _has_plain_size(obstacle.shape)
+        and type(obstacle.name) is type(obstacle.barrier) is str
+        and len(obstacle.name) <= _LONG
+        and len(obstacle.barrier) <= _LONG
         and type(obstacle.rank) is Rank
-        and type(obstacle.known) is type(obstacle.static) is bool
-        and not (obstacle.static and obstacle.moves)
+        and type(obstacle.known) is bool
         and obstacle.parts == ()
         and obstacle.alpha is obstacle.separation is None
     )
 
 
-def _is_unit(w: float, x: float, y: float, z: float) -> bool:
-    """Whether a quaternion has length 1, to the rounding of its numbers."""
-    if not (-2.0 <= w <= 2.0 and -2.0 <= x <= 2.0 and -2.0 <= y <= 2.0 and -2.0 <= z <= 2.0):
+def _has_plain_numbers(obstacle: Obstacle, pose: Pose) -> bool:
+    """Whether the pose, the velocity and the errors are floats within their bounds, and `static` agrees with them."""
+    place, turn, velocity = pose.position, pose.quaternion, obstacle.velocity
+    if not (
+        type(place) is type(turn) is type(velocity) is tuple and (len(place), len(turn), len(velocity)) == (3, 4, 3)
+    ):
         return False
-    return abs(w * w + x * x + y * y + z * z - 1.0) < _UNIT_TOLERANCE
+    (x, y, z), (a, b, c, d), (u, v, w) = place, turn, velocity
+    margin, error = obstacle.margin, obstacle.velocity_error
+    return (
+        type(x) is type(y) is type(z) is type(a) is type(b) is type(c) is type(d) is float
+        and type(u) is type(v) is type(w) is type(margin) is type(error) is float
+        and type(obstacle.static) is bool
+        and -_FAR <= x <= _FAR
+        and -_FAR <= y <= _FAR
+        and -_FAR <= z <= _FAR
+        and -_UNIT_TOLERANCE < a * a + b * b + c * c + d * d - 1.0 < _UNIT_TOLERANCE
+        and (margin == 0.0 or _LEAST <= margin <= _FAR)
+        and (u == v == w == error == 0.0 or (not obstacle.static and _is_plain_motion(u, v, w, error)))
+    )
+
+
+def _is_plain_motion(u: float, v: float, w: float, error: float) -> bool:
+    """Whether a velocity [m/s] and its error are within their bounds."""
+    slow = -_FAST <= u <= _FAST and -_FAST <= v <= _FAST and -_FAST <= w <= _FAST
+    return slow and (error == 0.0 or _LEAST <= error <= _FAST)
+
+
+def _has_plain_size(shape: object) -> bool:
+    """Whether the sizes of a solid are floats within their bounds."""
+    kind = type(shape)
+    if kind is Sphere:
+        return _is_plain_length(cast("Sphere", shape).radius)
+    if kind is Box:
+        extents = cast("tuple[object, ...]", cast("Box", shape).half_extents)
+        return type(extents) is tuple and len(extents) == 3 and all(map(_is_plain_length, extents))
+    if kind is Capsule:
+        capsule = cast("Capsule", shape)
+        return _is_plain_length(capsule.radius) and _is_plain_length(capsule.half_length)
+    return kind is HalfSpace
+
+
+def _is_plain_length(value: object) -> bool:
+    return type(value) is float and (_LEAST <= value <= _FAR or value == 0.0)
 
 
 def check_obstacle(obstacle: object, index: int = 0) -> Obstacle:
