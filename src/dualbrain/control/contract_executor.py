@@ -217,6 +217,8 @@ class ContractExecutor:
         """What is known about the cause of a tripped check, beyond its description."""
         if check.condition is Condition.RECORDING_LOST:
             return self.loop.recording_failure
+        if check.condition is Condition.UNEXPECTED_CONTACT and self.loop.safety_controller.contact is not None:
+            return self.loop.safety_controller.contact.explain()
         if check.cause is Cause.FILTER and self._last_result:
             return self._last_result.explain(remedy=False)
         return ""

@@ -143,6 +143,7 @@ class ControlLoop:
         self._phase, self._skill = "", ""
         self._contacts: tuple[PermittedContact, ...] = ()
         self._residual_contacts = ResidualContacts(safety)
+        self._contact_speed_scale = 1.0
         self._holding: HeldObject | None = None
         self._ticks = 0
         self.state = robot.read()
@@ -201,8 +202,14 @@ class ControlLoop:
         """The newest state, scene and tool pose for the running skill."""
         if self._tool_state is not self.state:
             self._tool_state, self._tool = self.state, self.safety.tool(self.state.q)
+        contact = self.safety_controller.contact
         return Observation(
-            state=self.state, scene=self.scene, now=self.state.stamp, tool=self._tool, paused_time=self._paused_time
+            state=self.state,
+            scene=self.scene,
+            now=self.state.stamp,
+            tool=self._tool,
+            paused_time=self._paused_time,
+            contact_force=contact.force if contact is not None else None,
         )
 
     # --- one tick -------------------------------------------------------------------------------------------------
@@ -310,6 +317,10 @@ class ControlLoop:
         now = self.inputs.clock() if self.inputs.clock else state.stamp
         if self.safety_controller.accept_state(state, now):
             self.state = state
+        if (contact := self.safety_controller.contact) is not None and (
+            contact.permitted_speed.scale != self._contact_speed_scale
+        ):
+            self._update_permits()
         if self._ticks % self._perception_ticks == 0:
             self._perceive()
         self.safety_controller.report(self._scene_monitor.age_conditions(self.scene, now))
@@ -357,9 +368,13 @@ class ControlLoop:
             self.observer.on_phase(nominal.phase, {**self._roles, "held": held, "left": left})
 
     def _update_permits(self) -> None:
-        """Permit the contacts of the phase and the residual ones."""
+        """Permit the contacts of the phase and the residual ones, slower the larger the measured contact force is."""
         permitted = self._residual_contacts.combine(self._contacts)
-        contacts = [Contact(one.robot_part, one.obstacle, one.speed) for one in permitted]
+        scale = 1.0
+        if (contact := self.safety_controller.contact) is not None:
+            contact.set_permits(max((one.speed for one in permitted), default=None))
+            scale = self._contact_speed_scale = contact.permitted_speed.scale
+        contacts = [Contact(one.robot_part, one.obstacle, scale * one.speed) for one in permitted]
         self.log.call(self.state.stamp, "permit", permits=contacts)
         self.safety.permit(contacts)
 
@@ -368,6 +383,8 @@ class ControlLoop:
         if self._holding and holding is None:
             self._released = (self._holding.name, self.state.stamp)
         self._holding = holding
+        if self.safety_controller.contact is not None:
+            self.safety_controller.contact.set_holding(holding is not None, self.state.stamp)
         if holding is None:
             self.log.call(self.state.stamp, "detach")
             self.safety.detach()

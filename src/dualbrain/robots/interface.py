@@ -19,6 +19,10 @@ class RobotState:
 
     `opening` is None if the hardware does not report it; the filter then covers every opening. Without a measurement
     the finger forces are 0, so that no grasp counts as made.
+
+    `torques` (n,) [Nm] are the mean motor torques since the state before, 0 for the joints of a mobile base. `wrench`
+    (6,) is the mean force [N] and torque [Nm] that the arm exerts on the last chain frame, in its axes and about its
+    origin. Both are None where the robot does not measure them (`RobotModel.force_sensing`).
     """
 
     stamp: float
@@ -28,6 +32,8 @@ class RobotState:
     opening: float | None
     finger_forces: tuple[float, float]
     drive_enabled: bool = True
+    torques: Array | None = None
+    wrench: Array | None = None
 
 
 @dataclass(frozen=True, slots=True)

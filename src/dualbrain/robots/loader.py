@@ -92,6 +92,8 @@ def find_model_faults(robot_model: RobotModel) -> Iterator[ModelFault]:
         yield from _joint_faults(joint)
     yield from _link_faults(robot_model)
     yield from _sphere_faults(robot_model)
+    yield from _dynamics_faults(robot_model)
+    yield from _force_sensing_faults(robot_model)
     if not 0.0 < robot_model.period <= 1.0:
         yield "period", robot_model.period, "above 0, at most 1 s"
     if robot_model.gain is not None and not robot_model.gain.value > 0.0:
@@ -102,6 +104,37 @@ def find_model_faults(robot_model: RobotModel) -> Iterator[ModelFault]:
             list(robot_model.home),
             f"{robot_model.nq} values: x, y and heading of a mobile base, then one for each joint",
         )
+
+
+def _dynamics_faults(robot_model: RobotModel) -> Iterator[ModelFault]:
+    dynamics = robot_model.dynamics
+    if dynamics is None:
+        return
+    for body in dynamics.bodies:
+        if not 1 <= body.frame <= robot_model.n:
+            yield "frame of a body of dynamics", body.frame, f"1 to {robot_model.n}"
+        numbers = (body.mass, *body.centre, *body.inertia)
+        if not (all(map(isfinite, numbers)) and body.mass >= 0.0 and min(body.inertia[:3]) >= 0.0):
+            yield "body of dynamics", numbers, "finite numbers, a mass and moments of inertia of at least 0"
+    for name in ("rotor_inertia", "damping"):
+        values: tuple[float, ...] = getattr(dynamics, name)
+        if len(values) != robot_model.n or not all(isfinite(value) and value >= 0.0 for value in values):
+            yield f"{name} of dynamics", list(values), f"{robot_model.n} numbers of at least 0"
+    if not (isfinite(dynamics.payload.value) and dynamics.payload.value >= 0.0):
+        yield "payload of dynamics", dynamics.payload.value, "at least 0 kg"
+
+
+def _force_sensing_faults(robot_model: RobotModel) -> Iterator[ModelFault]:
+    sensing = robot_model.force_sensing
+    if sensing is None:
+        return
+    if robot_model.dynamics is None:
+        yield "dynamics", None, "the masses of the robot, because force_sensing is declared"
+    channels = robot_model.n if sensing.kind == "motor_torques" else 6
+    for name in ("noise", "accuracy"):
+        values: tuple[float, ...] = getattr(sensing, name)
+        if len(values) != channels or not all(isfinite(value) and value >= 0.0 for value in values):
+            yield f"{name} of force_sensing", list(values), f"{channels} numbers of at least 0"
 
 
 def _link_faults(robot_model: RobotModel) -> Iterator[ModelFault]:

@@ -19,12 +19,23 @@ from dualbrain.robots.collision_model.self_collision import (
     min_clearances,
     random_configurations,
 )
-from dualbrain.robots.model import Joint, Link, RobotModel, SelfCollisionPairs, TrackingErrorModel, Vector
+from dualbrain.robots.model import (
+    DynamicModel,
+    ForceSensing,
+    Joint,
+    Link,
+    RobotModel,
+    SelfCollisionPairs,
+    TrackingErrorModel,
+    Vector,
+)
 
 BASE_JOINTS = 2
 """Number of controls of a base: v and ω."""
 BASE_NQ = 3
 """Number of configuration variables of a base: x, y and heading."""
+NO_BASE_VALUES = (0.0,) * BASE_JOINTS
+"""Entries of the joints of a base, whose motors have no dynamic model and measure no torque."""
 BASE_GROUP = "base"
 """Group of the links of the base."""
 
@@ -73,6 +84,8 @@ def mount_arm_on_base(
         base_lag=base_lag,
         base="differential",
         other_drives=(),
+        dynamics=_mount_dynamics(arm.dynamics),
+        force_sensing=_mount_sensing(arm.force_sensing),
     )
 
 
@@ -85,6 +98,27 @@ def _mount_link(link: Link, mount_position: Vector) -> Link:
     """A link of the arm behind the joints of the base; a link that was fixed to the world moves with the base."""
     translation = _add_vectors(mount_position, link.translation) if link.frame == 0 else link.translation
     return msgspec.structs.replace(link, frame=link.frame + BASE_JOINTS, translation=translation)
+
+
+def _mount_dynamics(dynamics: DynamicModel | None) -> DynamicModel | None:
+    """The masses of the arm behind the joints of the base."""
+    if dynamics is None:
+        return None
+    return msgspec.structs.replace(
+        dynamics,
+        bodies=tuple(msgspec.structs.replace(body, frame=body.frame + BASE_JOINTS) for body in dynamics.bodies),
+        rotor_inertia=(*NO_BASE_VALUES, *dynamics.rotor_inertia),
+        damping=(*NO_BASE_VALUES, *dynamics.damping),
+    )
+
+
+def _mount_sensing(sensing: ForceSensing | None) -> ForceSensing | None:
+    """The force sensing of the arm; the motors of the base measure none."""
+    if sensing is None or sensing.kind == "wrist_wrench":
+        return sensing
+    return msgspec.structs.replace(
+        sensing, noise=(*NO_BASE_VALUES, *sensing.noise), accuracy=(*NO_BASE_VALUES, *sensing.accuracy)
+    )
 
 
 def _spheres_by_link(base: RobotModel, arm: RobotModel) -> dict[str, SphereSet]:
@@ -129,7 +163,10 @@ def _base_arm_pairs(
 
 
 def extract_arm(robot_model: RobotModel) -> RobotModel:
-    """The arm of a mobile manipulator as a fixed robot, whose frame 0 is the frame of the base on the floor."""
+    """The arm of a mobile manipulator as a fixed robot, whose frame 0 is the frame of the base on the floor.
+
+    It is kinematic: without masses and force sensing, as those of the whole robot count.
+    """
     links = tuple(
         msgspec.structs.replace(link, frame=link.frame - BASE_JOINTS)
         for link in robot_model.links
@@ -143,6 +180,8 @@ def extract_arm(robot_model: RobotModel) -> RobotModel:
         home=robot_model.home[BASE_NQ:],
         base="fixed",
         base_lag=None,
+        dynamics=None,
+        force_sensing=None,
         spheres=tuple(sphere for sphere in robot_model.spheres if sphere.link in names),
         self_pairs=SelfCollisionPairs(tuple(pair for pair in robot_model.self_pairs.kept if names >= set(pair)), ()),
     )
@@ -158,4 +197,6 @@ def extract_base(robot_model: RobotModel) -> RobotModel:
         spheres=tuple(sphere for sphere in robot_model.spheres if sphere.link in names),
         self_pairs=SelfCollisionPairs((), ()),
         home=robot_model.home[:BASE_NQ],
+        dynamics=None,
+        force_sensing=None,
     )

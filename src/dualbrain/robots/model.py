@@ -100,6 +100,46 @@ class TrackingErrorModel(msgspec.Struct, frozen=True, kw_only=True):
         return self.position_error * (self.rate + 2.0 * max(0.0, alpha - self.rate))
 
 
+class RigidBody(msgspec.Struct, frozen=True, kw_only=True):
+    """A rigid body on chain frame `frame`: `mass` [kg], `centre` of mass [m], inertia about it [kg m²].
+
+    `inertia` is (xx, yy, zz, xy, xz, yz) along the axes of the frame.
+    """
+
+    frame: int
+    mass: float
+    centre: Vector
+    inertia: tuple[float, float, float, float, float, float]
+
+
+class DynamicModel(msgspec.Struct, frozen=True, kw_only=True):
+    """Masses of the robot, without those of a mobile base, and of each joint the inertia of its rotor and its damping.
+
+    `rotor_inertia` [kg m²] is reflected to the joint, `damping` in Nm s/rad; the entries of a base's joints are 0.
+    `payload` [kg] is the largest mass in the hand.
+    """
+
+    bodies: tuple[RigidBody, ...]
+    rotor_inertia: tuple[float, ...]
+    damping: tuple[float, ...]
+    payload: Bound
+    provenance: str
+
+
+class ForceSensing(msgspec.Struct, frozen=True, kw_only=True):
+    """The sensor from which contact forces are estimated: the torques of the motors, or a wrench at the wrist.
+
+    `noise` is the standard deviation of one reading and `accuracy` the bound of its constant error, one entry per
+    channel: for "motor_torques" the joints [Nm], 0 for those of a mobile base; for "wrist_wrench" the force along x, y
+    and z [N] and the torque about them [Nm] at the origin of the last chain frame, in its axes.
+    """
+
+    kind: Literal["motor_torques", "wrist_wrench"]
+    noise: tuple[float, ...]
+    accuracy: tuple[float, ...]
+    provenance: str
+
+
 class SelfCollisionPairs(msgspec.Struct, frozen=True):
     """Pairs of links whose spheres the filter keeps apart, and every excluded pair with the reason."""
 
@@ -112,7 +152,8 @@ class RobotModel(msgspec.Struct, frozen=True, kw_only=True):
 
     `gain` [1/s] is an upper bound of the filter's α where α must be below the value that the acceleration limits allow.
     `base_lag` [s] is the lag of a mobile base beyond `tracking.lag`. If it is given, the filter predicts the base along
-    an arc; otherwise it predicts a straight motion.
+    an arc; otherwise it predicts a straight motion. Without `force_sensing` contact forces are not supervised, and
+    without `dynamics` they cannot be: the estimate subtracts the torque of the robot's own motion.
     """
 
     name: str
@@ -132,6 +173,8 @@ class RobotModel(msgspec.Struct, frozen=True, kw_only=True):
     other_drives: tuple[TrackingErrorModel, ...] = ()
     gain: Bound | None = None
     base_lag: float | None = None
+    dynamics: DynamicModel | None = None
+    force_sensing: ForceSensing | None = None
 
     @property
     def n(self) -> int:

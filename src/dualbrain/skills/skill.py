@@ -90,6 +90,45 @@ class ToolState(Protocol):
         ...
 
 
+class ContactForce(Protocol):
+    """Contact force on the arm, as estimated from its force sensing; `felt_load` is the weight in the hand [kg].
+
+    `vector` (3,) [N] acts on the robot at `place` ("tool" or the name of a link), in the axes of the world, and has the
+    length `magnitude`, of which at most `uncertainty` [N] is an error of the sensor. `load` [kg] is the weight that was
+    identified after the grasp and is not part of the force; `felt_load` is identified continuously.
+    """
+
+    @property
+    def vector(self) -> tuple[float, float, float]:
+        """Force [N]."""
+        ...
+
+    @property
+    def magnitude(self) -> float:
+        """Length of the force [N]."""
+        ...
+
+    @property
+    def place(self) -> str:
+        """Where the force acts."""
+        ...
+
+    @property
+    def uncertainty(self) -> float:
+        """Largest error of the sensor [N]."""
+        ...
+
+    @property
+    def load(self) -> float:
+        """Identified weight in the hand [kg]."""
+        ...
+
+    @property
+    def felt_load(self) -> float:
+        """Weight that is felt now [kg]."""
+        ...
+
+
 class MotionModel(Protocol):
     """Functions that the control loop provides to skills: kinematics, and the projection onto rows known to φ."""
 
@@ -128,6 +167,7 @@ class Observation:
     """Input of a skill in one tick; replaced before every step of the routine.
 
     `paused_time` [s] is the time for which a person has paused or slowed the skill; time limits do not count it.
+    `contact_force` is None without force sensing, while the drive is off, and until the first estimate.
     """
 
     state: RobotState
@@ -135,6 +175,7 @@ class Observation:
     now: float
     tool: ToolState = field(repr=False)
     paused_time: float = 0.0
+    contact_force: ContactForce | None = None
 
     @property
     def active_time(self) -> float:

@@ -10,6 +10,8 @@ from __future__ import annotations
 from dualbrain.robots.builtin import panda
 from dualbrain.robots.builtin.panda import (
     ALLOWED_PAIRS,
+    DYNAMICS,
+    FORCE_SENSING,
     GRIPPER,
     HOME,
     LINK_COVERS,
@@ -24,6 +26,8 @@ from dualbrain.robots.model import Bound, Joint
 
 __all__ = [
     "ALLOWED_PAIRS",
+    "DYNAMICS",
+    "FORCE_SENSING",
     "GRIPPER",
     "HOME",
     "LICENCE",

@@ -27,6 +27,8 @@ from dualbrain.robots.loader import BUILTIN_ROBOTS, data_file, encode_robot, loa
 from dualbrain.robots.model import (
     Bound,
     CollisionSphere,
+    DynamicModel,
+    ForceSensing,
     Gripper,
     Joint,
     Link,
@@ -61,6 +63,8 @@ class RobotDefinition(Protocol):
     HOME: tuple[float, ...]
     PERIOD: float
     TOOL_SPEED: Bound
+    DYNAMICS: DynamicModel
+    FORCE_SENSING: ForceSensing
 
     def part_mesh(self, name: str) -> Mesh:
         """The mesh of one convex part of a link, in the link frame."""
@@ -113,6 +117,8 @@ def make_arm(
         period=definition.PERIOD,
         tool_speed=definition.TOOL_SPEED,
         other_drives=previous.other_drives if previous else (),
+        dynamics=definition.DYNAMICS,
+        force_sensing=definition.FORCE_SENSING,
     )
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.robots.assets.meshes import Mesh, collision_mesh
+from dualbrain.robots.builtin import panda_dynamics
 from dualbrain.robots.collision_model.fit_problem import LinkCoverSpec
 from dualbrain.robots.model import Bound, Gripper, Joint, Link, Quaternion, Tool, Vector
 
@@ -43,6 +44,7 @@ JERK_LIMITS = (7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0)
 HOME = (0.0, -0.3, 0.0, -2.2, 0.0, 2.0, 0.785)
 PERIOD = 0.001
 TOOL_SPEED = Bound(0.4, "m/s", "site policy")
+DYNAMICS, FORCE_SENSING = panda_dynamics.DYNAMICS, panda_dynamics.FORCE_SENSING
 TOOL = Tool("hand", (0.0, 0.0, 0.1034))
 
 FINGER_LENGTH = 0.0538

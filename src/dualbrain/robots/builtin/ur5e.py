@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.robots.assets.meshes import Mesh, convex_hull_mesh, package_mesh, transform_mesh
+from dualbrain.robots.builtin import ur5e_dynamics
 from dualbrain.robots.collision_model.fit_problem import LinkCoverSpec
 from dualbrain.robots.model import Bound, Gripper, Joint, Link, Quaternion, Tool, Vector
 
@@ -48,6 +49,7 @@ VELOCITY_LIMIT, ACCELERATION_LIMIT = 3.1416, 10.0
 HOME = (-0.323, -1.7376, 1.393, -1.2262, -1.5708, -1.8938)
 PERIOD = 0.002
 TOOL_SPEED = Bound(0.4, "m/s", "site policy")
+DYNAMICS, FORCE_SENSING = ur5e_dynamics.DYNAMICS, ur5e_dynamics.FORCE_SENSING
 
 FINGER_TIP_REACH = 0.1735
 """Distance of the finger tips from the flange [m], hand closed."""

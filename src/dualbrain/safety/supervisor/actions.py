@@ -40,6 +40,7 @@ class Cause(Enum):
     DRIVE = "drive"
     OPERATOR = "operator"
     PROGRAM = "program"
+    CONTACT = "contact"
 
 
 class SupervisorDecision(msgspec.Struct, frozen=True):

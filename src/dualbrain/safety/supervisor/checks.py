@@ -264,6 +264,17 @@ CHECKS: tuple[Check, ...] = (
         contract_outcome="stopped",
     ),
     Check(
+        name="unexpected_contact",
+        condition=C.UNEXPECTED_CONTACT,
+        action=SafetyAction.CONTROLLED_STOP,
+        cause=Cause.CONTACT,
+        description="a contact force is above its limit",
+        release=0.5,
+        clears=ON_CONTINUE,
+        contract_outcome="stopped",
+        immediate_drive_off=True,
+    ),
+    Check(
         name="filter_stopped",
         condition=C.FILTER_STOPPED,
         action=SafetyAction.CONTROLLED_STOP,

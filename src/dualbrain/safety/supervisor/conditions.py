@@ -30,6 +30,7 @@ class Condition(IntFlag):
     CLOCK_STEP = auto()
     TRACKING_OFF = auto()
     TRACKING_LOST = auto()
+    UNEXPECTED_CONTACT = auto()
     OVERSPEED = auto()
     DRIFT = auto()
     STOP_OVERDUE = auto()

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from dualbrain.robots.interface import RobotState
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.result import FilterResult
+from dualbrain.safety.contact_force.limits import ContactForceLimits
+from dualbrain.safety.contact_force.monitor import ContactForceMonitor
 from dualbrain.safety.supervisor.actions import SupervisorDecision
 from dualbrain.safety.supervisor.checks import ContractOutcome
 from dualbrain.safety.supervisor.conditions import Condition
@@ -43,18 +45,24 @@ class SafetyController:
         timing: Timing = SIMULATED,
         monitor_limits: MonitorLimits | None = None,
         standstill_limits: StandstillLimits | None = None,
+        contact_limits: ContactForceLimits | None = None,
     ) -> None:
         """Start without conditions, with the drive on and at full speed (`speed_scale` 1).
 
         `safety` filters every control of its robot with n joints. `timing` holds the control period and the limits on
         delays [s], by default those of the simulator in lockstep. `monitor_limits` and `standstill_limits` decide when
         a reading is implausible, and when the robot counts as at rest and stays there; None: the defaults of
-        `MonitorLimits` and `StandstillLimits`. No value of these limits raises an error.
+        `MonitorLimits` and `StandstillLimits`. No value of these limits raises an error. `contact_limits` are those of
+        the contact force, which is supervised if the robot model declares `force_sensing`.
+
+        Raises `ConfigurationError` if the model declares it without a dynamic model.
         """
         self.safety, self.speed_scale = safety, 1.0
         self.supervisor = Supervisor()
         self.monitor = StateMonitor(safety.robot_model, timing, monitor_limits)
         self.enforcement = Enforcement(standstill_limits)
+        self.contact = ContactForceMonitor(safety, contact_limits) if safety.robot_model.force_sensing else None
+        """The contact force, None without force sensing."""
         self._period = max(timing.period, safety.robot_model.period)
         self.loop_delay = LoopDelay(self._period)
         self.scale_applied = UNSCALED
@@ -83,8 +91,11 @@ class SafetyController:
     def accept_state(self, state: RobotState, now: float) -> bool:
         """Check a joint state read at `now` [s]; False if it must not be used (implausible or repeated)."""
         flags = self.monitor.check_state(state, now)
+        usable = not flags & UNUSABLE_STATE_CONDITIONS
+        if usable and self.contact is not None and self.contact.update(state):
+            flags |= Condition.UNEXPECTED_CONTACT
         self._pending |= flags
-        return not flags & UNUSABLE_STATE_CONDITIONS
+        return usable
 
     def report(self, conditions: int) -> None:
         """Add `Condition` bits that other components detected since the last decision."""

@@ -51,6 +51,8 @@ class MobileManipulatorPlant(Plant):
             opening=arm.opening,
             finger_forces=arm.finger_forces,
             drive_enabled=arm.drive_enabled,
+            torques=arm.torques,
+            wrench=arm.wrench,
         )
 
     def robot_velocity(self) -> Array:

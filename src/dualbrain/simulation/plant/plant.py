@@ -22,6 +22,7 @@ from dualbrain.errors import UnknownNameError
 from dualbrain.robots.interface import Array, Command, RobotState
 from dualbrain.robots.model import RobotModel
 from dualbrain.simulation.models.mujoco_model import load_mujoco_model, n_arm_joints
+from dualbrain.simulation.plant.force_sensor import ForceSensor
 from dualbrain.simulation.plant.joint_drive import ARM_ACTUATOR_GROUP, DriveKind, make_drive, motor_slices
 from dualbrain.simulation.scenes.moving_person import PERSON_DAMPING, PERSON_STIFFNESS, person_path
 from dualbrain.simulation.scenes.scene_builder import LOAD_NAME, PHYSICS_PERIOD, ROBOT_PREFIX, build_model
@@ -76,6 +77,7 @@ class Plant:
         self._index()
         self._load_address = self.model.joint(LOAD_NAME).qposadr[0] if load > 0.0 else None
         self.drive = make_drive(drive, self.model, self.data)
+        self._force_sensor = self._make_force_sensor()
         self._target_opening = float(self.robot_model.gripper.opening.value)
         self._set_force(float(self.robot_model.gripper.force_min.value))
         self.set_configuration(np.array(self.robot_model.home))
@@ -94,6 +96,8 @@ class Plant:
             opening=self._measured_opening(),
             finger_forces=self.pad_forces(),
             drive_enabled=self._enabled,
+            torques=self._read_force_sensor("motor_torques"),
+            wrench=self._read_force_sensor("wrist_wrench"),
         )
 
     def pad_forces(self) -> tuple[float, float]:
@@ -155,6 +159,8 @@ class Plant:
         data.ctrl[self._gripper_actuator] = self._finger_setpoint
         self._move_person()
         mujoco.mj_step2(self.model, data)
+        if self._force_sensor is not None:
+            self._force_sensor.sample()
 
     @property
     def now(self) -> float:
@@ -235,6 +241,26 @@ class Plant:
         return self.tool_pose()[0][:2]
 
     # --- internals ----------------------------------------------------------------------------------------------
+
+    def _make_force_sensor(self) -> ForceSensor | None:
+        """The sensor that the robot model declares, None without one."""
+        sensing = self.robot_model.force_sensing
+        if sensing is None:
+            return None
+        return ForceSensor(
+            sensing,
+            self.model,
+            self.data,
+            motors=motor_slices(self.model)[0],
+            joints=self._dof,
+            wrist_body=f"{ROBOT_PREFIX}link{n_arm_joints(self.robot_model)}",
+            seed=self.spec.seed,
+        )
+
+    def _read_force_sensor(self, kind: str) -> Array | None:
+        """The reading of the sensor of this kind, None if the robot has another or none."""
+        sensing = self.robot_model.force_sensing
+        return self._force_sensor.read() if self._force_sensor and sensing and sensing.kind == kind else None
 
     def _apply_drive(self) -> None:
         """Apply the commanded velocities to the motors."""

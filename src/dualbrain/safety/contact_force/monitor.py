@@ -1,0 +1,93 @@
+"""Monitor of the contact force: from measured states to the estimate, the stop and the speed of permitted contacts."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dualbrain.robots.interface import Array, RobotState
+from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.safety.cbf.kernel import tool_frame
+from dualbrain.safety.contact_force.estimate import LEAST_TORQUE, TOOL, UNEXPLAINED_SHARE, ContactForce, ForceSolver
+from dualbrain.safety.contact_force.external_torque import WINDOW, ExternalTorque
+from dualbrain.safety.contact_force.limits import ContactForceLimits, stop_force
+from dualbrain.safety.contact_force.permitted_speed import PermittedSpeed
+
+
+class ContactForceMonitor:
+    """Contact force of one robot with force sensing.
+
+    State: `force`, the newest estimate or None, `fastest_permit` [m/s], the largest permitted contact speed or None if
+    no contact is permitted, and `permitted_speed`.
+    """
+
+    def __init__(self, safety: SafetyFilter, limits: ContactForceLimits | None = None) -> None:
+        """Use the kinematics of `safety`; raises `ConfigurationError` without a dynamic model."""
+        self.limits = limits or ContactForceLimits()
+        self._safety = safety
+        self.external_torque = ExternalTorque(safety.robot_model)
+        self._first = self.external_torque.dynamics.first_joint
+        self._solver = ForceSolver(safety.robot_model, self._first)
+        self._last_frame_to_tool, _ = tool_frame(safety.robot_model)
+        self.permitted_speed = PermittedSpeed(self.limits)
+        self.fastest_permit: float | None = None
+        self.force: ContactForce | None = None
+        self._exceeded = ""
+
+    def set_permits(self, fastest: float | None) -> None:
+        """The largest speed [m/s] of the permitted contacts from now on; None without any."""
+        self.fastest_permit = fastest
+        if fastest is None:
+            self.permitted_speed.reset()
+
+    def set_holding(self, holding: bool, now: float) -> None:
+        """Whether an object is in the hand from `now` [s] on."""
+        self.external_torque.set_holding(holding, now)
+
+    @property
+    def limit(self) -> float:
+        """The force [N] that stops the arm now."""
+        return stop_force(self.limits, permitted=self.fastest_permit is not None)
+
+    def update(self, state: RobotState) -> bool:
+        """Add a measured state; whether the force is above `limit`."""
+        updated, residual = self.external_torque.update(state), self.external_torque.residual
+        if residual is None:
+            self.force = None
+        elif updated:
+            self.force = self._estimate(state, residual)
+            if self.fastest_permit is not None:
+                self.permitted_speed.update(self.force.magnitude, self.fastest_permit, WINDOW)
+        if self.force is None or self.force.magnitude <= max(self.limit, self.force.uncertainty):
+            return False
+        self._exceeded = self.force.explain(self.limit)
+        return True
+
+    def explain(self) -> str:
+        """The force that stopped the arm last, as a sentence; "" if none did."""
+        return self._exceeded
+
+    def _estimate(self, state: RobotState, residual: Array) -> ContactForce:
+        """The contact force that explains `residual`, of the joints (n,) or at the wrist (6,)."""
+        tool = self._safety.tool(state.q)
+        if self.external_torque.at_wrist:
+            rotation = tool.rotation @ self._last_frame_to_tool.T
+            return self._contact_force(state, rotation @ residual[:3], self._solver.wrist_uncertainty, TOOL)
+        jacobian = tool.jacobian[:, self._first :]
+        vector, solve, unexplained = self._solver.at_tool(residual, jacobian[:3])
+        place = TOOL
+        if unexplained > UNEXPLAINED_SHARE and np.abs(residual).max() > LEAST_TORQUE:
+            centres, _, _ = self._safety.spheres(state.q, state.opening)
+            vector, solve, place = self._solver.at_links(residual, jacobian, tool.position, centres)
+        return self._contact_force(state, vector, self._solver.uncertainty(solve), place)
+
+    def _contact_force(self, state: RobotState, vector: Array, uncertainty: float, place: str) -> ContactForce:
+        x, y, z = vector.tolist()
+        return ContactForce(
+            stamp=state.stamp,
+            vector=(x, y, z),
+            magnitude=float(np.linalg.norm(vector)),
+            place=place,
+            uncertainty=uncertainty,
+            load=self.external_torque.load,
+            felt_load=self.external_torque.felt_load,
+        )
