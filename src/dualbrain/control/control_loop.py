@@ -15,7 +15,7 @@ from dualbrain.control.residual_contacts import ResidualContacts
 from dualbrain.control.scene_monitor import SceneMonitor, effective_stamp
 from dualbrain.control.scene_smoothing import SceneSmoother
 from dualbrain.records import Scene
-from dualbrain.robots.interface import Command, RobotInterface, RobotState
+from dualbrain.robots.interface import Array, Command, RobotInterface, RobotState
 from dualbrain.robots.model import RobotModel
 from dualbrain.safety.barriers.traversable_region import traversable_region
 from dualbrain.safety.barriers.workspace import plane
@@ -235,6 +235,8 @@ class ControlLoop:
         if nominal.phase != self._phase or nominal.holding is not self._holding:
             self._update_phase_and_grasp(nominal)
             nominal = replace(nominal, u=self.controller.reproject(nominal.u))
+        if self.safety_controller.retreating:
+            nominal = replace(nominal, u=self._retreat_control())
         result = self.safety_controller.control(self.state, nominal.u, now, guard=self.config.guard)
         self._mark_part("filter")
         if self.safety_controller.drive_wanted:
@@ -246,6 +248,13 @@ class ControlLoop:
         self._read_sensors()
         self._mark_part("sense")
         return result
+
+    def _retreat_control(self) -> Array:
+        """The nominal control that replaces the skill's while the arm yields to a contact force."""
+        if self.safety_controller.retreat_begins:
+            u = self.safety_controller.yield_to_contact(self.state)
+            self.log.call(self.state.stamp, "reset", u_prev=u)
+        return self.safety_controller.retreat_control()
 
     def begin(self) -> None:
         """Read the sensors before the first tick; the state of the construction may be too old by then."""

@@ -48,6 +48,11 @@ class ContactForceMonitor:
         """The force [N] that stops the arm now."""
         return stop_force(self.limits, permitted=self.fastest_permit is not None)
 
+    @property
+    def is_exceeded(self) -> bool:
+        """Whether the force is above `limit` and above the error of the estimate."""
+        return self.force is not None and self.force.magnitude > max(self.limit, self.force.uncertainty)
+
     def update(self, state: RobotState) -> bool:
         """Add a measured state; whether the force is above `limit`."""
         updated, residual = self.external_torque.update(state), self.external_torque.residual
@@ -57,14 +62,18 @@ class ContactForceMonitor:
             self.force = self._estimate(state, residual)
             if self.fastest_permit is not None:
                 self.permitted_speed.update(self.force.magnitude, self.fastest_permit, WINDOW)
-        if self.force is None or self.force.magnitude <= max(self.limit, self.force.uncertainty):
-            return False
-        self._exceeded = self.force.explain(self.limit)
-        return True
+        if self.force is not None and self.is_exceeded:
+            self._exceeded = self.force.explain(self.limit)
+            return True
+        return False
 
     def explain(self) -> str:
         """The force that stopped the arm last, as a sentence; "" if none did."""
         return self._exceeded
+
+    def joint_torque(self, residual: Array) -> Array:
+        """The external torque (k,) [Nm] of the arm's k joints for a `residual` of the sensor."""
+        return self._jacobian.T @ self._vector if self.external_torque.at_wrist else residual
 
     def _estimate(self, state: RobotState, residual: Array) -> ContactForce:
         """The contact force that explains `residual`, of the joints (n,) or at the wrist (6,)."""

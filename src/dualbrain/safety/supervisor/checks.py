@@ -268,11 +268,10 @@ CHECKS: tuple[Check, ...] = (
         condition=C.UNEXPECTED_CONTACT,
         action=SafetyAction.CONTROLLED_STOP,
         cause=Cause.CONTACT,
-        description="a contact force is above its limit",
+        description="a contact force is above its limit; the arm yields to it and stops",
         release=0.5,
         clears=ON_CONTINUE,
         contract_outcome="stopped",
-        immediate_drive_off=True,
     ),
     Check(
         name="filter_stopped",

@@ -16,6 +16,7 @@ from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.result import FilterResult
 from dualbrain.safety.contact_force.limits import ContactForceLimits
 from dualbrain.safety.contact_force.monitor import ContactForceMonitor
+from dualbrain.safety.contact_force.retreat import Retreat
 from dualbrain.safety.supervisor.actions import SupervisorDecision
 from dualbrain.safety.supervisor.checks import ContractOutcome
 from dualbrain.safety.supervisor.conditions import Condition
@@ -32,6 +33,8 @@ UNSCALED, STANDSTILL, BRAKING = 1.0, -1.0, -2.0
 """Actions of the supervisor on a control, as the trace stores them: a scale in [0, 1], or u = 0, or braking."""
 SILENT_BUS_CONDITIONS = int(Condition.STATE_STALE | Condition.STATE_LOST | Condition.TICK_LOST)
 """Conditions that a silent robot link causes. Some links are silent while the drive is being switched on."""
+CONTACT_CHECK = "unexpected_contact"
+"""The check that lets the arm retreat before it stops."""
 UNUSABLE_STATE_CONDITIONS = int(Condition.STATE_IMPLAUSIBLE | Condition.STATE_REPEATED)
 
 
@@ -63,11 +66,15 @@ class SafetyController:
         self.enforcement = Enforcement(standstill_limits)
         self.contact = ContactForceMonitor(safety, contact_limits) if safety.robot_model.force_sensing else None
         """The contact force, None without force sensing."""
+        self._retreat = Retreat(self.contact) if self.contact is not None else None
+        self.retreat_begins = False
+        """Whether a retreat from a contact begins in this tick."""
         self._period = max(timing.period, safety.robot_model.period)
         self.loop_delay = LoopDelay(self._period)
         self.scale_applied = UNSCALED
         joints = safety.robot_model.joints
         self._braking_step = np.array([joint.acceleration.value for joint in joints]) * safety.robot_model.period
+        self._velocity_limits = np.array([joint.velocity.value for joint in joints])
         self._pending = 0
         self._last_tick = nan
         self._drive_came_on, self._drive_request_stamp, self._drive_request_time = True, nan, nan
@@ -111,7 +118,9 @@ class SafetyController:
             flags &= ~SILENT_BUS_CONDITIONS
         drive_was_wanted = self.enforcement.drive_wanted
         decision = self.supervisor.update(now, flags)
-        self._pending = self.enforcement.apply(decision, state)
+        if self._retreat is not None:
+            self.retreat_begins = self._retreat.update(state, wanted=decision.check == CONTACT_CHECK)
+        self._pending = self.enforcement.apply(decision, state, retreating=self.retreating)
         if self.enforcement.drive_wanted and not drive_was_wanted:
             self.expect_drive_on(state, now)
         if self.enforcement.drive_wanted and self._drive_dropped(state):
@@ -122,6 +131,21 @@ class SafetyController:
     def commanded_speed(self) -> float:
         """Largest speed of a joint in the last control [rad/s]."""
         return max(map(abs, self._u.tolist()))
+
+    @property
+    def retreating(self) -> bool:
+        """Whether the arm yields to a contact force; its nominal control is then `retreat_control`."""
+        return self._retreat is not None and self._retreat.active
+
+    def retreat_control(self) -> Array:
+        """The nominal control (n,) [rad/s] of a retreat, zero without one."""
+        return self._retreat.control(len(self._u)) if self._retreat is not None else np.zeros_like(self._u)
+
+    def yield_to_contact(self, state: RobotState) -> Array:
+        """Set the filter's last control to the measured velocity within the limits (n,) [rad/s], which is returned."""
+        u = np.clip(state.v, -self._velocity_limits, self._velocity_limits)
+        self.safety.reset(u)
+        return u
 
     def clear_filter_memory(self) -> Array:
         """Clear the memory of the filter except for the last control (n,) [rad/s], which is returned."""
@@ -164,7 +188,7 @@ class SafetyController:
         `u_nom` (n,) [rad/s] is the nominal control at `now` [s]. With `guard=False` the filter runs without effect, for
         experiments without a filter.
         """
-        scale = self.enforcement.scale(self.decision, self.speed_scale)
+        scale = UNSCALED if self.retreating else self.enforcement.scale(self.decision, self.speed_scale)
         scaled = u_nom if scale == 1.0 else scale * u_nom
         result = self.safety.filter(state, scaled, now)
         self._pending |= result_conditions(result)

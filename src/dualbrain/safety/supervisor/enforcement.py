@@ -65,14 +65,14 @@ class Enforcement:
         """Whether u = 0 must be written: the arm is at rest under a HOLD or a CONTROLLED_STOP."""
         return self.standstill_q is not None
 
-    def apply(self, decision: SupervisorDecision, state: RobotState) -> int:
+    def apply(self, decision: SupervisorDecision, state: RobotState, *, retreating: bool = False) -> int:
         """Apply a decision at the measured state; returns `Condition` bits of a violated stop or standstill.
 
         Time is that of the robot's stamps, so that a faulty clock cannot make a stop appear overdue. Sets
-        `drive_wanted` and `standstill_q`.
+        `drive_wanted` and `standstill_q`. While the arm is `retreating` from a contact, its stop has not begun.
         """
         flags = self._update_drive(decision, state)
-        if decision.action < SafetyAction.HOLD or not self.drive_wanted:
+        if decision.action < SafetyAction.HOLD or not self.drive_wanted or retreating:
             self._stop_since, self.standstill_q = None, None
             return flags
         if self._stop_since is None:
