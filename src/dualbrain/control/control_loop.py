@@ -251,8 +251,8 @@ class ControlLoop:
 
     def _retreat_control(self) -> Array:
         """The nominal control that replaces the skill's while the arm yields to a contact force."""
-        if self.safety_controller.retreat_begins:
-            u = self.safety_controller.yield_to_contact(self.state)
+        u = self.safety_controller.yield_to_contact(self.state)
+        if u is not None:
             self.log.call(self.state.stamp, "reset", u_prev=u)
         return self.safety_controller.retreat_control()
 

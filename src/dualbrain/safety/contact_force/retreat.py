@@ -3,8 +3,10 @@
     u = r v_r ‖F‖/‖r‖²       r: external torque, F: contact force, v_r: `SPEED`
 
 By F·(J u) = r·u the point of contact moves with the speed v_r along F. The control goes through the filter, so that a
-retreat keeps every other distance. The drive of an arm that is stopped by an obstacle still pushes toward its last
-command, so the filter's last control is set to the measured velocity when the retreat begins.
+retreat keeps every other distance. An arm that an obstacle stops is slower than its command, and its drive pushes. The
+acceleration limits hold for motions, so they count from the velocity that is measured where the contact has changed it:
+
+    u_prev,j ← v_j    for every joint j with r_j (u_prev,j − v_j) < 0
 """
 
 from __future__ import annotations
@@ -32,31 +34,36 @@ class Retreat:
         self._began = 0.0
         self.active = False
 
-    def update(self, state: RobotState, *, wanted: bool) -> bool:
-        """Begin, continue or end at the measured state; whether a retreat begins. `wanted`: the check has tripped."""
+    def update(self, state: RobotState, *, wanted: bool) -> None:
+        """Begin, continue or end at the measured state. `wanted`: the check has tripped."""
         if not wanted:
             self._first_stamp, self.active = None, False
-            return False
+            return
         if self._first_stamp is None:
             self._first_stamp = state.stamp
         if self._monitor.force is None or state.stamp - self._first_stamp >= MAX_TIME:
             self.active = False
-            return False
-        if self.active:
+        elif self.active:
             brief = state.stamp - self._began < MIN_TIME
             self.active = brief or self._monitor.force.magnitude >= RELEASE_FORCE
-            return False
-        if not self._monitor.is_exceeded:
-            return False
-        self._began, self.active = state.stamp, True
-        return True
+        elif self._monitor.is_exceeded:
+            self._began, self.active = state.stamp, True
+
+    def yielding_control(self, state: RobotState, u: Array) -> Array:
+        """The last control `u` (n,) with the measured velocity for every joint in which `u` pushes more [rad/s]."""
+        pushes = (u - state.v) * self._torque(len(u)) < 0.0
+        return np.where(pushes, state.v, u)
 
     def control(self, n: int) -> Array:
         """The nominal control (n,) [rad/s] of the retreat."""
-        force, torque = self._monitor.force, self._monitor.external_torque.residual
-        u = np.zeros(n)
-        if force is not None and torque is not None:
-            torque = self._monitor.joint_torque(torque)
-            size = float(torque @ torque)
-            u[n - len(torque) :] = torque * (SPEED * force.magnitude / size if size > 0.0 else 0.0)
-        return u
+        force, torque = self._monitor.force, self._torque(n)
+        size = float(torque @ torque)
+        return torque * (SPEED * force.magnitude / size if force is not None and size > 0.0 else 0.0)
+
+    def _torque(self, n: int) -> Array:
+        """The external torque (n,) [Nm], 0 for the joints of a base and without an estimate."""
+        torque, residual = np.zeros(n), self._monitor.external_torque.residual
+        if residual is not None:
+            found = self._monitor.joint_torque(residual)
+            torque[n - len(found) :] = found
+        return torque

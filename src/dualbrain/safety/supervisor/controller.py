@@ -67,8 +67,6 @@ class SafetyController:
         self.contact = ContactForceMonitor(safety, contact_limits) if safety.robot_model.force_sensing else None
         """The contact force, None without force sensing."""
         self._retreat = Retreat(self.contact) if self.contact is not None else None
-        self.retreat_begins = False
-        """Whether a retreat from a contact begins in this tick."""
         self._period = max(timing.period, safety.robot_model.period)
         self.loop_delay = LoopDelay(self._period)
         self.scale_applied = UNSCALED
@@ -119,7 +117,7 @@ class SafetyController:
         drive_was_wanted = self.enforcement.drive_wanted
         decision = self.supervisor.update(now, flags)
         if self._retreat is not None:
-            self.retreat_begins = self._retreat.update(state, wanted=decision.check == CONTACT_CHECK)
+            self._retreat.update(state, wanted=decision.check == CONTACT_CHECK)
         self._pending = self.enforcement.apply(decision, state, retreating=self.retreating)
         if self.enforcement.drive_wanted and not drive_was_wanted:
             self.expect_drive_on(state, now)
@@ -141,9 +139,15 @@ class SafetyController:
         """The nominal control (n,) [rad/s] of a retreat, zero without one."""
         return self._retreat.control(len(self._u)) if self._retreat is not None else np.zeros_like(self._u)
 
-    def yield_to_contact(self, state: RobotState) -> Array:
-        """Set the filter's last control to the measured velocity within the limits (n,) [rad/s], which is returned."""
-        u = np.clip(state.v, -self._velocity_limits, self._velocity_limits)
+    def yield_to_contact(self, state: RobotState) -> Array | None:
+        """Set the filter's last control to the yielding one (n,) [rad/s]; None if it is that already."""
+        if self._retreat is None:
+            return None
+        u = np.clip(
+            self._retreat.yielding_control(state, self._u), -self._velocity_limits, self._velocity_limits
+        )
+        if np.array_equal(u, self._u):
+            return None
         self.safety.reset(u)
         return u
 
