@@ -31,8 +31,11 @@ MAX_JOINTS, MAX_WIDTH = 64, 256
 """Largest number of joints, and largest length of a configuration, of a robot in a recording."""
 OWN_RECORDING_LIMITS = ProcessLimits(memory_bytes=4 << 30, seconds=600.0, output_bytes=16 << 30)
 """Limits for a recording that this program has just written itself, which may be of a long run."""
-PRE_SUPERVISOR_DEFAULTS = {"delta_supervisor": 0.0, "order": 0.0, "touched": 1.0}
-"""Values of the columns that recordings from before the supervisor lack."""
+UNMEASURED_COLUMNS = ("torques", "wrench")
+"""Columns that a recording lacks if the robot does not measure them, and recordings from before force sensing."""
+COLUMN_DEFAULTS = {"delta_supervisor": 0.0, "order": 0.0, "touched": 1.0} | dict.fromkeys(UNMEASURED_COLUMNS, math.nan)
+"""Values of the columns that a recording may lack: `UNMEASURED_COLUMNS`, and in recordings from before the supervisor
+the others."""
 
 
 class EpisodeInfo(msgspec.Struct, frozen=True):
@@ -83,10 +86,10 @@ class Ticks(msgspec.Struct, frozen=True, kw_only=True):
         where = columns(self.n, self.width)
         rows = np.empty((len(self.columns["t"]), where["phase"].stop))
         for name, place in where.items():
-            if name in self.columns or name not in PRE_SUPERVISOR_DEFAULTS:
+            if name in self.columns or name not in COLUMN_DEFAULTS:
                 rows[:, place] = np.asarray(self.columns[name], np.float64).reshape(len(rows), -1)
             else:
-                rows[:, place] = PRE_SUPERVISOR_DEFAULTS[name]
+                rows[:, place] = COLUMN_DEFAULTS[name]
         return rows
 
 
@@ -216,7 +219,7 @@ def _ticks_problem(ticks: Ticks) -> str:
     if not 1 <= ticks.n <= MAX_JOINTS or not 1 <= (ticks.width or ticks.n) <= MAX_WIDTH:
         return f"ticks of {ticks.n} joints and width {ticks.width}"
     where = columns(ticks.n, ticks.width)
-    if missing := set(where) - set(ticks.columns) - set(PRE_SUPERVISOR_DEFAULTS):
+    if missing := set(where) - set(ticks.columns) - set(COLUMN_DEFAULTS):
         return f"ticks without {min(missing)}"
     count = len(ticks.columns["t"])
     for name, place in where.items():

@@ -22,6 +22,7 @@ from dualbrain.control.recording.channels import (
     CHANNELS,
     FORMAT,
     METADATA,
+    UNMEASURED_COLUMNS,
     AttemptMade,
     EpisodeInfo,
     FilterCall,
@@ -173,6 +174,7 @@ class Recorder:
         table = {
             name: (rows[:, where] if where.stop - where.start > 1 else rows[:, where.start]).tolist()
             for name, where in self._trace.columns.items()
+            if name not in UNMEASURED_COLUMNS or not np.isnan(rows[:, where]).all()
         }
         return Ticks(
             t=float(rows[0, 0]),

@@ -119,6 +119,11 @@ def _recorded_robot(data: Mapping[str, Any]) -> RobotModel:
     return robot_model
 
 
+def measured_or_none(values: Array) -> Array | None:
+    """A recorded reading; None if the robot did not measure it."""
+    return None if np.isnan(values).all() else values
+
+
 class _ReplayFilter:
     """A fresh filter that gets the recorded calls and states."""
 
@@ -178,6 +183,8 @@ class _ReplayFilter:
             opening=None if isnan(part["opening"][0]) else float(part["opening"][0]),
             finger_forces=forces,
             drive_enabled=bool(part["drive"][0]),
+            torques=measured_or_none(part["torques"]),
+            wrench=measured_or_none(part["wrench"]),
         )
         got = self._recompute(state, part, float(part["t"][0]), float(part["touched"][0]))
         if got is None:

@@ -21,6 +21,9 @@ FULL_INTERVENTION = 2.0
 DEAD_BAND = 1e-4
 """δ at or below this counts as no intervention: the kernel's rounding in float32, 0.01 % of full speed."""
 
+WRENCH_LENGTH = 6
+NO_WRENCH = (nan,) * WRENCH_LENGTH
+
 BLOCK_ROWS = 4096
 """Rows of one preallocated block of a trace."""
 
@@ -131,7 +134,8 @@ def columns(n: int, width: int | None = None) -> dict[str, slice]:
     """Position of each quantity in a logged row, for `n` joints and configurations of length `width` (default: n).
 
     Inputs of the filter: `t` (its `now`) [s], the state's `stamp` [s], `sequence`, `q` [rad], `v` [rad/s], finger
-    `opening` [m] (NaN if it is unknown), finger `forces` [N], `drive`, and `u_nom` [rad/s]. Its outputs: `u` [rad/s],
+    `opening` [m] (NaN if it is unknown), finger `forces` [N], `drive`, motor `torques` [Nm] and `wrench` at the wrist
+    [N, Nm] (NaN if they are not measured), and `u_nom` [rad/s]. Its outputs: `u` [rad/s],
     `delta`, `delta_rows`, `delta_box`, `h_min` [m], `status`, `certified`, `iterations`, `n_rows`. Of the supervisor:
     `delta_supervisor`, the `order` (`SafetyAction` as a number) and `touched`: the scale of u_nom, −1 for a standstill,
     −2 for braking instead of the filter. Then the `action` index and `phase` code.
@@ -145,6 +149,8 @@ def columns(n: int, width: int | None = None) -> dict[str, slice]:
         "opening": 1,
         "forces": 2,
         "drive": 1,
+        "torques": n,
+        "wrench": WRENCH_LENGTH,
         "u_nom": n,
     }
     widths |= {"u": n, "delta": 1, "delta_rows": 1, "delta_box": 1, "h_min": 1, "status": 1, "certified": 1}
@@ -177,6 +183,7 @@ class Trace:
     def __init__(self, n: int, width: int | None = None) -> None:
         """A log for a robot with `n` joints and configurations of length `width` (default: n)."""
         self.n, self.width = n, width
+        self._no_torques = (nan,) * n
         self.columns = columns(n, width)
         self.phases: list[str] = []
         self.events: list[Event] = []
@@ -217,6 +224,8 @@ class Trace:
             nan if state.opening is None else state.opening,
             *state.finger_forces,
             state.drive_enabled,
+            *(self._no_torques if state.torques is None else state.torques.tolist()),
+            *(NO_WRENCH if state.wrench is None else state.wrench.tolist()),
             *u_nom.tolist(),
             *result.u.tolist(),
             result.delta,

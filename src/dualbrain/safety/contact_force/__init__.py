@@ -1,1 +1,1 @@
-"""Contact force: its estimate from measured torques or a wrench at the wrist, its limits, and permitted contact speeds."""
+"""Contact force: its estimate from the torques of the motors or a wrench at the wrist, its limits, and the retreat."""

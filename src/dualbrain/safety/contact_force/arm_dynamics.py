@@ -1,8 +1,8 @@
 """Inverse dynamics of an arm: the joint torques of its own motion and weight.
 
 Recursive Newton-Euler equations in the axes of each frame (Craig, Introduction to Robotics, 6.5; R is the rotation from
-frame i to frame i − 1, p the origin of frame i in frame i − 1, z its axis, m, c and I mass, centre and inertia about the
-centre of the bodies on frame i):
+frame i to frame i − 1, p the origin of frame i in frame i − 1, z its axis; m, c and I are mass, centre and the inertia
+about the centre of the bodies on frame i):
 
     ω_i = Rᵀω_{i-1} + z q̇_i                     α_i = Rᵀα_{i-1} + z q̈_i + Rᵀω_{i-1} × z q̇_i
     a_i = Rᵀ(a_{i-1} + α_{i-1} × p + ω_{i-1} × (ω_{i-1} × p)),     a_0 = acceleration of the base − gravity
@@ -33,10 +33,11 @@ Rotation = tuple[Three, Three, Three]
 """Columns of a rotation matrix."""
 
 GRAVITY = 9.81
-"""Acceleration of free fall [m/s²]; the base stands upright."""
+"""Acceleration of free fall [m/s²]; the base is upright."""
 BASE_JOINTS = 2
 """Number of controls (v, ω) of a mobile base."""
 ZERO: Three = (0.0, 0.0, 0.0)
+NO_INERTIA = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,7 +85,7 @@ class ArmDynamics:
             for index in range(self.n)
         ]
         self._rotors, self._damping = dynamics.rotor_inertia[first:], dynamics.damping[first:]
-        self._load = FrameMass(mass=1.0, centre=_tool_in_last_frame(robot_model), inertia=(0.0,) * 6)
+        self._load = FrameMass(mass=1.0, centre=_tool_in_last_frame(robot_model), inertia=NO_INERTIA)
 
     def torque(self, q: Array, v: Array, acceleration: Array) -> ArmTorque:
         """Torques at the state `q`, `v` of a `RobotState` and `acceleration`, of the length of `v` [rad/s², m/s²]."""
@@ -137,9 +138,7 @@ class ArmDynamics:
             return spin, turn, (x + 2.0 * wy * speed, y - 2.0 * wx * speed, z + rate)
         return (wx, wy, wz + speed), (ax + wy * speed, ay - wx * speed, az + rate), linear
 
-    def _collect(
-        self, chain: list[tuple[Rotation, Three]], forces: list[Three], moments: list[Three]
-    ) -> list[float]:
+    def _collect(self, chain: list[tuple[Rotation, Three]], forces: list[Three], moments: list[Three]) -> list[float]:
         """Torque of each joint from the force and moment on each frame."""
         torques = [0.0] * self.n
         force, moment = ZERO, ZERO
@@ -171,7 +170,7 @@ def _body_wrench(body: FrameMass, spin: Three, turn: Three, linear: Three) -> tu
 
 
 def _point_acceleration(spin: Three, turn: Three, linear: Three, point: Three) -> Three:
-    """a + α × p + ω × (ω × p)."""
+    """A + α × p + ω × (ω × p)."""
     wx, wy, wz = spin
     ax, ay, az = turn
     px, py, pz = point
@@ -225,7 +224,7 @@ def combine_bodies(bodies: list[RigidBody]) -> FrameMass:
     """The bodies on one frame as one body."""
     mass = sum(body.mass for body in bodies)
     if not mass:
-        return FrameMass(mass=0.0, centre=ZERO, inertia=(0.0,) * 6)
+        return FrameMass(mass=0.0, centre=ZERO, inertia=NO_INERTIA)
     centre = sum((body.mass * np.array(body.centre) for body in bodies), np.zeros(3)) / mass
     inertia = np.zeros((3, 3))
     for body in bodies:

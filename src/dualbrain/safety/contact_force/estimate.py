@@ -54,8 +54,8 @@ class ContactForce:
         """The force against its `limit` [N] as a sentence."""
         where = "the tool" if self.place == TOOL else self.place
         return (
-            f"a force of {self.magnitude:.0f} N (± {self.uncertainty:.0f} N) acts on {where}, allowed are {limit:.0f} N; "
-            "remedy: look for an object that perception does not see"
+            f"a force of {self.magnitude:.0f} N (± {self.uncertainty:.0f} N) acts on {where}, allowed are "
+            f"{limit:.0f} N; remedy: look for an object that perception does not see"
         )
 
 
@@ -82,7 +82,7 @@ class ForceSolver:
 
         `jacobian` (3, n) is that of the tool's position for the joints of the arm.
         """
-        solve = np.linalg.solve(jacobian @ jacobian.T + DAMPING**2 * np.eye(3), jacobian)
+        solve = np.linalg.solve(jacobian @ jacobian.T + DAMPING**2 * np.eye(3), jacobian).astype(np.float64)
         force = solve @ residual
         left = residual - jacobian.T @ force
         size = float(residual @ residual)
@@ -102,7 +102,7 @@ class ForceSolver:
         moved = np.cross(turning.T[None], arms[:, None])  # (k, n, 3)
         levers = (jacobian[:3].T[None] + moved) * self._moved[:, :, None]
         gram = levers.transpose(0, 2, 1) @ levers + DAMPING**2 * np.eye(3)
-        solve = np.linalg.solve(gram, levers.transpose(0, 2, 1))
+        solve = np.linalg.solve(gram, levers.transpose(0, 2, 1)).astype(np.float64)
         forces = solve @ residual
         left = residual - (levers @ forces[:, :, None])[:, :, 0]
         cost = np.sum(left**2, axis=1) + DAMPING**2 * np.sum(forces**2, axis=1)

@@ -31,6 +31,8 @@ class ContactForceMonitor:
         self.permitted_speed = PermittedSpeed(self.limits)
         self.fastest_permit: float | None = None
         self.force: ContactForce | None = None
+        self.joint_torque: Array | None = None
+        """External torque (k,) of the arm's k joints [Nm] that belongs to `force`."""
         self._exceeded = ""
 
     def set_permits(self, fastest: float | None) -> None:
@@ -57,7 +59,7 @@ class ContactForceMonitor:
         """Add a measured state; whether the force is above `limit`."""
         updated, residual = self.external_torque.update(state), self.external_torque.residual
         if residual is None:
-            self.force = None
+            self.force = self.joint_torque = None
         elif updated:
             self.force = self._estimate(state, residual)
             if self.fastest_permit is not None:
@@ -71,17 +73,15 @@ class ContactForceMonitor:
         """The force that stopped the arm last, as a sentence; "" if none did."""
         return self._exceeded
 
-    def joint_torque(self, residual: Array) -> Array:
-        """The external torque (k,) [Nm] of the arm's k joints for a `residual` of the sensor."""
-        return self._jacobian.T @ self._vector if self.external_torque.at_wrist else residual
-
     def _estimate(self, state: RobotState, residual: Array) -> ContactForce:
         """The contact force that explains `residual`, of the joints (n,) or at the wrist (6,)."""
         tool = self._safety.tool(state.q)
-        if self.external_torque.at_wrist:
-            rotation = tool.rotation @ self._last_frame_to_tool.T
-            return self._contact_force(state, rotation @ residual[:3], self._solver.wrist_uncertainty, TOOL)
         jacobian = tool.jacobian[:, self._first :]
+        if self.external_torque.at_wrist:
+            force = tool.rotation @ (self._last_frame_to_tool.T @ residual[:3])
+            self.joint_torque = jacobian[:3].T @ force
+            return self._contact_force(state, force, self._solver.wrist_uncertainty, TOOL)
+        self.joint_torque = residual
         vector, solve, unexplained = self._solver.at_tool(residual, jacobian[:3])
         place = TOOL
         if unexplained > UNEXPLAINED_SHARE and np.abs(residual).max() > LEAST_TORQUE:

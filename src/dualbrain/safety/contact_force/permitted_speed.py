@@ -36,7 +36,10 @@ class PermittedSpeed:
         self._exact = self.scale = 1.0
 
     def update(self, force: float, fastest: float, elapsed: float) -> bool:
-        """Follow `force` [N] for `elapsed` [s]; whether `scale` changed. `fastest` is the largest permitted speed [m/s]."""
+        """Follow `force` [N] for `elapsed` [s]; whether `scale` changed.
+
+        `fastest` is the largest permitted speed [m/s].
+        """
         wanted = speed_scale(force, self._limits)
         step = self._limits.deceleration.value * elapsed / fastest if fastest > 0.0 else 1.0
         self._exact += min(step, max(-step, wanted - self._exact))

@@ -62,8 +62,7 @@ class Retreat:
 
     def _torque(self, n: int) -> Array:
         """The external torque (n,) [Nm], 0 for the joints of a base and without an estimate."""
-        torque, residual = np.zeros(n), self._monitor.external_torque.residual
-        if residual is not None:
-            found = self._monitor.joint_torque(residual)
+        torque, found = np.zeros(n), self._monitor.joint_torque
+        if found is not None:
             torque[n - len(found) :] = found
         return torque

@@ -143,9 +143,7 @@ class SafetyController:
         """Set the filter's last control to the yielding one (n,) [rad/s]; None if it is that already."""
         if self._retreat is None:
             return None
-        u = np.clip(
-            self._retreat.yielding_control(state, self._u), -self._velocity_limits, self._velocity_limits
-        )
+        u = np.clip(self._retreat.yielding_control(state, self._u), -self._velocity_limits, self._velocity_limits)
         if np.array_equal(u, self._u):
             return None
         self.safety.reset(u)

@@ -59,6 +59,8 @@ class StatePacket(Packet, frozen=True, tag=7, kw_only=True):
     opening: float | None
     forces: tuple[float, float]
     drive_enabled: bool
+    torques: tuple[float, ...] | None = None
+    wrench: tuple[float, ...] | None = None
 
     @classmethod
     def from_state(cls, state: RobotState) -> StatePacket:
@@ -72,10 +74,12 @@ class StatePacket(Packet, frozen=True, tag=7, kw_only=True):
             opening=state.opening,
             forces=state.finger_forces,
             drive_enabled=state.drive_enabled,
+            torques=None if state.torques is None else tuple(state.torques.tolist()),
+            wrench=None if state.wrench is None else tuple(state.wrench.tolist()),
         )
 
     def to_robot_state(self) -> RobotState:
-        """The joint state of the packet."""
+        """The joint state in the packet."""
         return RobotState(
             stamp=self.stamp,
             sequence=self.sequence,
@@ -84,7 +88,10 @@ class StatePacket(Packet, frozen=True, tag=7, kw_only=True):
             opening=self.opening,
             finger_forces=self.forces,
             drive_enabled=self.drive_enabled,
+            torques=None if self.torques is None else np.array(self.torques),
+            wrench=None if self.wrench is None else np.array(self.wrench),
         )
+
 
 
 class ScenePacket(Packet, frozen=True, tag=8):

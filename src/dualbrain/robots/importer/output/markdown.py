@@ -81,8 +81,35 @@ def bound_rows(robot_model: RobotModel) -> list[tuple[str, str, str, str]]:
     )
     return [
         *rows,
+        *_force_sensing_rows(robot_model),
         *(("robot", name, _format_bound(bound), bound.provenance) for name, bound in robot_bounds if bound is not None),
     ]
+
+
+def _force_sensing_rows(robot_model: RobotModel) -> list[tuple[str, str, str, str]]:
+    """The force sensor with its errors, and the masses that its evaluation needs."""
+    sensing, dynamics = robot_model.force_sensing, robot_model.dynamics
+    if sensing is None:
+        none = "contact forces are not supervised: add force_sensing and dynamics to the model"
+        return [("robot", "force sensing", "none", none)]
+    units = "Nm" if sensing.kind == "motor_torques" else "N, Nm"
+    rows = [
+        ("robot", "force sensing", sensing.kind.replace("_", " "), sensing.provenance),
+        *(
+            ("robot", f"force sensing, {name}", f"{_format_values(values)} {units}", sensing.provenance)
+            for name, values in (("noise (σ)", sensing.noise), ("constant error", sensing.accuracy))
+        ),
+    ]
+    if dynamics is not None:
+        mass = sum(body.mass for body in dynamics.bodies)
+        rows.append(("robot", "moved mass", f"{mass:.2f} kg", dynamics.provenance))
+        rows.append(("robot", "payload", _format_bound(dynamics.payload), dynamics.payload.provenance))
+    return rows
+
+
+def _format_values(values: Sequence[float]) -> str:
+    """Numbers in one cell; a single one if all are equal."""
+    return f"{values[0]:g}" if len(set(values)) == 1 else ", ".join(f"{value:g}" for value in values)
 
 
 def _format_bound(bound: Bound) -> str:

@@ -1,7 +1,7 @@
 """An arm that hits an obstacle which perception does not report, and the true contact force."""
 
-import mujoco
 import msgspec
+import mujoco
 import numpy as np
 
 from dualbrain.contracts.contract import Action, Context, Contract
@@ -85,7 +85,11 @@ class HiddenObstacleCell:
 
     def orders(self):
         """(time, check) of every decision of the supervisor."""
-        return [(event.t, event.data["check"]) for event in self.trace.events if event.kind == "order" and "check" in event.data]
+        return [
+            (event.t, event.data["check"])
+            for event in self.trace.events
+            if event.kind == "order" and "check" in event.data
+        ]
 
 
 GRASP_AND_PLACE = (("grasp", GRASP), ("place", PLACE))
