@@ -35,6 +35,15 @@ def append_ticks(trace: Trace, count: int, *, start: float = 0.0, special_values
         if special_values:
             q[k % trace.n] = (np.nan, -0.0, np.inf, 5e-324)[k % 4]
             result = FakeFilterResult(result.u, h_min=(np.inf if k % 2 else -np.inf))
-        state = RobotState(stamp=t, sequence=k, q=q, v=-q, opening=0.04, finger_forces=(0.0, 1.0))
+        state = RobotState(
+            stamp=t,
+            sequence=k,
+            q=q,
+            v=-q,
+            opening=0.04,
+            finger_forces=(0.0, 1.0),
+            torques=2.0 * u_nom,
+            wrench=np.arange(6.0) + t,
+        )
         rows.append(trace.append(t, state, u_nom, result, action=k // 100, phase=("approach", "lift")[k // 150 % 2]))
     return rows

@@ -19,7 +19,7 @@ from dualbrain.safety.contact_force.monitor import ContactForceMonitor
 SPEED = 0.1
 """Speed v_r of the point of contact [m/s]."""
 RELEASE_FORCE = 5.0
-"""Force [N] below which a retreat ends, above the error of the estimate at the packaged robots' home."""
+"""Force [N] below which a retreat ends, if the error of the estimate is not larger."""
 MIN_TIME, MAX_TIME = 0.03, 0.3
 """Shortest duration of a retreat, and the time after the first contact in which the arm may retreat [s]."""
 
@@ -45,7 +45,8 @@ class Retreat:
             self.active = False
         elif self.active:
             brief = state.stamp - self._began < MIN_TIME
-            self.active = brief or self._monitor.force.magnitude >= RELEASE_FORCE
+            force = self._monitor.force
+            self.active = brief or force.magnitude >= max(RELEASE_FORCE, force.uncertainty)
         elif self._monitor.is_exceeded:
             self._began, self.active = state.stamp, True
 

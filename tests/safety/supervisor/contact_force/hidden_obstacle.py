@@ -28,6 +28,7 @@ class HiddenObstacleCell:
     def __init__(self, seed=0, *, robot="panda", supervised=True, share=0.5, noise=None, wall=True):
         robot_model = load_robot(robot)
         sensed = robot_model if supervised else msgspec.structs.replace(robot_model, force_sensing=None)
+        self._wall = wall
         self.spec = make_scene("bare", seed, robot)
         if wall:
             self.spec = self._with_wall(self.spec, robot_model, share)
@@ -71,7 +72,7 @@ class HiddenObstacleCell:
 
     def advance(self):
         self._world.advance()
-        self.forces.append(wall_force(self.plant))
+        self.forces.append(wall_force(self.plant) if self._wall else 0.0)
         self.times.append(self.plant.now)
 
     def run(self, *actions, **changes):

@@ -1,0 +1,143 @@
+"""Laws of the estimate: zero without contact, a known force within its uncertainty, a load that is no contact."""
+
+import msgspec
+import mujoco
+import numpy as np
+import pytest
+
+from dualbrain.robots.interface import Command
+from dualbrain.robots.loader import load_robot
+from dualbrain.robots.model import ForceSensing
+from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.safety.contact_force.limits import ContactForceLimits
+from dualbrain.safety.contact_force.monitor import ContactForceMonitor
+from dualbrain.safety.contact_force.permitted_speed import PermittedSpeed, speed_scale
+from dualbrain.simulation.plant.plant import Plant
+from dualbrain.simulation.scenes.generators.tabletop import make_scene
+
+LIMITS = ContactForceLimits()
+WRIST = ForceSensing(
+    kind="wrist_wrench", noise=(0.5,) * 3 + (0.01,) * 3, accuracy=(1.0,) * 3 + (0.05,) * 3, provenance=""
+)
+TOO_NOISY = 1.5
+"""Model and sensor errors in motion, relative to the declared error at rest."""
+
+
+class PushedArm:
+    """A simulated arm that moves in sines while a force pushes one of its bodies."""
+
+    def __init__(self, robot, *, sensing=None, load=0.0, amplitude=0.3):
+        self.robot_model = load_robot(robot)
+        if sensing:
+            self.robot_model = msgspec.structs.replace(self.robot_model, force_sensing=sensing)
+        self.plant = Plant(make_scene("bare", 0, robot), self.robot_model, load=load)
+        self.plant.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        self.monitor = ContactForceMonitor(SafetyFilter(self.robot_model))
+        self.amplitude = amplitude
+        self.magnitudes = []
+
+    def run(self, seconds, *, force=(0.0, 0.0, 0.0), body="hand", point=None):
+        n = self.robot_model.n
+        for _ in range(round(seconds / self.robot_model.period)):
+            u = self.amplitude * np.sin(2.0 * self.plant.now + np.arange(n))
+            self.plant.write(Command(u, 0.04, 5.0))
+            self._push(force, body, point)
+            self.plant.advance()
+            self.monitor.update(self.plant.read())
+            if self.monitor.force is not None:
+                self.magnitudes.append(self.monitor.force.magnitude)
+        return self.monitor.force
+
+    def _push(self, force, body, point):
+        data, number = self.plant.data, int(self.plant.model.body(f"robot/{body}").id)
+        at = self.plant.tool_pose()[0] if point == "tool" else data.xpos[number]
+        data.xfrc_applied[:] = 0.0
+        data.xfrc_applied[number, :3] = force
+        data.xfrc_applied[number, 3:] = np.cross(at - data.xipos[number], force)
+
+
+@pytest.mark.parametrize(("robot", "sensing"), [("panda", None), ("ur5e", None), ("panda", WRIST)])
+def test_an_arm_that_touches_nothing_feels_nothing(robot, sensing):
+    arm = PushedArm(robot, sensing=sensing)
+    arm.run(2.0)
+    assert max(arm.magnitudes) < min(TOO_NOISY * arm.monitor.force.uncertainty, 0.5 * LIMITS.unexpected.value)
+
+
+@pytest.mark.parametrize(("robot", "sensing"), [("panda", None), ("ur5e", None), ("panda", WRIST)])
+@pytest.mark.parametrize("force", [(25.0, 0.0, 0.0), (0.0, -25.0, 0.0), (0.0, 0.0, 25.0), (10.0, 10.0, -10.0)])
+def test_a_force_at_the_tool_is_recovered_within_its_uncertainty(robot, sensing, force):
+    arm = PushedArm(robot, sensing=sensing, amplitude=0.1)
+    arm.run(0.1)
+    found = arm.run(0.5, force=force, point="tool")
+    assert np.linalg.norm(np.array(found.vector) - force) < found.uncertainty + 0.05 * np.linalg.norm(force)
+    assert found.place == "tool"
+
+
+def test_a_force_at_the_elbow_is_found_at_a_link_before_the_hand_and_not_overestimated():
+    arm = PushedArm("panda", amplitude=0.1)
+    arm.run(0.1)
+    found = arm.run(0.5, force=(0.0, 80.0, 0.0), body="link4")
+    assert found.place in {"link3", "link4"}
+    assert LIMITS.unexpected.value < found.magnitude < 80.0 + found.uncertainty
+
+
+def test_a_force_that_begins_is_reported_within_ten_milliseconds():
+    arm = PushedArm("panda", amplitude=0.1)
+    arm.run(0.1)
+    assert not arm.monitor.is_exceeded
+    arm.run(0.010, force=(0.0, 35.0, 0.0), point="tool")
+    assert arm.monitor.is_exceeded
+
+
+def test_a_load_is_weight_after_a_grasp_and_a_force_without_one():
+    arm = PushedArm("panda", load=0.5, amplitude=0.2)
+    assert arm.run(1.0).magnitude == pytest.approx(0.5 * 9.81, abs=1.5)
+    arm.monitor.set_holding(True, arm.plant.now)
+    found = arm.run(1.5)
+    assert found.load == pytest.approx(0.5, abs=0.1)
+    assert found.magnitude < 2.0
+
+
+def test_a_later_force_is_not_mistaken_for_weight():
+    arm = PushedArm("panda", amplitude=0.1)
+    arm.monitor.set_holding(True, arm.plant.now)
+    arm.run(2.5)
+    found = arm.run(1.0, force=(0.0, 0.0, -25.0), point="tool")
+    assert found.load < 0.2
+    assert found.felt_load == pytest.approx(25.0 / 9.81, abs=0.3)
+    assert arm.monitor.is_exceeded
+
+
+def test_without_a_reading_nothing_is_estimated():
+    arm = PushedArm("panda")
+    arm.run(0.1)
+    arm.plant.stop()
+    arm.plant.advance()
+    assert not arm.monitor.update(arm.plant.read())
+    assert arm.monitor.force is None
+
+
+def test_the_permitted_speed_falls_to_zero_at_the_permitted_force():
+    most = LIMITS.permitted.value
+    assert speed_scale(0.0, LIMITS) == speed_scale(0.25 * most, LIMITS) == 1.0
+    assert speed_scale(most, LIMITS) == speed_scale(2.0 * most, LIMITS) == 0.0
+    scales = [speed_scale(force, LIMITS) for force in np.linspace(0.0, most, 50)]
+    assert np.all(np.diff(scales) <= 0.0)
+
+
+def test_the_permitted_speed_changes_at_the_declared_rate():
+    speed, period, permitted = 0.05, 0.004, PermittedSpeed(LIMITS)
+    scales = [1.0]
+    for _ in range(100):
+        permitted.update(1000.0, speed, period)
+        scales.append(permitted.scale)
+    largest = LIMITS.deceleration.value * period / speed
+    assert scales[-1] == 0.0
+    assert -np.diff(scales).min() <= largest + 1.0 / 16
+
+
+def test_the_arm_may_press_harder_with_a_permit():
+    monitor = ContactForceMonitor(SafetyFilter(load_robot("panda")))
+    without = monitor.limit
+    monitor.set_permits(0.05)
+    assert without < LIMITS.permitted.value < monitor.limit
