@@ -7,6 +7,7 @@ by `msgspec.json.encode`.
 
 from __future__ import annotations
 
+from enum import StrEnum
 from typing import Any, Literal
 
 import msgspec
@@ -201,6 +202,66 @@ OutcomeClass = Literal[
 OutcomeCheck = Literal["none", "agrees", "disagrees"]
 
 
+class MarginCause(StrEnum):
+    """Cause of an interval in which the barrier value h of a pair is below 0, although the filter acts.
+
+    - START: h was below 0 in the first tick.
+    - PERCEPTION_JUMP: an observation moved or enlarged the obstacle, or the obstacle appeared.
+    - PERSON_ACCELERATION: the velocity of a moving obstacle changed by more than the errors of both observations.
+    - PERMIT_END: the permit for a contact of the pair ended while the pair was in contact.
+    - ATTACH_DETACH: an object became part of the robot, or an obstacle again.
+    - GRIPPER: the fingers opened or closed, which no joint of the arm controls.
+    - INFEASIBILITY: no control satisfied all rows in the tick before.
+    - SUPERVISOR: the supervisor replaced the control of the filter in the tick before.
+    - TRACKING: the robot did not follow the commanded velocity within the tracking error.
+    """
+
+    START = "start"
+    PERCEPTION_JUMP = "perception_jump"
+    PERSON_ACCELERATION = "person_acceleration"
+    PERMIT_END = "permit_end"
+    ATTACH_DETACH = "attach_detach"
+    GRIPPER = "gripper"
+    INFEASIBILITY = "infeasibility"
+    SUPERVISOR = "supervisor"
+    TRACKING = "tracking"
+
+
+class MarginShortfall(Record, frozen=True, kw_only=True):
+    """An interval with h < 0: `start` and `duration` [s], least value `h_min` [m], the `pair` at its start, the cause.
+
+    `change` [m] is the fall of h between the two ticks around the start, for the pair and by the cause.
+    """
+
+    start: float
+    duration: float
+    h_min: float
+    pair: str
+    cause: MarginCause
+    change: float
+
+    def explain(self) -> str:
+        """The interval in one sentence."""
+        return (
+            f"the margin of {self.pair or 'a pair'} was short by up to {-1e3 * self.h_min:.2f} mm for "
+            f"{1e3 * self.duration:.0f} ms: {MARGIN_CAUSE_TEXTS[self.cause]}"
+        )
+
+
+MARGIN_CAUSE_TEXTS: dict[MarginCause, str] = {
+    MarginCause.START: "it was short in the first tick",
+    MarginCause.PERCEPTION_JUMP: "an observation moved or enlarged the obstacle",
+    MarginCause.PERSON_ACCELERATION: "the obstacle changed its velocity between two observations",
+    MarginCause.PERMIT_END: "the permit for the contact ended",
+    MarginCause.ATTACH_DETACH: "an object was grasped or released",
+    MarginCause.GRIPPER: "the fingers moved",
+    MarginCause.INFEASIBILITY: "no control satisfied all rows",
+    MarginCause.SUPERVISOR: "the supervisor replaced the control of the filter",
+    MarginCause.TRACKING: "the robot did not follow the command within its tracking error",
+}
+"""Each cause as part of a sentence."""
+
+
 class Outcome(Record, frozen=True, kw_only=True, rename={"active_constraints": "hindrance"}):
     """The robot's own verdict on an episode (r and Δ of paper 5.1); simulator ground truth never enters it.
 
@@ -222,6 +283,8 @@ class Outcome(Record, frozen=True, kw_only=True, rename={"active_constraints": "
     actions: tuple[ActionResult, ...] = ()
     active_constraints: str = ""
     """Names of the constraint rows that were active last when an action did not succeed, in words."""
+    margin_shortfalls: tuple[MarginShortfall, ...] = ()
+    """The intervals with h < 0 during the actions, each with its cause."""
 
     @property
     def r(self) -> int:

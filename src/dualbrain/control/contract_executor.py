@@ -8,6 +8,9 @@ from __future__ import annotations
 
 import traceback
 
+import msgspec
+import numpy as np
+
 from dualbrain.contracts.contract import Action, Contract
 from dualbrain.contracts.gate.gate import Gate
 from dualbrain.contracts.verdict import Rejected
@@ -15,7 +18,7 @@ from dualbrain.control.control_loop import IDLE_ACTION, ControlLoop
 from dualbrain.control.executor import Grants
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.grounding.scene_rules import scene_rules
-from dualbrain.records import ActionResult, Outcome, OutcomeClass, Scene
+from dualbrain.records import ActionResult, MarginShortfall, Outcome, OutcomeClass, Scene
 from dualbrain.robots.interface import RobotState
 from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.filter import FilterResult
@@ -113,7 +116,16 @@ class ContractExecutor:
         reason = error or bad.reason
         if kind == "aborted" and self._is_out_of_time():
             kind, reason = "failed", f"{TIME_LIMIT_REASON}, {self.time_limit:.0f} s"
-        return self.log.outcome(kind, reason, first, tuple(results))
+        outcome = self.log.outcome(kind, reason, first, tuple(results))
+        return msgspec.structs.replace(outcome, margin_shortfalls=self._margin_shortfalls(first))
+
+    def _margin_shortfalls(self, first: int) -> tuple[MarginShortfall, ...]:
+        """The intervals with h < 0 during the actions of the segment that began at tick `first`."""
+        chosen = np.flatnonzero(self.log.trace["action"][first:] >= 0) + first
+        if not len(chosen):
+            return ()
+        t = self.log.trace["t"]
+        return self.loop.margin_monitor.between(float(t[chosen[0]]), float(t[chosen[-1]]))
 
     def _is_out_of_time(self) -> bool:
         return self.state.stamp >= self.time_limit

@@ -8,20 +8,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from math import inf
 from typing import Protocol
 
+from dualbrain.control.margin_causes import MarginMonitor
+from dualbrain.control.obstacle_estimates import ObstacleEstimates, robot_cover, with_acceleration
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.residual_contacts import ResidualContacts
 from dualbrain.control.scene_monitor import SceneMonitor, effective_stamp
 from dualbrain.control.scene_smoothing import SceneSmoother
-from dualbrain.records import Scene
+from dualbrain.records import MARGIN_CAUSE_TEXTS, Scene
 from dualbrain.robots.interface import Array, Command, RobotInterface, RobotState
 from dualbrain.robots.model import RobotModel
 from dualbrain.safety.barriers.traversable_region import traversable_region
 from dualbrain.safety.barriers.workspace import plane
 from dualbrain.safety.cbf.filter import FilterResult, SafetyFilter
 from dualbrain.safety.cbf.grasped_object import cover_with_spheres
-from dualbrain.safety.cbf.obstacles import Contact, obstacles_from_scene
+from dualbrain.safety.cbf.obstacles import Contact, Obstacle, obstacles_from_scene
 from dualbrain.safety.supervisor.actions import NO_ACTION, SupervisorDecision
 from dualbrain.safety.supervisor.conditions import Condition
 from dualbrain.safety.supervisor.controller import SafetyController
@@ -69,7 +72,8 @@ class ControlLoopConfig:
     `guard` False writes the nominal control unfiltered (the paper's B1). `perception_period` [s] is the time between
     two perceived scenes, `snapshot_period` [s] that between two snapshots for observers, `settle_time` [s] the time at
     rest after a contract. `timing` holds the limits on delays of the robot's interface. `unrecorded`: the arm may move
-    on if its recording cannot be written.
+    on if its recording cannot be written. `keep_margins`: observations and ends of permits do not make a margin short
+    without need (`ObstacleEstimates`, `ResidualContacts.keep_until_clear`); False is for comparisons.
     """
 
     guard: bool = True
@@ -78,6 +82,7 @@ class ControlLoopConfig:
     settle_time: float = 0.6
     timing: Timing = SIMULATED
     unrecorded: bool = False
+    keep_margins: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -134,6 +139,7 @@ class ControlLoop:
         self.controller = make_controller(robot_model, safety)
         self._ground_obstacles = (GROUND_PLANE,) if robot_model.is_mobile_manipulator else ()
         self.safety_controller = SafetyController(safety, timing=config.timing)
+        self.margin_monitor = MarginMonitor(safety)
         self.checks_during_contract: set[str] = set()
         self.recording_failure = ""
         self._drive_on = True
@@ -149,6 +155,7 @@ class ControlLoop:
         self.state = robot.read()
         self._tool_state, self._tool = self.state, safety.tool(self.state.q)
         self._scene_smoother, self._scene_monitor = SceneSmoother(), SceneMonitor()
+        self._estimates, self._last_h_min = ObstacleEstimates(), -inf
         self._released: tuple[str, float] = ("", -RELEASE_SETTLING_TIME)
         self.scene = self._scene_smoother.update(world.perceive())
         self._scene_monitor.update(self.scene)
@@ -173,8 +180,9 @@ class ControlLoop:
     # --- for the executor of contracts ---------------------------------------------------------------------------
 
     def begin_contract(self) -> None:
-        """Forget which checks tripped during the contract before."""
+        """Forget which checks tripped, and which margins were short, during the contract before."""
         self.checks_during_contract.clear()
+        self.margin_monitor.clear()
 
     def begin_action(self, skill: str, roles: dict[str, str | None]) -> None:
         """Name the running skill and the objects in it by role."""
@@ -238,7 +246,11 @@ class ControlLoop:
         if self.safety_controller.retreating:
             nominal = replace(nominal, u=self._retreat_control())
         result = self.safety_controller.control(self.state, nominal.u, now, guard=self.config.guard)
+        self._last_h_min = result.h_min
         self._mark_part("filter")
+        if self.config.guard and (shortfall := self.margin_monitor.update(now, self.state, result)):
+            text = f"h < 0 of {shortfall.pair or 'a pair'}: {MARGIN_CAUSE_TEXTS[shortfall.cause]}"
+            self.log.note(now, "margin", text, pair=shortfall.pair, cause=shortfall.cause.value)
         if self.safety_controller.drive_wanted:
             self.robot.write(Command(result.u, nominal.opening, nominal.force))
         self._mark_part("write")
@@ -415,10 +427,22 @@ class ControlLoop:
             | self._mapped_obstacles()
         )
         obstacles, stamp = obstacles_from_scene(self.scene, known=known, held=held), effective_stamp(self.scene)
+        if self.config.keep_margins:
+            obstacles = self._estimate(obstacles)
         if self.scene.region:
             obstacles = (*obstacles, *traversable_region("the floor", self.scene.region), *self._ground_obstacles)
         self.log.call(self.state.stamp, "observe", obstacles=obstacles, stamp=stamp)
         self.safety.observe(obstacles, stamp)
+
+    def _estimate(self, obstacles: tuple[Obstacle, ...]) -> tuple[Obstacle, ...]:
+        """The valid estimates of `obstacles` that keep the margins as far as possible."""
+        return self._estimates.update(
+            [with_acceleration(one, self.config.perception_period) for one in obstacles],
+            self.scene.stamp,
+            moved=self._moving_objects(),
+            h_min=self._last_h_min,
+            cover=lambda: robot_cover(self.safety, self.state),
+        )
 
     def _mapped_obstacles(self) -> set[str]:
         """Fixed obstacles of a mobile base's room, which its controller knows."""

@@ -16,6 +16,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from dualbrain.control.margin_causes import MarginMonitor
 from dualbrain.control.recording.channels import (
     EpisodeInfo,
     FilterCall,
@@ -26,6 +27,7 @@ from dualbrain.control.recording.channels import (
 )
 from dualbrain.control.recording.trace import columns
 from dualbrain.errors import ConfigurationError
+from dualbrain.records import MarginShortfall
 from dualbrain.robots.interface import RobotState
 from dualbrain.robots.loader import find_model_faults, load_builtin_robot
 from dualbrain.robots.model import RobotModel
@@ -47,7 +49,8 @@ class ReplayResult:
     """Result of a replay.
 
     `ticks` were compared and `differing` of them differ, beginning at index `first`; `worst` is the largest difference
-    by column. `complete` is False if messages are missing in the file; `problem` is the error that ended the recording.
+    by column. `margin_shortfalls` are the recomputed intervals with h < 0. `complete` is False if messages are missing
+    in the file; `problem` is the error that ended the recording.
     """
 
     ticks: int = 0
@@ -57,6 +60,7 @@ class ReplayResult:
     problem: str = ""
     instruction: str = ""
     worst: dict[str, float] = field(default_factory=dict)
+    margin_shortfalls: tuple[MarginShortfall, ...] = ()
 
     @property
     def identical(self) -> bool:
@@ -82,17 +86,18 @@ def replay(path: Path) -> ReplayResult:
         MemoryError,
     ) as error:
         raise damaged_recording(path, error) from error
-    if not found:
+    if found is None:
         raise ConfigurationError.stating(
             f"The file {path} has no /episode message.", fix="Name a recording that dualbrain wrote."
         )
+    result.margin_shortfalls = found.monitor.shortfalls
     state = recording_state(path)
     result.complete, result.problem = state.complete, state.problem
     return result
 
 
-def _replay_messages(path: Path, result: ReplayResult) -> bool:
-    """Replay every message into `result`; whether there was an /episode message."""
+def _replay_messages(path: Path, result: ReplayResult) -> _ReplayFilter | None:
+    """Replay every message into `result`; returns the filter, None if there was no /episode message."""
     replay_filter: _ReplayFilter | None = None
     for message in read_recording(path):
         match message:
@@ -106,7 +111,7 @@ def _replay_messages(path: Path, result: ReplayResult) -> bool:
                     replay_filter.compare(row, result)
             case _:
                 pass
-    return replay_filter is not None
+    return replay_filter
 
 
 def _recorded_robot(data: Mapping[str, Any]) -> RobotModel:
@@ -133,6 +138,7 @@ class _ReplayFilter:
         obstacles = msgspec.convert(data.get("standing", ()), tuple[Obstacle, ...])
         self._filter, self._guard = SafetyFilter(robot_model, obstacles=obstacles), bool(data["guard"])
         self._columns = columns(robot_model.n, robot_model.nq)
+        self.monitor = MarginMonitor(self._filter)
 
     def apply_call(self, name: str, arguments: dict[str, Any]) -> None:
         """Repeat one recorded call that changes the filter's tables."""
@@ -161,13 +167,14 @@ class _ReplayFilter:
         result = self._filter.filter(state, scaled, now)
         if not self._guard:
             result = result.unfiltered()
-        if scale == BRAKING:
-            self._filter.reset(part["u"])
-            return None
-        if scale == STANDSTILL:
-            self._filter.reset(0.0)
-            return with_supervisor_control(result, u_nom, np.zeros_like(result.u))
-        return result if scale == UNSCALED else with_supervisor_control(result, u_nom, result.u)
+        written = {BRAKING: part["u"], STANDSTILL: np.zeros_like(result.u)}.get(scale, result.u)
+        if scale in (BRAKING, STANDSTILL):
+            self._filter.reset(written)
+        if scale != UNSCALED:
+            result = with_supervisor_control(result, u_nom, written)
+        if self._guard:
+            self.monitor.update(now, state, result)
+        return None if scale == BRAKING else result
 
     def compare(self, row: Array, result: ReplayResult) -> None:
         """Recompute the tick of one recorded row (width,) and add its differences to `result`."""

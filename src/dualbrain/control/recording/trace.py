@@ -40,6 +40,7 @@ EventKind = Literal[
     "recorder",
     "order",
     "operator",
+    "margin",
 ]
 
 

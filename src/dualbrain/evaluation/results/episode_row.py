@@ -84,6 +84,8 @@ class EpisodeRow(msgspec.Struct, frozen=True, kw_only=True):
     """Longest uninterrupted time with h < 0."""
     below_s: float
     """Total time with h < 0."""
+    margin_causes: list[str] = []
+    """Cause of each interval with h < 0 (`MarginCause`), in the order of their starts."""
 
     # time
     time_limit: float

@@ -84,10 +84,10 @@ def decode_results(argument: bytes) -> Iterator[bytes]:
     data = read_bounded_file(Path(name), limit)
     _check_magic(data, Path(shown))
     _, io = _import_arrow()
-    fields = [(one.name, one.type) for one in msgspec.structs.fields(EpisodeRow)]
-    names = [name for name, _ in fields]
     try:
         reader = io.read_parquet(BytesIO(data))
+        fields = _fields_in(set(reader.schema.names))
+        names = [name for name, _ in fields]
         yield msgspec.msgpack.encode(msgspec.json.decode(dict(reader.schema.metadata)[CONFIG_METADATA_KEY]))
         for batch in reader:
             for start in range(0, batch.num_rows, ROWS_AT_A_TIME):
@@ -100,6 +100,12 @@ def decode_results(argument: bytes) -> Iterator[bytes]:
     except BaseException as error:  # a panic of the reader is no `Exception`
         text = " ".join(f"{type(error).__name__}: {error}".split())[:160]
         raise _unreadable(Path(shown), f"The results cannot be read ({text}).") from error
+
+
+def _fields_in(written: set[str]) -> list[tuple[str, Any]]:
+    """Name and type of the fields to read: results of an earlier version lack fields that have a default value."""
+    fields = msgspec.structs.fields(EpisodeRow)
+    return [(one.name, one.type) for one in fields if one.required or one.name in written]
 
 
 def _unreadable(path: Path, sentence: str) -> ConfigurationError:

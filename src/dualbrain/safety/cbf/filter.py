@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import cos, isfinite, nan, sin
-from typing import cast
+from typing import NamedTuple, cast
 
 import msgspec
 import numpy as np
@@ -29,7 +29,7 @@ from dualbrain.safety.cbf.kernel import (
     tool_frame,
 )
 from dualbrain.safety.cbf.obstacles import MAX_CONTACT_SPEED, Contact, Obstacle, SpeedAndSeparation, check_obstacles
-from dualbrain.safety.cbf.result import FilterResult, FilterStatus, RowNames
+from dualbrain.safety.cbf.result import OBSTACLE, FilterResult, FilterStatus, RowNames
 from dualbrain.safety.cbf.rows import BarrierRow, ConstraintRow, PythonBarrier, Rank, row_table
 from dualbrain.safety.stop_cause import describe_refusal
 
@@ -66,6 +66,15 @@ class ToolState:
     position: Array
     rotation: Array
     jacobian: Array
+
+
+class FilterTables(NamedTuple):
+    """The tables of a filter: obstacles, their stamp [s], permitted contacts, and the number of grasps and releases."""
+
+    obstacles: tuple[Obstacle, ...]
+    stamp: float
+    permits: tuple[Contact, ...]
+    grasp_changes: int
 
 
 class SafetyFilter:
@@ -119,6 +128,7 @@ class SafetyFilter:
         self._obstacles: tuple[Obstacle, ...] = ()
         self._table_usable = True
         self._permits: tuple[Contact, ...] = ()
+        self._grasp_changes = 0
         self._tool_rotation, self._tool_offset = tool_frame(robot_model)
         self._part_links = _links_by_part(robot_model)
         links = [link.name for link in robot_model.links for sphere in robot_model.spheres if sphere.link == link.name]
@@ -201,6 +211,26 @@ class SafetyFilter:
                     allowed=f"at most {self._max_gain:.6g} 1/s, the gain up to which rows cover the tracking error",
                     fix="Raise FilterConfig.alpha, or set FilterConfig.tracking_error for this gain.",
                 )
+
+    @property
+    def tables(self) -> FilterTables:
+        """The tables in force: obstacles with the permanent ones, their stamp, permits, number of grasp changes."""
+        return FilterTables(self._obstacles, self._stamp, self._permits, self._grasp_changes)
+
+    def is_permitted(self, kind: int, i: int, j: int) -> bool:
+        """Whether contact of the pair of a row with these indices (`BarrierRow`) is permitted, so that h may be < 0."""
+        if kind != OBSTACLE or not self._permits:
+            return False
+        name = self._names.obstacles[j]
+        link = self._link_index(i)
+        return any(one.obstacle == name and link in self._part_links[one.robot_part] for one in self._permits)
+
+    def _link_index(self, sphere: int) -> int:
+        """Index of the link of a sphere; the grasped object is the link after the last."""
+        links = self.robot_model.links
+        if sphere >= len(self._names.spheres):
+            return len(links)
+        return next(i for i, link in enumerate(links) if link.name == self._names.spheres[sphere])
 
     def constrain(self, rows: Sequence[ConstraintRow]) -> None:
         """Set rows a'u ≥ b that hold until the next call; at most 16, including the rows of Python barriers.
@@ -297,6 +327,7 @@ class SafetyFilter:
                 0.5 m from the tool.
         """
         self._kernel.attach(np.full((1, 4), nan), 0.0)
+        self._grasp_changes += 1
         try:
             self._attach(spheres, error)
         except BaseException as problem:
@@ -322,6 +353,7 @@ class SafetyFilter:
     def detach(self) -> None:
         """Remove the grasped object."""
         self._kernel.attach(np.empty((0, 4)), 0.0)
+        self._grasp_changes += 1
         self._note_refusal("held object", None)
 
     def reset(self, u_prev: ArrayLike = 0.0) -> None:
