@@ -230,7 +230,9 @@ class MarginCause(StrEnum):
 class MarginShortfall(Record, frozen=True, kw_only=True):
     """An interval with h < 0: `start` and `duration` [s], least value `h_min` [m], the `pair` at its start, the cause.
 
-    `change` [m] is the fall of h between the two ticks around the start, for the pair and by the cause.
+    `change` [m] is the fall of h between the two ticks around the start, for the pair and by the cause. `introduced`:
+    the barrier value with the full margin was below 0, and the margin in force grew to its full value at a declared
+    rate meanwhile, with h ≥ 0 at the start.
     """
 
     start: float
@@ -239,6 +241,7 @@ class MarginShortfall(Record, frozen=True, kw_only=True):
     pair: str
     cause: MarginCause
     change: float
+    introduced: bool = False
 
     def explain(self) -> str:
         """The interval in one sentence."""

@@ -12,12 +12,12 @@ from math import inf
 from typing import Protocol
 
 from dualbrain.control.margin_causes import MarginMonitor
-from dualbrain.control.obstacle_estimates import ObstacleEstimates, robot_cover, with_acceleration
+from dualbrain.control.obstacle_estimates import INTRODUCTION_RATE, ObstacleEstimates, robot_cover, with_acceleration
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.residual_contacts import ResidualContacts
 from dualbrain.control.scene_monitor import SceneMonitor, effective_stamp
 from dualbrain.control.scene_smoothing import SceneSmoother
-from dualbrain.records import MARGIN_CAUSE_TEXTS, Scene
+from dualbrain.records import MARGIN_CAUSE_TEXTS, MarginCause, MarginShortfall, Scene
 from dualbrain.robots.interface import Array, Command, RobotInterface, RobotState
 from dualbrain.robots.model import RobotModel
 from dualbrain.safety.barriers.traversable_region import traversable_region
@@ -189,9 +189,14 @@ class ControlLoop:
         self._skill, self._roles = skill, roles
 
     def end_contract(self, *, succeeded: bool) -> None:
-        """Withdraw all contact permits; after a failure, contacts that still exist remain permitted."""
-        contacts = () if succeeded else self._residual_contacts.combine(self._contacts)
-        self._residual_contacts.retain(self._phase, contacts, self.state, self.scene)
+        """Withdraw all contact permits; after a failure, contacts that still exist remain permitted.
+
+        After a success a permit remains only while the margin of its pair would be short without it.
+        """
+        ending = self._residual_contacts.combine(self._contacts)
+        self._residual_contacts.retain(self._phase, () if succeeded else ending, self.state, self.scene)
+        if succeeded and self.config.keep_margins:
+            self._residual_contacts.keep_until_intact(ending, self.state, self.scene, held=self.held_object)
         self._contacts = ()
         self._update_permits()
         self._register_late_grasp()
@@ -380,7 +385,12 @@ class ControlLoop:
             self._set_grasped_object(nominal.holding)
 
     def _enter_phase(self, nominal: Nominal) -> None:
-        """Replace the contact permits by those of the new phase."""
+        """Replace the contact permits by those of the new phase; permits of the last one end with hysteresis."""
+        if self.config.keep_margins:
+            held = nominal.holding.name if nominal.holding else None
+            kept = {(one.robot_part, one.obstacle) for one in nominal.contacts}
+            ending = [one for one in self._contacts if (one.robot_part, one.obstacle) not in kept]
+            self._residual_contacts.keep_until_intact(ending, self.state, self.scene, held=held)
         self._phase, self._contacts = nominal.phase, nominal.contacts
         self._update_permits()
         self.log.note(self.state.stamp, "phase", f"{self._skill}: {nominal.phase}")
@@ -414,10 +424,13 @@ class ControlLoop:
             spheres = cover_with_spheres(obj, tool.position, tool.rotation)
             self.log.call(self.state.stamp, "attach", spheres=spheres, error=obj.error)
             self.safety.attach(spheres, obj.error)
-        self.update_obstacles()
+        self.update_obstacles(grasped=holding is not None)
 
-    def update_obstacles(self) -> None:
-        """Report the perceived scene to the filter; the objects of the running action are known to the controller φ."""
+    def update_obstacles(self, *, grasped: bool = False) -> None:
+        """Report the perceived scene to the filter; the objects of the running action are known to the controller φ.
+
+        `grasped`: an object has just become part of the robot.
+        """
         held = self._holding.name if self._holding else None
         supports = {obj.name for obj in self.scene.objects if obj.role == "support"}
         known = (
@@ -428,21 +441,44 @@ class ControlLoop:
         )
         obstacles, stamp = obstacles_from_scene(self.scene, known=known, held=held), effective_stamp(self.scene)
         if self.config.keep_margins:
-            obstacles = self._estimate(obstacles)
+            obstacles = self._estimate(obstacles, grasped=grasped)
         if self.scene.region:
             obstacles = (*obstacles, *traversable_region("the floor", self.scene.region), *self._ground_obstacles)
         self.log.call(self.state.stamp, "observe", obstacles=obstacles, stamp=stamp)
         self.safety.observe(obstacles, stamp)
 
-    def _estimate(self, obstacles: tuple[Obstacle, ...]) -> tuple[Obstacle, ...]:
+    def _estimate(self, obstacles: tuple[Obstacle, ...], *, grasped: bool) -> tuple[Obstacle, ...]:
         """The valid estimates of `obstacles` that keep the margins as far as possible."""
-        return self._estimates.update(
+        estimates = self._estimates.update(
             [with_acceleration(one, self.config.perception_period) for one in obstacles],
             self.scene.stamp,
             moved=self._moving_objects(),
             h_min=self._last_h_min,
             cover=lambda: robot_cover(self.safety, self.state),
+            grasped=grasped,
         )
+        for name, shortage in self._estimates.begun.items():
+            self._note_introduction(name, shortage, grasped=grasped)
+        return estimates
+
+    def _note_introduction(self, name: str, shortage: float, *, grasped: bool) -> None:
+        """Record that the margin of the obstacle `name` is introduced, because it is short by `shortage` [m] now."""
+        released = name == self._released[0] and name in self._moving_objects()
+        cause = MarginCause.ATTACH_DETACH if grasped or released else MarginCause.PERCEPTION_JUMP
+        now, duration = self.now, shortage / INTRODUCTION_RATE
+        self.margin_monitor.add(
+            MarginShortfall(
+                start=now,
+                duration=duration,
+                h_min=-shortage,
+                pair=repr(name),
+                cause=cause,
+                change=shortage,
+                introduced=True,
+            )
+        )
+        text = f"the margin of {name!r} is introduced within {duration:.2f} s: {MARGIN_CAUSE_TEXTS[cause]}"
+        self.log.note(now, "margin", text, pair=name, cause=cause.value, shortage=shortage)
 
     def _mapped_obstacles(self) -> set[str]:
         """Fixed obstacles of a mobile base's room, which its controller knows."""

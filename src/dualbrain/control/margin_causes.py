@@ -57,6 +57,10 @@ class MarginMonitor:
         """Forget the intervals that have ended."""
         self._closed.clear()
 
+    def add(self, shortfall: MarginShortfall) -> None:
+        """Add an interval that the filter does not see: the margin of an obstacle that is being introduced."""
+        self._closed.append(shortfall)
+
     def between(self, first: float, last: float) -> tuple[MarginShortfall, ...]:
         """The intervals that overlap the time from `first` to `last` [s]."""
         return tuple(one for one in self.shortfalls if one.start <= last and one.start + one.duration >= first)
@@ -156,13 +160,13 @@ class MarginMonitor:
         if result.status > FilterStatus.MODIFIED or not result.certified:
             recent = obstacle is not None and now - self._accelerated.get(obstacle.name, -np.inf) <= ACCELERATION_MEMORY
             return MarginCause.PERSON_ACCELERATION if recent else MarginCause.INFEASIBILITY
-        if self._is_finger(row) and _opening_changed(opening, state.opening):
+        if self._moves_with_fingers(row) and _opening_changed(opening, state.opening):
             return MarginCause.GRIPPER
         return MarginCause.TRACKING
 
-    def _is_finger(self, row: BarrierRow | None) -> bool:
-        """Whether a side of the pair is a finger."""
-        fingers = {link.name for link in self._safety.robot_model.links if link.group == "fingers"}
+    def _moves_with_fingers(self, row: BarrierRow | None) -> bool:
+        """Whether a side of the pair moves with the opening of the fingers."""
+        fingers = {link.name for link in self._safety.robot_model.links if any(link.slide)}
         return row is not None and not fingers.isdisjoint(row.name.split(" vs "))
 
 

@@ -6,8 +6,12 @@ velocity and grown by its velocity error, and the new observation are both valid
 the obstacle stays at least `RESERVE`, or at least as large as with the former estimate. The robot therefore never
 becomes too close by noise alone, and the true position remains within the margin in force.
 
-A new observation is taken over at once, at every h, if it contradicts the former estimate: an object at rest is
-observed further from it than its error bound, or a moving one outside both balls. It then really moved.
+A new observation is taken over at once if it contradicts the former estimate: an object at rest is observed further
+from it than its error bound, or a moving one outside both balls. It then really moved. If h would be below 0 at the new
+place, or if an object appears there or is grasped next to it, its margin is *introduced*: it begins at the value with
+h = `RESERVE`, and grows with `INTRODUCTION_RATE` to its full value. The obstacle itself is at its new place at once.
+Meanwhile the rows demand that the robot retreats from it at that rate, and the margin in force is smaller than the
+error bound. An obstacle that overlaps the robot by more than its margin has h < 0.
 """
 
 from __future__ import annotations
@@ -21,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.core.geometry.distance import signed_distance
-from dualbrain.core.geometry.shapes import Pose
+from dualbrain.core.geometry.shapes import Box, Capsule, Pose, Sphere
 from dualbrain.robots.interface import RobotState
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.obstacles import Obstacle
@@ -34,6 +38,10 @@ SHARES = (1.0, 0.5, 0.25)
 """Shares s of the new observation that are tried, largest first; then the former estimate stays."""
 PERSON_ACCELERATION = 1.0
 """Declared bound of the acceleration of a moving obstacle [m/s²]; the simulated person accelerates with 0.5."""
+INTRODUCTION_RATE = 0.02
+"""Rate [m/s] at which the margin of an obstacle that moved or appeared grows; every arm here can retreat that fast."""
+MAX_TURN = 5e-4
+"""Motion of the surface by a turn of the obstacle [m] up to which the former estimate, grown by it, stays valid."""
 MAX_HELD_TIME = 1.0
 """Time [s] without an observation after which the former estimate of an obstacle is not used any more."""
 
@@ -42,8 +50,8 @@ MAX_HELD_TIME = 1.0
 class RobotCover:
     """Spheres of the robot that keep away from obstacles: centres (k, 3) [m], radii (k,) [m], parts by sphere.
 
-    `parts` holds for each sphere the names by which permits refer to it. `permits` are the permitted pairs of a part
-    and an obstacle, `margin` (k,) [m] the additional margin of each sphere.
+    The radii include the error of a grasped object. `parts` holds for each sphere the names by which permits refer to
+    it. `permits` are the permitted pairs of a part and an obstacle.
     """
 
     centres: Array
@@ -74,16 +82,32 @@ def robot_cover(safety: SafetyFilter, state: RobotState) -> RobotCover:
     links = [link for link in model.links for sphere in model.spheres if sphere.link == link.name]
     parts = [(link.name, link.group) for link in links] + [(group,) for group in groups[len(links) :]]
     moved = [i for i in range(len(parts)) if i >= len(links) or links[i].frame > 0]
-    permits = frozenset((one.robot_part, one.obstacle) for one in safety.tables.permits)
+    tables = safety.tables
+    permits = frozenset((one.robot_part, one.obstacle) for one in tables.permits)
+    radii = np.concatenate([radii[: len(links)], radii[len(links) :] + tables.held_error])
     return RobotCover(centres[moved], radii[moved], tuple(parts[i] for i in moved), permits)
 
 
+@dataclass(frozen=True, slots=True)
+class _Estimate:
+    """An obstacle as the filter got it at `stamp` [s]; `introduced`: its margin is still growing to its full value."""
+
+    stamp: float
+    obstacle: Obstacle
+    introduced: bool
+
+
 class ObstacleEstimates:
-    """The estimates in force. State: the obstacles as given to the filter, and their stamp [s]."""
+    """The estimates in force.
+
+    State: the obstacles as given to the filter, and `begun`, the shortage of the margin [m] by name of the obstacles
+    whose introduction began with the last update.
+    """
 
     def __init__(self) -> None:
         """Start without estimates."""
-        self._former: dict[str, tuple[float, Obstacle]] = {}
+        self._former: dict[str, _Estimate] | None = None
+        self.begun: dict[str, float] = {}
 
     def update(
         self,
@@ -93,38 +117,61 @@ class ObstacleEstimates:
         moved: Collection[str],
         h_min: float,
         cover: Callable[[], RobotCover],
+        grasped: bool = False,
     ) -> tuple[Obstacle, ...]:
         """The estimates of `obstacles`, observed at `stamp` [s], that the filter gets.
 
         Observations of the objects in `moved` (just released) are taken over at once, and so are all if `h_min` [m],
-        the least barrier value of the last step, exceeds every change. `cover` computes the robot's spheres.
+        the least barrier value of the last step, exceeds every change. `cover` computes the robot's spheres. `grasped`:
+        an object was attached since the last update, so that every margin may be short.
         """
-        offers = [(one, self._prior(one, stamp)) for one in obstacles]
-        near = [prior for one, prior in offers if prior is not None and one.name not in moved]
-        largest = max((_change(one, prior) for one, prior in offers if prior is not None), default=0.0)
-        robot = cover() if near and not h_min > largest + RESERVE else None
-        chosen: list[Obstacle] = []
-        for one, prior in offers:
-            if robot is None or prior is None or one.name in moved or _contradicts(one, prior):
-                chosen.append(one)
-            else:
-                chosen.append(_choose(one, prior, robot))
-        self._former = {one.name: (stamp, one) for one in chosen}
-        return tuple(chosen)
+        self.begun = {}
+        if self._former is None:
+            self._former = {one.name: _Estimate(stamp, one, introduced=False) for one in obstacles}
+            return tuple(obstacles)
+        priors = {one.name: self._prior(one, stamp) for one in obstacles if one.margin > 0.0}
+        new = [one for one in obstacles if one.margin > 0.0 and (grasped or _is_new(one, priors[one.name], moved))]
+        changes = [_change(one, prior.obstacle) for one in obstacles if (prior := priors.get(one.name))]
+        growing = any(prior.introduced for prior in priors.values() if prior)
+        if not new and not growing and h_min > max(changes, default=0.0) + RESERVE:
+            chosen = [_Estimate(stamp, one, introduced=False) for one in obstacles]
+        else:
+            robot, fresh = cover(), {one.name for one in new}
+            chosen = [self._estimate(one, stamp, priors.get(one.name), one.name in fresh, robot) for one in obstacles]
+        self._former = {one.obstacle.name: one for one in chosen}
+        return tuple(one.obstacle for one in chosen)
 
-    def _prior(self, new: Obstacle, stamp: float) -> Obstacle | None:
+    def _estimate(
+        self, new: Obstacle, stamp: float, prior: _Estimate | None, is_new: bool, robot: RobotCover
+    ) -> _Estimate:
+        """The estimate for the observation `new`, which replaces the former one if it `is_new`."""
+        if is_new:
+            shortage = min(new.margin, RESERVE - robot.clearance(new))
+            if shortage <= RESERVE:
+                return _Estimate(stamp, new, introduced=False)
+            self.begun[new.name] = shortage
+            return _Estimate(stamp, _introduce(new, new.margin - shortage), introduced=True)
+        if prior is None:
+            return _Estimate(stamp, new, introduced=False)
+        if prior.introduced and prior.obstacle.margin < new.margin:
+            grown = _introduce(new, prior.obstacle.margin)
+            former = msgspec.structs.replace(grown, pose=prior.obstacle.pose)
+            return _Estimate(stamp, _choose(grown, former, robot), introduced=True)
+        return _Estimate(stamp, _choose(new, prior.obstacle, robot), introduced=False)
+
+    def _prior(self, new: Obstacle, stamp: float) -> _Estimate | None:
         """The former estimate of the obstacle `new` at `stamp` [s], None if there is none that can be compared."""
-        found = self._former.get(new.name)
-        if found is None or new.margin == 0.0:
+        former = (self._former or {}).get(new.name)
+        if former is None:
             return None
-        former_stamp, former = found
-        age = stamp - former_stamp
-        same = former.shape == new.shape and former.pose.quaternion == new.pose.quaternion
-        if not same or not 0.0 <= age <= MAX_HELD_TIME:
+        age, obstacle = stamp - former.stamp, former.obstacle
+        turn = _turn(obstacle, new) if obstacle.shape == new.shape else inf
+        if turn > MAX_TURN or not 0.0 <= age <= MAX_HELD_TIME:
             return None
-        x, y, z = (p + v * age for p, v in zip(former.pose.position, former.velocity, strict=True))
-        margin = former.margin + former.velocity_error * age
-        return msgspec.structs.replace(new, pose=Pose((x, y, z), new.pose.quaternion), margin=margin)
+        x, y, z = (p + v * age for p, v in zip(obstacle.pose.position, obstacle.velocity, strict=True))
+        margin = obstacle.margin + obstacle.velocity_error * age + turn
+        moved = msgspec.structs.replace(new, pose=Pose((x, y, z), new.pose.quaternion), margin=margin)
+        return _Estimate(stamp, moved, former.introduced)
 
 
 def with_acceleration(obstacle: Obstacle, interval: float) -> Obstacle:
@@ -132,6 +179,16 @@ def with_acceleration(obstacle: Obstacle, interval: float) -> Obstacle:
     if not obstacle.moves:
         return obstacle
     return msgspec.structs.replace(obstacle, velocity_error=obstacle.velocity_error + PERSON_ACCELERATION * interval)
+
+
+def _is_new(new: Obstacle, prior: _Estimate | None, moved: Collection[str]) -> bool:
+    """Whether the observation replaces the former estimate: there is none, or the obstacle moved."""
+    return prior is None or new.name in moved or _contradicts(new, prior.obstacle)
+
+
+def _introduce(new: Obstacle, margin: float) -> Obstacle:
+    """The obstacle `new` with a `margin` [m] that grows with `INTRODUCTION_RATE`."""
+    return msgspec.structs.replace(new, margin=margin, velocity_error=new.velocity_error + INTRODUCTION_RATE)
 
 
 def _choose(new: Obstacle, prior: Obstacle, robot: RobotCover) -> Obstacle:
@@ -161,6 +218,22 @@ def _contradicts(new: Obstacle, prior: Obstacle) -> bool:
 
 def _distance(a: Obstacle, b: Obstacle) -> float:
     return float(np.linalg.norm(np.subtract(a.pose.position, b.pose.position)))
+
+
+def _turn(a: Obstacle, b: Obstacle) -> float:
+    """Upper bound of the motion [m] of a point of the shape by the turn between two orientations."""
+    first, second = np.asarray(a.pose.quaternion), np.asarray(b.pose.quaternion)
+    chord = min(float(np.linalg.norm(first - second)), float(np.linalg.norm(first + second)))
+    angle = 4.0 * float(np.arcsin(min(1.0, 0.5 * chord)))
+    if angle == 0.0 or isinstance(a.shape, Sphere):
+        return 0.0
+    match a.shape:
+        case Capsule(radius=radius, half_length=half_length):
+            return angle * (radius + half_length)
+        case Box(half_extents=half_extents):
+            return angle * float(np.linalg.norm(half_extents))
+        case _:
+            return inf
 
 
 def _change(new: Obstacle, prior: Obstacle) -> float:

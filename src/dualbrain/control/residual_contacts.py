@@ -4,6 +4,9 @@ A skill that ends by itself ends its contacts. A skill that is stopped leaves th
 grasped object on its support. The permits of the skill's last phase then remain for every pair that is still near,
 until the pair is clear; the next contract has them in addition to its own. No contact is added that no skill's
 specification permits.
+
+A permit that ends with a phase ends with hysteresis: it remains for a pair whose margin would be short without it,
+until the margin is intact. The end of a permit therefore does not make a margin short.
 """
 
 from __future__ import annotations
@@ -21,6 +24,8 @@ CLEARANCE = 0.010
 """Distance [m] from an object, beyond the error of its position, at which a part of the robot is clear of it."""
 CLOSING_PHASE = "close"
 """The phase in which the fingers close on a target."""
+INTACT_CLEARANCE = 0.001
+"""Barrier value h [m] from which a margin is intact; a permit that ended with its phase is then withdrawn."""
 HELD_GROUP = "held"
 """Group of the spheres that cover the grasped object."""
 
@@ -28,7 +33,8 @@ HELD_GROUP = "held"
 class ResidualContacts:
     """The residual contacts of one robot.
 
-    State: `contacts`, the permits that remain, and `closing_target`, the object on which the fingers were closing, ""
+    State: `contacts`, the permits that remain (those that ended with a phase until the margin is intact, the others
+    until the pair is clear), and `closing_target`, the object on which the fingers were closing, ""
     if there is none.
     """
 
@@ -36,6 +42,7 @@ class ResidualContacts:
         """Start without residual contacts; `motion` computes the robot's spheres."""
         self._motion = motion
         self.contacts: tuple[PermittedContact, ...] = ()
+        self._ending: frozenset[tuple[str, str]] = frozenset()
         self.closing_target = ""
 
     @property
@@ -50,8 +57,21 @@ class ResidualContacts:
 
     def retain(self, phase: str, contacts: Iterable[PermittedContact], state: RobotState, scene: Scene) -> None:
         """Retain those of the `contacts` of a skill that ended in `phase` that are not clear."""
-        self.contacts = tuple(contacts)
+        self.contacts, self._ending = tuple(contacts), frozenset()
         self.closing_target = (self.object_in_fingers or "") if phase == CLOSING_PHASE else ""
+        self.update(state, scene)
+
+    def keep_until_intact(
+        self, ending: Iterable[PermittedContact], state: RobotState, scene: Scene, *, held: str | None
+    ) -> None:
+        """Keep the permits `ending` with a phase for every pair whose margin would be short now.
+
+        Contacts with the object `held` are withdrawn, because it is no obstacle any more.
+        """
+        known = {_pair(one) for one in self.contacts}
+        kept = tuple(one for one in ending if _pair(one) not in known and one.obstacle != held)
+        self.contacts = (*self.contacts, *kept)
+        self._ending |= {_pair(one) for one in kept}
         self.update(state, scene)
 
     def update(self, state: RobotState, scene: Scene) -> bool:
@@ -69,20 +89,26 @@ class ResidualContacts:
             obj = perceived.get(contact.obstacle)
             if obj is None or (contact.robot_part == HELD_GROUP and not part.any()):
                 return True
-            return _min_clearance(obj, centres[part], radii[part]) < CLEARANCE
+            enough = INTACT_CLEARANCE if _pair(contact) in self._ending else CLEARANCE
+            return _min_clearance(obj, centres[part], radii[part]) < enough
 
         remaining = tuple(contact for contact in self.contacts if near(contact))
         if all(contact.robot_part == HELD_GROUP for contact in remaining) and HELD_GROUP not in groups:
             remaining = ()
         removed, self.contacts = len(remaining) < len(self.contacts), remaining
+        self._ending &= {_pair(one) for one in remaining}
         if self.closing_target not in self.object_names:
             self.closing_target = ""
         return removed
 
     def combine(self, contacts: tuple[PermittedContact, ...]) -> tuple[PermittedContact, ...]:
         """`contacts`, and the residual contacts of all other pairs of a robot part and an object."""
-        pairs = {(contact.robot_part, contact.obstacle) for contact in contacts}
-        return (*contacts, *(one for one in self.contacts if (one.robot_part, one.obstacle) not in pairs))
+        pairs = {_pair(contact) for contact in contacts}
+        return (*contacts, *(one for one in self.contacts if _pair(one) not in pairs))
+
+
+def _pair(contact: PermittedContact) -> tuple[str, str]:
+    return contact.robot_part, contact.obstacle
 
 
 def _min_clearance(obj: SceneObject, centres: np.ndarray, radii: np.ndarray) -> float:

@@ -69,11 +69,15 @@ class ToolState:
 
 
 class FilterTables(NamedTuple):
-    """The tables of a filter: obstacles, their stamp [s], permitted contacts, and the number of grasps and releases."""
+    """The tables of a filter: obstacles, their stamp [s], permitted contacts, error of the grasped object [m].
+
+    `grasp_changes` is the number of grasps and releases so far.
+    """
 
     obstacles: tuple[Obstacle, ...]
     stamp: float
     permits: tuple[Contact, ...]
+    held_error: float
     grasp_changes: int
 
 
@@ -128,7 +132,7 @@ class SafetyFilter:
         self._obstacles: tuple[Obstacle, ...] = ()
         self._table_usable = True
         self._permits: tuple[Contact, ...] = ()
-        self._grasp_changes = 0
+        self._held_error, self._grasp_changes = 0.0, 0
         self._tool_rotation, self._tool_offset = tool_frame(robot_model)
         self._part_links = _links_by_part(robot_model)
         links = [link.name for link in robot_model.links for sphere in robot_model.spheres if sphere.link == link.name]
@@ -214,8 +218,8 @@ class SafetyFilter:
 
     @property
     def tables(self) -> FilterTables:
-        """The tables in force: obstacles with the permanent ones, their stamp, permits, number of grasp changes."""
-        return FilterTables(self._obstacles, self._stamp, self._permits, self._grasp_changes)
+        """The tables in force; the obstacles include the permanent ones."""
+        return FilterTables(self._obstacles, self._stamp, self._permits, self._held_error, self._grasp_changes)
 
     def is_permitted(self, kind: int, i: int, j: int) -> bool:
         """Whether contact of the pair of a row with these indices (`BarrierRow`) is permitted, so that h may be < 0."""
@@ -349,11 +353,12 @@ class SafetyFilter:
             )
         held[:, :3] = held[:, :3] @ self._tool_rotation.T + self._tool_offset
         self._kernel.attach(np.ascontiguousarray(held), error)
+        self._held_error = error
 
     def detach(self) -> None:
         """Remove the grasped object."""
         self._kernel.attach(np.empty((0, 4)), 0.0)
-        self._grasp_changes += 1
+        self._held_error, self._grasp_changes = 0.0, self._grasp_changes + 1
         self._note_refusal("held object", None)
 
     def reset(self, u_prev: ArrayLike = 0.0) -> None:

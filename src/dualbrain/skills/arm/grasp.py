@@ -50,10 +50,16 @@ def spec(robot_model: RobotModel) -> SkillSpec:
         (
             ContactPermit("descend", "fingers", "target", touch),
             ContactPermit("close", "fingers", "target", touch),
+            *([ContactPermit("close", "hand", "target", touch)] if _has_linkage(robot_model) else []),
             ContactPermit("close", "held", "support", touch),
             ContactPermit("lift", "held", "support", touch),
         ),
     )
+
+
+def _has_linkage(robot_model: RobotModel) -> bool:
+    """Whether links of the hand move with the fingers: they approach the target while the fingers close."""
+    return any(link.group == "hand" and any(link.slide) for link in robot_model.links)
 
 
 def routine(
