@@ -30,6 +30,7 @@ from experiments.robots.robosuite_tasks import RobosuiteTasks
 from experiments.robots.robot_zoo import RobotZoo
 from experiments.safety.adversary import Adversary
 from experiments.safety.conservatism import Conservatism
+from experiments.safety.margin_causes import MarginCauses
 from experiments.safety.no_obstacles import NoObstacles
 from experiments.safety.plant_adversary import PlantAdversary
 from experiments.safety.slow_tests import SlowTests
@@ -44,6 +45,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         EndToEnd(),
         FilterAblation(),
         Conservatism(),
+        MarginCauses(),
         SlowTests(),
         BadInput(),
         Adversary(),

@@ -78,6 +78,8 @@ class EpisodeResources:
     visuals: bool = False
     unconstrained_planner: Planner | None = None
     """Answers the first request too, without constrained decoding; its answer is judged and not executed."""
+    keep_margins: bool = True
+    """`ControlLoopConfig.keep_margins`; False for comparisons."""
 
 
 class EvaluatedExecutor:
@@ -185,7 +187,7 @@ def _make_cell(case: Case, method: Method, resources: EpisodeResources, stopwatc
         model,
         world,
         safety=safety,
-        config=ControlLoopConfig(guard=method.guard),
+        config=ControlLoopConfig(guard=method.guard, keep_margins=resources.keep_margins),
         observer=LoopObserver(on_tick=resources.on_tick),
         inputs=LoopInputs(interrupted=lambda: world.plant.now >= case.time_limit),
         time_limit=case.time_limit,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import cos, isfinite, nan, sin
-from typing import NamedTuple, cast
+from typing import cast
 
 import msgspec
 import numpy as np
@@ -68,7 +68,8 @@ class ToolState:
     jacobian: Array
 
 
-class FilterTables(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class FilterTables:
     """The tables of a filter: obstacles, their stamp [s], permitted contacts, error of the grasped object [m].
 
     `grasp_changes` is the number of grasps and releases so far.

@@ -1,0 +1,218 @@
+"""Estimates of obstacles: always valid, never a fall of h by noise, and introduced at a declared rate after a jump."""
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dualbrain.control.obstacle_estimates import (
+    INTRODUCTION_RATE,
+    MAX_TURN,
+    PERSON_ACCELERATION,
+    RESERVE,
+    ObstacleEstimates,
+    RobotCover,
+    robot_cover,
+    with_acceleration,
+)
+from dualbrain.core.geometry.shapes import Box, Pose, Sphere
+from dualbrain.robots.interface import home_state
+from dualbrain.robots.loader import load_robot
+from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.safety.cbf.obstacles import Contact, Obstacle
+
+ERROR, RADIUS, PERIOD = 0.009, 0.03, 0.033
+
+
+def obstacle(x, error=ERROR, name="cup", **fields):
+    return Obstacle(name=name, shape=Sphere(RADIUS), pose=Pose((float(x), 0.0, 0.0)), margin=error, **fields)
+
+
+def robot_at(x, permits=()):
+    """One sphere of 5 cm at x on the axis of the obstacles."""
+    return RobotCover(np.array([[x, 0.0, 0.0]]), np.array([0.05]), (("left_hand", "hand"),), frozenset(permits))
+
+
+def near(h):
+    """The robot whose h from an obstacle at x = 0 is `h`."""
+    return robot_at(0.05 + RADIUS + ERROR + h)
+
+
+class Updates:
+    """Estimates of one obstacle, observed every 33 ms."""
+
+    def __init__(self, robot):
+        self.estimates, self.robot, self.now = ObstacleEstimates(), robot, 0.0
+
+    def see(self, *obstacles, moved=(), h_min=-1.0, **options):
+        self.now += PERIOD
+        return self.estimates.update(obstacles, self.now, moved=moved, h_min=h_min, cover=lambda: self.robot, **options)
+
+    def h(self, estimate):
+        return self.robot.clearance(estimate)
+
+
+def x_of(estimate):
+    return estimate.pose.position[0]
+
+
+@given(seed=st.integers(0, 2**32 - 1), h=st.floats(0.0, 0.01))
+@settings(max_examples=50)
+def test_an_estimate_of_an_object_at_rest_contains_the_truth_and_noise_makes_no_margin_short(seed, h):
+    rng, updates = np.random.default_rng(seed), Updates(near(h + ERROR))
+    updates.see(obstacle(rng.uniform(-ERROR, ERROR) / 2))
+    least = None
+    for _ in range(40):
+        (got,) = updates.see(obstacle(rng.uniform(-ERROR, ERROR) / 2))
+        assert abs(x_of(got)) <= got.margin + 1e-12  # the truth is at 0
+        least = updates.h(got) if least is None else min(least, updates.h(got))
+    assert least >= min(h, RESERVE) - 1e-12
+
+
+def test_a_far_observation_is_taken_over_without_computing_the_robot():
+    estimates = ObstacleEstimates()
+    estimates.update([obstacle(0.0)], 0.0, moved=(), h_min=0.5, cover=lambda: 1 / 0)
+    (got,) = estimates.update([obstacle(0.004)], PERIOD, moved=(), h_min=0.5, cover=lambda: 1 / 0)
+    assert x_of(got) == 0.004
+
+
+def test_an_observation_that_would_make_the_margin_short_is_taken_over_in_part_or_not_at_all():
+    updates = Updates(near(RESERVE + 0.001))
+    updates.see(obstacle(0.0))
+    (got,) = updates.see(obstacle(0.003))
+    assert 0.0 < x_of(got) < 0.003
+    assert updates.h(got) >= RESERVE
+    updates.robot = near(0.0002 + x_of(got))
+    assert updates.see(obstacle(0.003))[0] == got
+
+
+def test_an_observation_further_away_is_taken_over_completely():
+    updates = Updates(near(0.0))
+    updates.see(obstacle(0.0))
+    assert x_of(updates.see(obstacle(-0.004))[0]) == -0.004
+
+
+def test_an_object_that_creeps_is_followed_within_its_error_bound():
+    updates = Updates(near(0.0))
+    updates.see(obstacle(0.0))
+    for k in range(40):
+        (got,) = updates.see(obstacle(0.001 * k))
+        assert abs(x_of(got) - 0.001 * k) <= ERROR + 1e-12
+
+
+def test_the_margin_of_an_object_that_moved_is_introduced_at_the_declared_rate():
+    updates = Updates(near(0.02))
+    updates.see(obstacle(0.0))
+    (got,) = updates.see(moved_one := obstacle(0.024))
+    assert x_of(got) == 0.024  # the obstacle is at its new place at once
+    assert np.isclose(updates.h(got), RESERVE)
+    assert got.velocity_error == INTRODUCTION_RATE
+    assert np.isclose(updates.estimates.begun["cup"], 0.004 + RESERVE)
+    margins = [got.margin]
+    while margins[-1] < ERROR:
+        (got,) = updates.see(moved_one)
+        margins.append(got.margin)
+    assert np.allclose(np.diff(margins)[:-1], INTRODUCTION_RATE * PERIOD)
+    assert len(margins) <= 2 + (0.004 + RESERVE) / (INTRODUCTION_RATE * PERIOD)
+    assert updates.see(moved_one)[0] == moved_one
+
+
+def test_an_obstacle_that_overlaps_the_robot_has_a_negative_h():
+    updates = Updates(near(0.0))
+    updates.see(obstacle(-0.1))
+    (got,) = updates.see(obstacle(0.02))
+    assert got.margin == 0.0
+    assert updates.h(got) < 0.0
+
+
+def test_an_obstacle_that_appears_or_was_released_or_is_next_to_a_grasped_object_is_introduced():
+    updates = Updates(near(-0.003))
+    updates.see()
+    assert updates.see(obstacle(0.0))[0].margin < ERROR
+    for options in ({"moved": ("cup",)}, {"grasped": True}):
+        updates = Updates(near(0.05))
+        updates.see(obstacle(0.0))
+        updates.robot = near(-0.003)
+        (got,) = updates.see(obstacle(0.0), **options)
+        assert np.isclose(got.margin, ERROR - 0.003 - RESERVE)
+
+
+def test_the_first_observation_is_taken_as_it_is():
+    updates = Updates(near(-0.003))
+    assert updates.see(obstacle(0.0)) == (obstacle(0.0),)
+
+
+def test_a_moving_obstacle_is_predicted_and_its_margin_grows_with_the_velocity_error():
+    updates = Updates(near(0.05))
+    velocity = (0.1, 0.0, 0.0)
+    updates.see(obstacle(0.0, velocity=velocity, velocity_error=0.02))
+    updates.robot = near(0.1 * PERIOD + 0.02 * PERIOD)
+    (got,) = updates.see(obstacle(0.1 * PERIOD + 0.004, velocity=velocity, velocity_error=0.02))
+    assert np.isclose(x_of(got), 0.1 * PERIOD)
+    assert np.isclose(got.margin, ERROR + 0.02 * PERIOD)
+    assert got.velocity == velocity
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=50)
+def test_the_estimate_of_a_person_contains_the_truth_while_the_acceleration_is_bounded(seed):
+    rng, updates, dt = np.random.default_rng(seed), Updates(near(0.02)), 0.001
+    x, v, bound = 0.0, 0.0, 0.02
+    declared = bound + PERSON_ACCELERATION * PERIOD
+    for _ in range(60):
+        x_seen, v_seen = x + rng.uniform(-ERROR, ERROR), v + rng.uniform(-bound, bound)
+        seen = obstacle(x_seen, velocity=(v_seen, 0.0, 0.0), velocity_error=bound)
+        updates.robot = near(x + rng.uniform(-0.01, 0.01))
+        (got,) = updates.see(with_acceleration(seen, PERIOD))
+        for step in range(33):
+            age = step * dt
+            reach = got.margin + got.velocity_error * age
+            if got.velocity_error < declared + 1e-9:  # its margin is not being introduced
+                assert abs(x - x_of(got) - age * got.velocity[0]) <= reach + 1e-9
+            a = rng.uniform(-PERSON_ACCELERATION, PERSON_ACCELERATION)
+            x, v = x + v * dt + 0.5 * a * dt * dt, v + a * dt
+
+
+def test_the_acceleration_enlarges_the_velocity_error_of_moving_obstacles_only():
+    assert with_acceleration(obstacle(0.0), 0.1) == obstacle(0.0)
+    moving = obstacle(0.0, velocity_error=0.02)
+    assert with_acceleration(moving, 0.1).velocity_error == 0.02 + 0.1 * PERSON_ACCELERATION
+
+
+def box(angle):
+    shape = Box((RADIUS, RADIUS, RADIUS))
+    quaternion = (float(np.cos(angle / 2)), 0.0, 0.0, float(np.sin(angle / 2)))
+    return Obstacle(
+        name="cup", shape=Box((RADIUS, RADIUS, RADIUS)), pose=Pose((0.0, 0.0, 0.0), quaternion), margin=ERROR
+    )
+
+
+def test_a_small_turn_grows_the_margin_and_a_large_one_replaces_the_estimate():
+    updates = Updates(near(0.0))
+    updates.see(box(0.0))
+    small = 0.5 * MAX_TURN / (RADIUS * np.sqrt(3))
+    (got,) = updates.see(box(small))
+    assert ERROR <= got.margin <= ERROR + MAX_TURN
+    (got,) = updates.see(box(0.3))
+    assert got.margin <= ERROR
+    assert got.pose == box(0.3).pose
+
+
+def test_permitted_pairs_have_no_clearance():
+    cover = robot_at(0.09, permits={("hand", "cup")})
+    assert cover.clearance(obstacle(0.0)) == np.inf
+    assert robot_at(0.09, permits={("hand", "mug")}).clearance(obstacle(0.0)) < 0.1
+
+
+def test_the_cover_of_a_robot_gives_the_barrier_value_of_the_filter():
+    model = load_robot("panda")
+    safety, state = SafetyFilter(model), home_state(model)
+    tool = safety.tool(state.q)
+    safety.attach([[0.0, 0.0, 0.05, 0.03]], 0.009)
+    x, y, z = tool.position.tolist()
+    cup = Obstacle(name="cup", shape=Sphere(0.03), pose=Pose((x, y + 0.105, z - 0.03)), margin=0.009)
+    safety.observe([cup])
+    result = safety(state.q, state.v, np.zeros(model.n), 0.0, state.opening)
+    assert abs(robot_cover(safety, state).clearance(cup) - result.h_min) < 5e-5
+    safety.permit([Contact("held", "cup", 0.05)])
+    result = safety(state.q, state.v, np.zeros(model.n), 0.0, state.opening)
+    assert abs(robot_cover(safety, state).clearance(cup) - result.h_min) < 5e-5
