@@ -179,7 +179,6 @@ def test_the_acceleration_enlarges_the_velocity_error_of_moving_obstacles_only()
 
 
 def box(angle):
-    shape = Box((RADIUS, RADIUS, RADIUS))
     quaternion = (float(np.cos(angle / 2)), 0.0, 0.0, float(np.sin(angle / 2)))
     return Obstacle(
         name="cup", shape=Box((RADIUS, RADIUS, RADIUS)), pose=Pose((0.0, 0.0, 0.0), quaternion), margin=ERROR

@@ -68,7 +68,7 @@ class ToolState:
     jacobian: Array
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FilterTables:
     """The tables of a filter: obstacles, their stamp [s], permitted contacts, error of the grasped object [m].
 
@@ -220,7 +220,13 @@ class SafetyFilter:
     @property
     def tables(self) -> FilterTables:
         """The tables in force; the obstacles include the permanent ones."""
-        return FilterTables(self._obstacles, self._stamp, self._permits, self._held_error, self._grasp_changes)
+        return FilterTables(
+            obstacles=self._obstacles,
+            stamp=self._stamp,
+            permits=self._permits,
+            held_error=self._held_error,
+            grasp_changes=self._grasp_changes,
+        )
 
     def is_permitted(self, kind: int, i: int, j: int) -> bool:
         """Whether contact of the pair of a row with these indices (`BarrierRow`) is permitted, so that h may be < 0."""
