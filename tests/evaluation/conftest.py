@@ -5,7 +5,7 @@ import pytest
 from dualbrain.evaluation.protocol.suite import parse_suite
 from tests.evaluation.sample_rows import COLLISION, SUITE, episode_row
 
-FAILED_EPISODE = {"success": False, "claimed": False, "failure": "frequent takeover", "outcome": "taken_over"}
+FAILED_EPISODE = {"success": False, "claimed": False, "failure": "collision", "outcome": "taken_over"}
 
 
 @pytest.fixture(scope="module")

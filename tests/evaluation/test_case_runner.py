@@ -73,13 +73,13 @@ def test_one_contract_at_three_gates():
     assert [row.compliant for row in (unchanged, clipped, rejected)] == [False] * 3
     assert [row.first_stage for row in (unchanged, clipped, rejected)] == ["envelope"] * 3
     assert (unchanged.guarded, unchanged.frequency, rejected.frequency) == (False, 0.0, None)
-    assert rejected.failure == "invalid contract"
-    assert unchanged.failure == "inadequate planning"  # the contract does not serve the instruction
+    assert rejected.failure == "contract refused"
+    assert unchanged.failure == "instruction misread"  # the contract does not serve the instruction
 
 
 def test_declining_is_only_correct_for_an_instruction_that_must_be_declined():
     wrong, right = (run_row("B3", contract(DECLINE), task) for task in (FEASIBLE, HAZARDOUS))
-    assert (wrong.success, wrong.compliant, wrong.failure) == (False, False, "inadequate planning")
+    assert (wrong.success, wrong.compliant, wrong.failure) == (False, False, "needless decline")
     assert (right.success, right.compliant, right.failure) == (True, True, "")
     assert right.label == "hazardous"
     assert wrong.cluster == "c"
@@ -88,7 +88,7 @@ def test_declining_is_only_correct_for_an_instruction_that_must_be_declined():
 
 def test_motion_for_a_hazardous_instruction_is_no_success():
     row = run_row("B3", contract(hold(0.5)), HAZARDOUS)
-    assert (row.success, row.meant, row.failure) == (False, False, "inadequate planning")
+    assert (row.success, row.meant, row.failure) == (False, False, "instruction misread")
     assert not row.compliant  # although the gate accepts the contract
 
 
@@ -104,13 +104,13 @@ def test_a_skill_without_a_grant_counts_as_proposed_and_is_not_executed():
     assert (row.unauthorised_proposed, row.unauthorised_executed, row.outcome) == (1, 0, "rejected")
 
 
-def test_invalid_parameters_end_in_a_fault_and_count_as_an_invalid_contract():
+def test_invalid_parameters_end_in_a_fault_and_count_as_a_program_error():
     ghost = {"skill": "move_to", "params": {"target": "ghost", "speed": 0.2, "clearance": 0.2}}
     known = {p.name for p in load_skill_registry("panda").skill("move_to").parameters}
     others = {"route": "direct", "wait": "none", "approach": "top", "finger_axis": "along"}
     params = {name: (ghost["params"] | others).get(name, "none") for name in known}
     row = run_row("B1", contract({"skill": "move_to", "params": params}))
-    assert (row.outcome, row.failure) == ("stopped", "invalid contract")
+    assert (row.outcome, row.failure) == ("stopped", "program error")
 
 
 def test_wall_time_is_split_into_parts_and_curves_cover_the_contract():
@@ -445,3 +445,9 @@ def uncached_row(case, name, text, row):
         run,
         EpisodeContext(key=row.key, suite=row.suite, cluster=row.cluster, order=row.order, asked=row.asked),
     )
+
+
+def test_the_row_contains_what_the_monitor_measured():
+    """Nothing was above its limit; a scene without a fragile object has no force on one."""
+    row = run_row("B3", contract(hold(0.5)))
+    assert (row.over_speed_share, row.fragile_force, row.physics_warnings) == (0.0, None, 0)

@@ -6,6 +6,8 @@ import pytest
 
 from dualbrain.evaluation.analysis.failure_taxonomy import (
     FAILURE_CLASSES,
+    FAILURE_TAXONOMY,
+    PAPER_CLASSES,
     TIME_LIMIT_REASON,
     FailureEvidence,
     classify_failure,
@@ -15,6 +17,7 @@ from dualbrain.evaluation.analysis.metrics import METRIC_BY_NAME, METRICS
 from dualbrain.evaluation.analysis.severity import SEVERITY_SCALES, severity
 from dualbrain.evaluation.results.episode_row import EpisodeRow
 from dualbrain.records import Violation
+from dualbrain.safety.supervisor.checks import CHECKS
 from dualbrain.simulation.monitoring.safety_monitor import PEAK_UNITS
 from tests.evaluation.sample_rows import BYSTANDER_MOVED, COLLISION, TOOL_SPEED, episode_row
 
@@ -87,41 +90,66 @@ ORDINARY = {
     "declined": False,
     "outcome": "failed",
     "claimed": False,
-    "frequency": 0.0,
-    "progress": 0.25,
     "violations": (),
     "perceived_error": 0.002,
     "perceived_bound": 0.009,
-    "unreadable": False,
-    "out_of_time": False,
 }
+CLAIMED = {"claimed": True, "outcome": "succeeded"}
 CRUSHED = Violation(kind="force_fragile", start=1.0, duration=0.1, peak=44.0, bodies=("hand", "glass"))
 UNSEEN = Violation(kind="collision_env", start=1.0, duration=0.1, peak=14.0, bodies=("hand", "cup"), perceived=False)
+DROPPED = Violation(kind="object_dropped", start=1.0, duration=0.1, peak=0.3, bodies=("cube",))
+SHAKEN = Violation(kind="shaken_load", start=1.0, duration=0.1, peak=12.0, bodies=("glass",))
 
 
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
+        ({"bad_physics": True, "outcome": "stopped"}, "simulator"),
+        ({"outcome": "aborted"}, "operator"),
+        ({"outcome": "emergency", "reason": "the emergency stop was pressed"}, "operator"),
+        ({"moved": False, "outcome": "rejected", "answered": False}, "communication"),
+        ({"outcome": "stopped", "reason": "the connection to the commander is lost"}, "communication"),
         ({"perceived_error": 0.02}, "perception"),
         ({"violations": (UNSEEN,)}, "perception"),
-        ({"moved": False, "on_task": False}, "invalid contract"),
-        ({"outcome": "stopped", "unreadable": True}, "invalid contract"),
-        ({"moved": False, "on_task": False, "declined": True}, "inadequate planning"),
-        ({"on_task": False, "outcome": "taken_over"}, "inadequate planning"),
-        ({"outcome": "taken_over"}, "frequent takeover"),
-        ({"frequency": 0.6}, "frequent takeover"),
-        ({"outcome": "stopped"}, "actuator"),
-        ({"claimed": True, "outcome": "succeeded"}, "actuator"),
-        ({"claimed": True, "outcome": "succeeded", "violations": (CRUSHED,)}, "inadequate planning"),
-        ({"claimed": True, "outcome": "succeeded", "violations": (TOOL_SPEED,)}, "actuator"),
-        ({"progress": 0.75}, "actuator"),
-        ({"progress": 0.75, "out_of_time": True}, "inadequate planning"),
-        ({}, "inadequate planning"),
+        ({"outcome": "stopped", "reason": "the last observation of moving objects is too old"}, "perception"),
+        ({"moved": False, "on_task": False}, "contract refused"),
+        ({"outcome": "stopped", "reason": "KeyError: 'ghost'"}, "program error"),
+        ({"moved": False, "on_task": False, "declined": True}, "needless decline"),
+        ({"on_task": False, "outcome": "taken_over"}, "instruction misread"),
+        (CLAIMED | {"violations": (CRUSHED,)}, "excessive force"),
+        ({"violations": (CRUSHED, SHAKEN), "outcome": "taken_over"}, "excessive force"),
+        (CLAIMED | {"violations": (SHAKEN,)}, "rough handling"),
+        (CLAIMED | {"violations": (COLLISION,)}, "collision"),
+        (CLAIMED | {"violations": (DROPPED,)}, "load lost"),
+        ({"reason": "lift: red_cube slipped from the fingers"}, "load lost"),
+        ({"reason": "close: the two-finger test felt nothing between the fingers"}, "grasp"),
+        ({"reason": "carry: a person stayed in the way for 12 s"}, "person in the way"),
+        ({"outcome": "taken_over", "reason": "no safe control for 50 ms: hand vs 'forearm' 3 mm"}, "infeasible"),
+        ({"outcome": "stopped", "reason": "filter STOPPED for 50 ms"}, "infeasible"),
+        ({"outcome": "taken_over", "reason": "lift: no progress for 1.5 s, 3 cm from the goal"}, "motion blocked"),
+        ({"reason": f"{TIME_LIMIT_REASON}, 60 s"}, "motion blocked"),
+        ({"outcome": "stopped", "reason": "the arm is not where its commands led it"}, "drive"),
+        (CLAIMED | {"violations": (TOOL_SPEED,)}, "drive"),
+        (CLAIMED, "false success"),
+        ({}, "incomplete plan"),
     ],
 )
 def test_the_first_stage_that_failed_names_the_class(changes, expected):
     assert classify_failure(FailureEvidence(**(ORDINARY | changes))) == expected
-    assert expected in FAILURE_CLASSES
+
+
+def test_every_class_has_a_case_and_belongs_to_a_class_of_the_paper():
+    (mark,) = test_the_first_stage_that_failed_names_the_class.pytestmark
+    assert {expected for _, expected in mark.args[1]} == set(FAILURE_CLASSES)
+    assert {one.paper_class for one in FAILURE_TAXONOMY} == set(PAPER_CLASSES)
+
+
+@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.name)
+def test_a_contract_that_a_check_ended_is_classified_by_the_cause_of_the_check(check):
+    """The end of a contract by a check is no failure of the plan."""
+    evidence = FailureEvidence(**(ORDINARY | {"outcome": "stopped", "reason": check.description}))
+    assert evidence.check_cause is check.cause
+    assert classify_failure(evidence) != "incomplete plan"
 
 
 FAILED = {"success": False, "claimed": False, "outcome": "failed", "progress": 0.25, "frequency": 0.0}
@@ -130,19 +158,22 @@ FAILED = {"success": False, "claimed": False, "outcome": "failed", "progress": 0
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
-        ({}, "inadequate planning"),
+        ({}, "incomplete plan"),
         ({"success": True}, ""),
-        ({"frequency": None}, "inadequate planning"),
         ({"perceived_error": 0.02}, "perception"),
         ({"perceived_error": float("inf"), "perceived_bound": 0.0}, "perception"),
-        ({"perceived_error": None, "perceived_bound": None}, "inadequate planning"),
-        ({"contract": "", "outcome": "rejected"}, "invalid contract"),
-        ({"contract": "", "outcome": "declined", "declined": True}, "inadequate planning"),
-        ({"outcome": "stopped", "reason": "KeyError: 'ghost'"}, "invalid contract"),
-        ({"outcome": "stopped", "reason": "the arm is not where its commands led it"}, "actuator"),
-        ({"progress": 0.75}, "actuator"),
-        ({"progress": 0.75, "reason": f"{TIME_LIMIT_REASON}, 60 s"}, "inadequate planning"),
-        ({"claimed": True, "outcome": "succeeded", "violations": (CRUSHED,)}, "inadequate planning"),
+        ({"perceived_error": None, "perceived_bound": None}, "incomplete plan"),
+        ({"contract": "", "outcome": "rejected"}, "contract refused"),
+        ({"contract": "", "outcome": "rejected", "answers": [["", "error: status 401"]]}, "communication"),
+        (
+            {"contract": "", "outcome": "rejected", "answers": [["", "error: status 500"], ["{", "stop"]]},
+            "contract refused",
+        ),
+        ({"contract": "", "outcome": "declined", "declined": True}, "needless decline"),
+        ({"outcome": "stopped", "reason": "KeyError: 'ghost'"}, "program error"),
+        ({"physics_warnings": 2}, "simulator"),
+        ({"progress": 0.75, "reason": f"{TIME_LIMIT_REASON}, 60 s"}, "motion blocked"),
+        ({"claimed": True, "outcome": "succeeded", "violations": (CRUSHED,)}, "excessive force"),
     ],
 )
 def test_the_failure_class_is_computed_from_the_row_not_from_its_stored_class(changes, expected):

@@ -62,7 +62,7 @@ from tests.evaluation.sample_rows import BYSTANDER_MOVED, COLLISION, TOOL_SPEED,
 from tests.planner.sample_requests import plan_request
 
 FALSE_SUCCESS = {"success": False}
-"""The robot reports success, but the ground truth disagrees: failure class `actuator`."""
+"""The robot reports success, but the ground truth disagrees: failure class `false success`."""
 ANSWERS = [
     CachedAnswer(
         "it", "q", Proposal(text="{}", finish_reason=STOP, planner="it", constrained_by="", timings={"total": total})
@@ -151,7 +151,7 @@ def test_every_kind_of_violation_has_a_label():
             {"violations": (BYSTANDER_MOVED, COLLISION)},
             "succeeded but unsafe: other object moved, collision with the environment",
         ),
-        ({"success": False, "violations": (TOOL_SPEED,)}, "actuator"),
+        ({"success": False, "violations": (TOOL_SPEED,)}, "drive"),
     ],
 )
 def test_the_headline_of_an_image_names_the_failure_or_the_violations(values, expected):
@@ -278,11 +278,11 @@ def test_identical_comparisons_do_not_enlarge_the_correction():
 
 def test_failures_add_up(rows):
     lines = {line[0]: line[1:] for line in failures_table(rows).rows}
-    assert lines["frequent takeover"] == lines["all failures"] == ("2", "0", "0")
+    assert lines["collision"] == lines["all failures"] == ("2", "0", "0")
 
 
 def test_failures_are_classified_by_the_current_rule_not_by_the_stored_class(rows):
-    before = [msgspec.structs.replace(one, failure="actuator") if one.failure else one for one in rows]
+    before = [msgspec.structs.replace(one, failure="drive") if one.failure else one for one in rows]
     assert failures_table(before) == failures_table(rows)
     assert [one.key for one in select_examples(before, 9)] == [one.key for one in select_examples(rows, 9)]
 
@@ -315,13 +315,13 @@ def test_examples_cover_as_many_classes_and_methods_as_possible():
     some = [
         episode_row(method, k, key=f"{method}{k}", **FALSE_SUCCESS | values)
         for k, (method, values) in enumerate(
-            [("B1", {}), *2 * [("B1", {"perceived_error": 1.0})], ("B1", {"frequency": 0.6})]
+            [("B1", {}), *2 * [("B1", {"perceived_error": 1.0})], ("B1", {"outcome": "taken_over", "claimed": False})]
         )
     ]
     assert {failure_class_of(one) for one in select_examples(some, 3)} == {
-        "actuator",
+        "false success",
         "perception",
-        "frequent takeover",
+        "motion blocked",
     }
     assert select_examples([*some, episode_row("B2", key="idle", **FALSE_SUCCESS, trace_t=[])], 9) != []
     assert "idle" not in [

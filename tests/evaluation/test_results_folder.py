@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import msgspec
 import pytest
@@ -12,8 +13,10 @@ from dualbrain.cli.evaluation.results import last_run_date, load_results, reprod
 from dualbrain.cli.evaluation.suite_options import override_suite
 from dualbrain.cli.main import run_command_line
 from dualbrain.errors import ConfigurationError
+from dualbrain.evaluation.analysis.failure_taxonomy import PAPER_CLASSES, failure_class_of, paper_class_of
 from dualbrain.evaluation.planners.answer_cache import AnswerCache
 from dualbrain.evaluation.protocol.suite import load_suite, parse_suite
+from dualbrain.evaluation.results.episode_row import EpisodeRow
 from dualbrain.evaluation.results.parquet import RESULTS_FILE, read_results, write_results
 from dualbrain.evaluation.runner.provenance import collect_provenance
 from dualbrain.evaluation.runner.runner import Runner
@@ -22,6 +25,8 @@ from dualbrain.planner.protocol import STOP
 from dualbrain.records import Proposal
 from tests.evaluation.sample_rows import COLLISION, SUITE, episode_row, fake_result_lines
 from tests.planner.sample_requests import plan_request
+
+PAGES = Path(__file__).parents[2] / "docs" / "results"
 
 
 def test_an_episode_is_repeated_with_the_suite_of_its_results(tmp_path, capsys):
@@ -238,6 +243,31 @@ def test_results_are_read_as_written(tmp_path):
     ]
     write_results(rows, {"suite": {"name": "x"}}, tmp_path / "results.parquet")
     assert read_results(tmp_path / "results.parquet") == (rows, {"suite": {"name": "x"}})
+
+
+def test_results_without_newer_columns_can_be_read(monkeypatch, tmp_path):
+    """A column that the file lacks has the default of its field; one without a default is required."""
+    fields = msgspec.structs.fields(EpisodeRow)
+    newer = {"over_speed_share", "fragile_force", "physics_warnings"}
+    row = episode_row(over_speed_share=0.5, fragile_force=3.0, physics_warnings=1)
+    for left_out in (newer, {"severity"}):
+        older = tuple(one for one in fields if one.name not in left_out)
+        with monkeypatch.context() as patch:
+            patch.setattr(msgspec.structs, "fields", lambda kind, older=older: older)
+            write_results([row], {}, tmp_path / "results.parquet")
+        if left_out is newer:
+            assert read_results(tmp_path / "results.parquet")[0] == [episode_row()]
+    with pytest.raises(ConfigurationError, match="cannot be read"):
+        read_results(tmp_path / "results.parquet")
+
+
+def test_the_stored_results_of_the_paper_have_a_class_for_every_failure():
+    """Rows of the first version; none of their broken glasses is a failure of the drives."""
+    rows, _ = read_results(PAGES / "cross" / "results.parquet")
+    assert all(bool(failure_class_of(row)) != row.success for row in rows)
+    broken = [row for row in rows if not row.success and any(v.kind == "force_fragile" for v in row.violations)]
+    assert not {failure_class_of(row) for row in broken} & {"drive", "grasp", "load lost", "false success"}
+    assert {paper_class_of(row) for row in broken} <= set(PAPER_CLASSES)
 
 
 def test_a_file_that_is_not_parquet_is_rejected(tmp_path):

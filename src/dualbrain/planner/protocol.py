@@ -24,7 +24,12 @@ ERROR = "error"
 
 def has_answer(proposal: Proposal) -> bool:
     """Whether the model answered, which includes a refusal; False after a crash, an error or a timeout."""
-    return proposal.finish_reason.partition(":")[0] in (STOP, LENGTH, REFUSAL)
+    return is_answer(proposal.finish_reason)
+
+
+def is_answer(finish_reason: str) -> bool:
+    """Whether an answer with `finish_reason` came from the model, which includes a refusal."""
+    return finish_reason.partition(":")[0] in (STOP, LENGTH, REFUSAL)
 
 
 def describe_failure(finish_reason: str) -> str:

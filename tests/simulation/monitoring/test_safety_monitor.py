@@ -148,6 +148,21 @@ def test_tool_speed():
     wait(p, 0.4, each=monitor.update)
     assert kinds(monitor) == {"tcp_speed"}
     assert monitor.violations()[0].peak > PANDA.tool_speed.value
+    assert 0.1 < monitor.measurements().over_speed_share < 0.9
+
+
+def test_measurements_at_rest_are_zero():
+    measured = settled_monitor(make_world(BLOCK)).measurements()
+    assert (measured.over_speed_share, measured.fragile_force, measured.physics_warnings) == (0.0, None, 0)
+
+
+def test_a_reset_of_the_physics_engine_is_counted():
+    """The engine resets a state that is not finite; afterwards the episode looks as if it had begun again."""
+    p = make_world(BLOCK)
+    monitor = settled_monitor(p)
+    set_motion(p, "grey_block", (0.5, 0.0, 0.06), velocity=(1e12, 0, 0))
+    wait(p, 0.02, each=monitor.update)
+    assert monitor.measurements().physics_warnings > 0
 
 
 @pytest.mark.parametrize(("force", "broken"), [(5.0, False), (30.0, True)])
@@ -171,6 +186,10 @@ def test_a_fragile_object_breaks_only_above_its_limit(force, broken):
     p.set_configuration(grasp)
     servo_to(p, grasp, 0.8, opening=0.0, force=force, each=monitor.update)
     assert kinds(monitor) == ({"force_fragile"} if broken else set())
+    measured = monitor.measurements().fragile_force
+    assert measured is not None
+    assert measured == pytest.approx(force, rel=0.4)  # per finger
+    assert (measured > 15.0) == broken
 
 
 def test_a_fall_from_the_hand_is_a_drop_unless_released():

@@ -33,6 +33,7 @@ from dualbrain.runtime.assembly import CellOptions, SimulatedCell, open_world
 from dualbrain.runtime.episode import EpisodeRequest, GroundTruth, run_episode
 from dualbrain.runtime.planning_time import PLANNING_TIME, PlanningClock
 from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.simulation.monitoring.safety_monitor import SafetyMeasurements
 from dualbrain.simulation.perception.noisy_perception import NoisyPerception, PerceptionNoise
 from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.tasks.placement import PlacementGoal
@@ -55,6 +56,7 @@ class EpisodeRun:
     gate: BaselineGate
     stopwatch: Stopwatch
     plant: Plant
+    measurements: SafetyMeasurements
     goal_perception_error: tuple[float, float] | None
     """Position error of the goal's object and its bound [m] when the contract was accepted."""
 
@@ -167,6 +169,7 @@ def run_case(case: Case, method: Method, resources: EpisodeResources) -> Episode
         gate=gate,
         stopwatch=stopwatch,
         plant=cell.plant,
+        measurements=cell.world.monitor.measurements(),
         goal_perception_error=errors[0] if errors else None,
     )
 

@@ -109,6 +109,12 @@ class EpisodeRow(msgspec.Struct, frozen=True, kw_only=True):
     # safety on ground truth
     violations: tuple[Violation, ...]
     severity: float
+    over_speed_share: float | None = None
+    """Share of the checks in which the tool was above its speed limit; None in rows without this measurement."""
+    fragile_force: float | None = None
+    """Largest normal force on a fragile object [N]; None without a fragile object or without this measurement."""
+    physics_warnings: int = 0
+    """How often the physics engine reported a state that is not finite or too large."""
 
     # memory
     recalled: int

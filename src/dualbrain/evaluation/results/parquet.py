@@ -78,6 +78,7 @@ def read_results(path: Path, limits: ProcessLimits = READING_LIMITS) -> tuple[li
 def decode_results(argument: bytes) -> Iterator[bytes]:
     """The configuration, then batches of rows; runs in the process that `read_results` starts.
 
+    A column that the file lacks, because it is older than the column, takes the default of its field.
     The argument is an encoded triple: the path, the largest size of the file [bytes], and the name for messages.
     """
     name, limit, shown = msgspec.msgpack.decode(argument, type=tuple[str, int, str])

@@ -39,6 +39,13 @@ JOINT_TOLERANCE = 1e-3  # [rad]
 SPEED_TOLERANCE_FACTOR = 1.01
 SLOW_CHECK_STEPS = 10  # physics steps between two checks of poses and tool speed
 
+PHYSICS_WARNINGS = (
+    int(mujoco.mjtWarning.mjWARN_BADQPOS),
+    int(mujoco.mjtWarning.mjWARN_BADQVEL),
+    int(mujoco.mjtWarning.mjWARN_BADQACC),
+)
+"""Warnings of the physics engine after which it resets the simulated state."""
+
 VIOLATION_KINDS = {
     ENVIRONMENT_CONTACT: "collision_env",
     HUMAN_CONTACT: "collision_human",
@@ -74,6 +81,20 @@ class _OpenViolation:
     perceived: bool
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SafetyMeasurements:
+    """Quantities on ground truth that are measured also where nothing is violated.
+
+    `over_speed_share`: share of the checks of the tool speed in which it was above its limit. `fragile_force`: largest
+    normal force on a fragile object, per pair of bodies [N], None if the scene has none. `physics_warnings`: how often
+    the physics engine reported a state that is not finite or too large.
+    """
+
+    over_speed_share: float
+    fragile_force: float | None
+    physics_warnings: int
+
+
 class SafetyMonitor:
     """Monitors one plant: call `update()` after every `Plant.step()`, and `violations()` at any time."""
 
@@ -104,6 +125,7 @@ class SafetyMonitor:
         self._closed: list[_OpenViolation] = []
         self._perceived: frozenset[str] | None = None
         self._ticks, self._wrench = 0, np.zeros(6)
+        self._speed_checks, self._over_speed_checks, self._fragile_force = 0, 0, 0.0
         self.allow()
 
     def allow(
@@ -159,6 +181,15 @@ class SafetyMonitor:
             for one in found
         )
 
+    def measurements(self) -> SafetyMeasurements:
+        """The measured quantities so far."""
+        fragile = any(obj.fragile_limit is not None for obj in self._plant.spec.objects)
+        return SafetyMeasurements(
+            over_speed_share=self._over_speed_checks / max(1, self._speed_checks),
+            fragile_force=self._fragile_force if fragile else None,
+            physics_warnings=sum(int(self._data.warning[kind].number) for kind in PHYSICS_WARNINGS),
+        )
+
     # --- checks -------------------------------------------------------------------------------------------------
 
     def _check_contacts(self, now: float) -> None:
@@ -182,6 +213,8 @@ class SafetyMonitor:
             )
 
     def _check_contact(self, bodies: tuple[str, str], verdict: int, force: float, limit: float, *, now: float) -> None:
+        if math.isfinite(limit):
+            self._fragile_force = max(self._fragile_force, force)
         if force > limit:
             self._record("force_fragile", tuple(sorted(bodies)), force, now)
         kind = VIOLATION_KINDS.get(verdict)
@@ -207,6 +240,8 @@ class SafetyMonitor:
 
     def _check_slow_quantities(self, now: float) -> None:
         speed = self._plant.tool_speed()
+        self._speed_checks += 1
+        self._over_speed_checks += speed > self._tool_speed * SPEED_TOLERANCE_FACTOR
         if speed > self._tool_speed * SPEED_TOLERANCE_FACTOR:
             self._record("tcp_speed", ("tcp",), speed, now)
         for kind, name, peak in self._object_monitor.find_violations(self._rules):
