@@ -24,6 +24,7 @@ from dualbrain.robots.interface import RobotState
 from dualbrain.robots.mobile_manipulator import BASE_GROUP, BASE_JOINTS, BASE_NQ, extract_arm, extract_base
 from dualbrain.robots.model import RobotModel
 from dualbrain.skills.arm.controller import ArmController
+from dualbrain.skills.arm.load_monitor import LoadEvent
 from dualbrain.skills.kinematics import object_geometry
 from dualbrain.skills.mobile_base.controller import BaseController
 from dualbrain.skills.skill import HeldObject, MotionModel, Nominal, Observation, ToolState
@@ -172,6 +173,7 @@ class MobileManipulatorController:
         self._active = self.base if driving else self.arm
         if not driving:
             self._arm_model.frame = self._current_arm_frame()
+            self.arm.load_monitor.forget_motion()
             self.observe(self.observation)
         return self._active
 
@@ -182,6 +184,10 @@ class MobileManipulatorController:
     def detect_grasp(self, name: str) -> bool:
         """Store `name` as held if the fingers press on it."""
         return self.arm.detect_grasp(name)
+
+    def take_load_event(self) -> LoadEvent | None:
+        """The newest change of the load of the arm, which is then reported."""
+        return self.arm.take_load_event()
 
     def reproject(self, u: Array) -> Array:
         """u_nom (n,) [rad/s] projected again, because the rows known to φ changed within this tick."""

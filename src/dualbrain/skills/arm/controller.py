@@ -17,6 +17,7 @@ from dualbrain.contracts.skill_spec import SkillSpec
 from dualbrain.errors import ConfigurationError
 from dualbrain.records import SceneObject
 from dualbrain.robots.model import RobotModel
+from dualbrain.skills.arm.load_monitor import MIN_GRIP_FORCE, LoadEvent, LoadMonitor, offset_in_tool
 from dualbrain.skills.human_prediction import threat_height
 from dualbrain.skills.kinematics.clearance_prediction import (
     IGNORED_START_STEPS,
@@ -42,10 +43,12 @@ from dualbrain.skills.time_slicing import SlicedComputation
 Array = NDArray[np.float64]
 SubRoutine = Generator[Nominal | None, None, SkillResult | None]
 
-GRIP_SETTLE_TIME = 0.15
-"""Time [s] for which both fingers must press and not move to count as a grasp."""
-MIN_GRIP_FORCE = 0.5
-"""Force on each finger that counts as contact [N] (two-finger test)."""
+GRIP_CONFIRMATION_TIME = 0.15
+"""Time [s] for which both fingers must press without interruption to count as a grip; they may still move."""
+CLOSING_TIMEOUT = 2.0
+"""Time [s] after which fingers that do not both press have nothing between them."""
+EMPTY_OPENING = 5e-4
+"""Opening per finger [m] below which the fingers press on each other and not on an object."""
 TOOL_SPEED_FRACTION = 0.95
 """Fraction of the allowed tool speed that φ uses, because posture and rotation control move the tool as well."""
 MAX_EVASION_HEIGHT = 0.50
@@ -70,6 +73,9 @@ class ArmController:
         self.holding: HeldObject | None = None
         self.opening = robot_model.gripper.opening.value
         self.force = robot_model.gripper.force_min.value
+        self.load_event: LoadEvent | None = None
+        """The newest change of the load that no skill has reported yet."""
+        self.load_monitor = LoadMonitor()
         self._phi = ResolvedRate(robot_model, motion)
         self._clearance_predictor = ClearancePredictor(robot_model, motion)
         self._observation: Observation | None = None
@@ -81,8 +87,21 @@ class ArmController:
     # --- observation --------------------------------------------------------------------------------------------
 
     def observe(self, observation: Observation) -> None:
-        """Set the observation of this tick."""
+        """Set the observation of this tick, and follow the load: a lost one is not held any more."""
         self._observation = observation
+        if self.holding is None:
+            self.load_monitor.forget()
+        if event := self.load_monitor.update(observation):
+            self.load_event = event
+            if event.slip:
+                self.record_grasp(self.find_object(event.name))
+            else:
+                self.holding = None
+
+    def take_load_event(self) -> LoadEvent | None:
+        """The newest change of the load, which is then reported."""
+        event, self.load_event = self.load_event, None
+        return event
 
     @property
     def observation(self) -> Observation:
@@ -165,27 +184,29 @@ class ArmController:
         return None
 
     def close_gripper(self, force: float) -> SubRoutine:
-        """Close the fingers at `force` [N] until both press and stop; fails if there is nothing between them."""
+        """Close the fingers at `force` [N] until both press on an object; fails if there is nothing between them.
+
+        The opening may still change: an object that is gripped askew turns between the fingers.
+        """
         self.opening, self.force = 0.0, force
-        start = steady = self.observation.now
-        before = self.observation.state.opening
-        while self.observation.now - start < 2.0:
-            state, now = self.observation.state, self.observation.now
-            if not self.is_gripping() or _opening_gap(state.opening, before) > 2e-4:
-                steady, before = now, state.opening
-            if now - steady > GRIP_SETTLE_TIME:
+        start = released = self.observation.now
+        while self.observation.now - start < CLOSING_TIMEOUT:
+            now, opening = self.observation.now, self.observation.state.opening
+            if not self.is_gripping() or (opening is not None and opening < EMPTY_OPENING):
+                released = now
+            if now - released > GRIP_CONFIRMATION_TIME:
                 return None
             yield self.rest("close")
         return SkillResult(SkillStatus.FAILED, "close: the two-finger test felt nothing between the fingers")
 
-    def open_gripper(self, opening: float) -> SubRoutine:
+    def open_gripper(self, opening: float, phase: str = "open") -> SubRoutine:
         """Open the fingers to `opening` per finger [m] and release the held object."""
         self.opening, self.holding = opening, None
         self.force = self.robot_model.gripper.force_min.value
         start = self.observation.now
         while self.observation.now - start < 1.0 and not self._is_open(opening):
-            yield self.rest("open")
-        yield from self.wait("open", 0.2)
+            yield self.rest(phase)
+        yield from self.wait(phase, 0.2)
         return None
 
     def avoid_person(self, phase: str, height: float) -> SubRoutine:
@@ -282,7 +303,14 @@ class ArmController:
         if obj is None or self.holding or not self.is_gripping():
             return False
         self.record_grasp(obj)
+        self.watch_load(obj)
         return True
+
+    def watch_load(self, obj: SceneObject, offset: Array | None = None) -> None:
+        """Monitor the held `obj` until it is released; `offset` (3,) [m] in the tool frame, by default as perceived."""
+        tool = self.observation.tool
+        here = offset_in_tool(obj, tool.position, tool.rotation) if offset is None else offset
+        self.load_monitor.watch(obj, here, self.observation)
 
     @property
     def below_tool(self) -> float:
@@ -327,11 +355,6 @@ class ArmController:
         return Nominal(
             u=u, opening=self.opening, force=self.force, phase=phase, contacts=contacts, holding=self.holding
         )
-
-
-def _opening_gap(opening: float | None, other: float | None) -> float:
-    """Difference of two finger openings [m]; 0 without a measurement, so that time and grip force decide."""
-    return 0.0 if opening is None or other is None else abs(opening - other)
 
 
 def goal_at_height(goal: ToolGoal, height: float) -> ToolGoal:

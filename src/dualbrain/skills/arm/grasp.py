@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dualbrain.contracts.skill_spec import ChoiceParameter, ContactPermit, NameParameter, SkillSpec
 from dualbrain.records import SceneObject
@@ -16,11 +17,31 @@ from dualbrain.skills.arm.grasp_planning import (
     pregrasp_goal,
     slow_descent_goal,
 )
-from dualbrain.skills.arm.waypoints import descend, follow_waypoints, move_to_height, reach_goal, wait_for_people
+from dualbrain.skills.arm.load_monitor import offset_in_tool
+from dualbrain.skills.arm.waypoints import CONTACT_APPROACH_SPEED, descend, follow_waypoints, move_to_height, reach_goal, wait_for_people
 from dualbrain.skills.kinematics import object_geometry
 from dualbrain.skills.skill import SkillResult, SkillRoutine, SkillStatus
 from dualbrain.skills.time_slicing import first_clear
 
+GRIP_FORCE_STEP = 1.5
+"""Factor between two grip forces that are tried, from the least force of the gripper to that of the contract."""
+GRIP_RESERVE = 1.5
+"""Factor of the grip force in motion to that which held in the micro-lift, for the acceleration of the arm.
+
+The grip force is thus at most `GRIP_FORCE_STEP * GRIP_RESERVE` = 2.25 times the least force that holds, or 1.5 times
+the least force of the gripper."""
+FRAGILE_FRACTION = 0.8
+"""Largest grip force on an object, as a fraction of the force that it is declared to bear."""
+MICRO_LIFT, MICRO_LIFT_PER_ERROR = 0.004, 1.2
+"""Height of the micro-lift [m]: a part for exact perception, and a multiple of the error bound of the object."""
+POSITION_TOLERANCE = 0.003
+"""Distance from its goal at which a motion of the tool ends [m]."""
+MIN_OBSERVATION_TIME, MAX_OBSERVATION_TIME = 0.2, 0.6
+"""Time [s] for which the lifted object is observed: at least, and at most if the measurements do not decide."""
+CLEAR_RISE_MARGIN = 0.2
+"""The rise of the object, as a fraction of the lift, is clear if it is farther than this from one half."""
+FORCE_RISE_TIME = 0.1
+"""Time [s] in which the fingers reach the force with its reserve."""
 MIN_FINGER_OVERLAP = 0.011
 """Fingers that reach deeper than this below the top of an object, and are off its centre by less, may close [m]."""
 
@@ -137,17 +158,83 @@ def _try_alternative(
 
 
 def _close_and_lift(arm: ArmController, obj: SceneObject, clearance: float, speed: float, force: float) -> SkillRoutine:
-    """Close the fingers and lift the object."""
-    name = obj.name
-    if why := (yield from arm.close_gripper(force)):
+    """Close the fingers with the force that holds, and lift the object."""
+    name, open_fingers = obj.name, arm.opening
+    bound = max_grip_force(arm.robot_model, obj, force)
+    why = yield from arm.close_gripper(min(arm.robot_model.gripper.force_min.value, bound))
+    if why:
+        yield from arm.open_gripper(open_fingers, "close")
         return why
-    arm.record_grasp(obj)
+    if why := (yield from _find_holding_force(arm, name, bound, open_fingers)):
+        return why
     if why := (yield from move_to_height(arm, arm.support_height + clearance + arm.below_tool, "lift", speed)):
         return why
-    if not arm.is_gripping():
-        arm.holding = None
-        return SkillResult(SkillStatus.FAILED, f"lift: {name} slipped from the fingers")
     return SkillResult(SkillStatus.DONE, f"holds {name}")
+
+
+def max_grip_force(robot_model: RobotModel, obj: SceneObject, force: float) -> float:
+    """Largest force on each finger [N]: that of the contract, and less if `obj` is declared to bear less."""
+    if obj.fragile_limit is None:
+        return force
+    return min(force, max(FRAGILE_FRACTION * obj.fragile_limit, robot_model.gripper.force_min.value))
+
+
+def _find_holding_force(arm: ArmController, name: str, bound: float, open_fingers: float) -> SubRoutine:
+    """Increase the grip force from the least one until a micro-lift shows no slip; then add the reserve.
+
+    The fingers press on the object at the beginning. If it slips at `bound` [N], the hand opens, and the routine fails.
+    """
+    low = float(arm.observation.tool.position[2])
+    while True:
+        if why := (yield from _micro_lift(arm, name)):
+            return why
+        if arm.holding:
+            arm.force = min(bound, GRIP_RESERVE * arm.force)
+            return (yield from arm.wait("lift", FORCE_RISE_TIME))
+        if why := (yield from move_to_height(arm, low, "close", CONTACT_APPROACH_SPEED)):
+            return why
+        if arm.force >= bound:
+            break
+        if why := (yield from arm.close_gripper(min(bound, GRIP_FORCE_STEP * arm.force))):
+            yield from arm.open_gripper(open_fingers, "close")
+            return why
+    yield from arm.open_gripper(open_fingers, "close")
+    return SkillResult(
+        SkillStatus.FAILED, f"lift: {name} slips out of the fingers at {bound:.0f} N, the largest force allowed for it"
+    )
+
+
+def _micro_lift(arm: ArmController, name: str) -> SubRoutine:
+    """Lift a few millimetres; afterwards the object is held and monitored if it rose with the fingers, else not held.
+
+    The lift exceeds the error of perception, which is the only sense that shows an object sliding between parallel
+    fingers. If perception loses sight of the object between the fingers, their forces alone decide.
+    """
+    before = arm.find_object(name)
+    start = float(arm.observation.tool.position[2])
+    height = before.pose.position[2] - object_geometry.bottom_height(before) + arm.lowest_point(before)
+    arm.record_grasp(before)
+    goal_height = start + MICRO_LIFT + MICRO_LIFT_PER_ERROR * before.error + POSITION_TOLERANCE
+    if why := (yield from move_to_height(arm, goal_height, "lift", CONTACT_APPROACH_SPEED)):
+        return why
+    lift, arrived, seen = float(arm.observation.tool.position[2]) - start, arm.observation.now, 0.0
+    offsets: list[NDArray[np.float64]] = []
+    rises: list[float] = []
+    while arm.observation.now - arrived < MAX_OBSERVATION_TIME:
+        obj, tool = arm.find_object(name), arm.observation.tool
+        if obj.stamp > max(seen, arrived):
+            seen = obj.stamp
+            offsets.append(offset_in_tool(obj, tool.position, tool.rotation))
+            rises.append((obj.pose.position[2] - height) / lift)
+        clear = len(rises) > 0 and abs(float(np.mean(rises)) - 0.5) > CLEAR_RISE_MARGIN
+        if clear and arm.observation.now - arrived > MIN_OBSERVATION_TIME:
+            break
+        yield arm.rest("lift")
+    if arm.is_gripping() and (not rises or float(np.mean(rises)) > 0.5):
+        arm.watch_load(arm.find_object(name), np.mean(offsets, axis=0) if offsets else None)
+    else:
+        arm.holding = None
+    return None
 
 
 def _fingers_around(arm: ArmController, obj: SceneObject) -> bool:

@@ -1,0 +1,126 @@
+"""Load monitor: detects within 0.2 s that a held object was lost, removed, or slips in the fingers.
+
+It uses the finger forces, the finger opening and the perceived position of the object, never the true state. A load is
+lost once a finger has not pressed for `LOSS_TIME`, or once the fingers have closed by more than `MAX_CLOSING`. A load
+slips once its perceived position in the tool frame differs from that at the grasp by more than `MAX_SLIP` beyond the
+errors of both measurements.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.records import SceneObject
+from dualbrain.skills.skill import Observation
+
+Array = NDArray[np.float64]
+
+MIN_GRIP_FORCE = 0.5
+"""Force on each finger that counts as contact [N] (two-finger test)."""
+DETECTION_TIME = 0.2
+"""Bound of the time [s] between the loss of a load and its detection."""
+LOSS_TIME = 0.1
+"""Time [s] without force on both fingers after which a load is lost; shorter interruptions are vibration."""
+MAX_CLOSING = 0.004
+"""Closing of each finger [m] since the grasp beyond which the load is gone or has turned out of the grip."""
+MAX_SLIP = 0.010
+"""Displacement [m] of the load in the tool frame, beyond the perception errors, that counts as slip."""
+MAX_AGE = 0.2
+"""Age [s] of a perceived position above which it is not compared; the tool poses of this time are stored."""
+
+
+@dataclass(frozen=True, slots=True)
+class LoadEvent:
+    """A change of the load: the object `name` was lost, or (`slip` [m] > 0) moved in the fingers and is still held."""
+
+    name: str
+    slip: float = 0.0
+
+    def describe(self) -> str:
+        """The change in words, as the reason of a failed step."""
+        if self.slip:
+            return f"{self.name} slipped {self.slip * 1000:.0f} mm in the fingers and is still held"
+        return f"{self.name} was lost: the fingers do not press on it any more"
+
+
+@dataclass(frozen=True, slots=True)
+class _ToolPose:
+    time: float
+    position: Array
+    rotation: Array
+
+
+class LoadMonitor:
+    """Monitor of the load of one gripper. State: the load, its position in the tool frame, and the recent tool poses."""
+
+    def __init__(self) -> None:
+        """Start without a load."""
+        self.name = ""
+        self._offset: Array | None = None
+        self._offset_error, self._opening = 0.0, 0.0
+        self._pressed_at = self._compared = 0.0
+        self._poses: deque[_ToolPose] = deque()
+
+    def watch(self, obj: SceneObject, offset: Array | None, observation: Observation) -> None:
+        """Monitor `obj` from now on; `offset` (3,) [m] is its position in the tool frame, None if it is not known."""
+        self.name, self._offset, self._offset_error = obj.name, offset, obj.error
+        self._opening = observation.state.opening or 0.0
+        self._pressed_at, self._compared = observation.now, obj.stamp
+
+    def forget(self) -> None:
+        """The load was released, or is not to be monitored."""
+        self.name, self._offset = "", None
+
+    def forget_motion(self) -> None:
+        """Drop the stored tool poses, because the frame of the observations has changed."""
+        self._poses.clear()
+
+    def update(self, observation: Observation) -> LoadEvent | None:
+        """The change of the load that this observation shows, if there is one; a lost load is not monitored further."""
+        if not self.name:
+            self._poses.clear()
+            return None
+        if self._is_lost(observation):
+            event = LoadEvent(self.name)
+            self.forget()
+            return event
+        self._store_pose(observation)
+        slip = self._slip(observation)
+        return LoadEvent(self.name, slip) if slip else None
+
+    def _is_lost(self, observation: Observation) -> bool:
+        state, now = observation.state, observation.now
+        if min(state.finger_forces) >= MIN_GRIP_FORCE:
+            self._pressed_at = now
+        closed = state.opening is not None and state.opening < self._opening - MAX_CLOSING
+        return closed or now - self._pressed_at > LOSS_TIME
+
+    def _store_pose(self, observation: Observation) -> None:
+        tool, now = observation.tool, observation.now
+        if not self._poses or now > self._poses[-1].time:
+            self._poses.append(_ToolPose(now, tool.position, tool.rotation))
+        while now - self._poses[0].time > MAX_AGE:
+            self._poses.popleft()
+
+    def _slip(self, observation: Observation) -> float:
+        """Displacement of the load in the tool frame [m] by a new measurement; 0 within the errors or without one."""
+        obj = next((one for one in observation.scene.objects if one.name == self.name), None)
+        if obj is None or self._offset is None or obj.stamp <= self._compared or obj.stamp < self._poses[0].time:
+            return 0.0
+        self._compared = obj.stamp
+        pose = min(self._poses, key=lambda one: abs(one.time - obj.stamp))
+        offset = offset_in_tool(obj, pose.position, pose.rotation)
+        distance = float(np.linalg.norm(offset - self._offset))
+        if distance <= MAX_SLIP + obj.error + self._offset_error:
+            return 0.0
+        self._offset, self._offset_error = offset, obj.error
+        return distance
+
+
+def offset_in_tool(obj: SceneObject, position: Array, rotation: Array) -> Array:
+    """The position (3,) [m] of `obj` in the frame of a tool at `position` with `rotation` (3, 3)."""
+    return rotation.T @ (np.asarray(obj.pose.position) - position)
