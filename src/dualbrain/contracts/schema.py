@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any
 
 from dualbrain.contracts.registry import SkillRegistry
@@ -63,19 +64,29 @@ def syntax_schema(registry: SkillRegistry) -> Schema:
     return {"$schema": DRAFT_07} | _contract_schema(closed_object(context), step)
 
 
-def decoding_schema(registry: SkillRegistry, names: SceneNames) -> Schema:
+def decoding_schema(registry: SkillRegistry, names: SceneNames, *, not_first: Collection[str] = ()) -> Schema:
     """Schema for constrained decoders: one `anyOf` branch per skill, properties in the order of generation.
 
     The schema uses only keywords that LLGuidance and xgrammar enforce. A skill that needs an object or place of which
-    the scene has none is left out. If every skill is left out, the schema admits no contract.
+    the scene has none is left out. If every skill is left out, the schema admits no contract. The skills `not_first`
+    are left out of the first action (`prefixItems`), because the state of the robot refuses them there.
     """
     callable_skills = [skill for skill in registry.skills if _is_callable(skill, names)]
     branches = [_decoding_step(skill, names) for skill in callable_skills]
     context = {"robot": {"const": registry.robot}, "registry": {"const": registry.hash}}
-    step: Schema = {"anyOf": branches} if branches else {"enum": []}
-    schema = _contract_schema(closed_object(context), step)
+    schema = _contract_schema(closed_object(context), _any_step(branches))
     schema["properties"]["id"] = {"type": "string", "pattern": ID_PATTERN}
+    first = [step for skill, step in zip(callable_skills, branches, strict=True) if skill.name not in not_first]
+    if len(first) < len(branches):
+        schema["properties"]["action_sequence"]["prefixItems"] = [_any_step(first)]
     return schema
+
+
+def first_skills(schema: Schema) -> tuple[str, ...]:
+    """The skills that a decoding `schema` admits as the first action."""
+    actions = schema["properties"]["action_sequence"]
+    first = actions.get("prefixItems", [actions["items"]])[0]
+    return tuple(step["properties"]["skill"]["const"] for step in first.get("anyOf", ()))
 
 
 def describe_skills(registry: SkillRegistry, names: SceneNames) -> str:
@@ -97,6 +108,11 @@ def _contract_schema(context: Schema, step: Schema) -> Schema:
     steps: Schema = {"type": "array", "minItems": 1, "maxItems": MAX_ACTIONS, "items": step}
     identity: Schema = {"type": "string", "pattern": ID_PATTERN, "maxLength": ID_LENGTH}
     return closed_object({"id": identity, "context": context, "action_sequence": steps})
+
+
+def _any_step(branches: list[Schema]) -> Schema:
+    """Schema of one step out of `branches`."""
+    return {"anyOf": branches} if branches else {"enum": []}
 
 
 def _skill_branch(skill: SkillSpec, domains: list[Schema]) -> Schema:

@@ -31,6 +31,11 @@ TARGET_PARAMETERS = {"grasp": "object", "place": "destination", "push": "object"
 FINGER_MARGIN = 0.010
 """The opening of the fingers must exceed the width of the object by at least this [m]."""
 
+NEED_EMPTY_HAND, NEED_LOAD = ("grasp", "push"), ("place",)
+"""Skills that need an empty hand, and skills that need a held object."""
+FULL_HAND_HINT = "the hand is full: place or release first"
+EMPTY_HAND_HINT = "nothing is held: grasp something first"
+
 Rule = Callable[[Contract], Rejected | None]
 
 
@@ -53,6 +58,11 @@ def scene_rules(
         lambda contract: _check_gripper_sequence(contract, controller),
         lambda contract: _check_grasps(contract, scene, controller),
     )
+
+
+def skills_refused_first(holding: str | None) -> tuple[str, ...]:
+    """The skills that no contract may begin with while the hand holds the object `holding`, None for nothing."""
+    return NEED_EMPTY_HAND if holding else NEED_LOAD
 
 
 def _check_decline(contract: Contract) -> Rejected | None:
@@ -91,24 +101,24 @@ def _check_gripper_sequence(contract: Contract, arm: ArmController) -> Rejected 
     full = arm.holding is not None
     for index, action in enumerate(contract.action_sequence):
         pointer = f"/action_sequence/{index}/skill"
-        if action.skill in ("grasp", "push"):
+        if action.skill in NEED_EMPTY_HAND:
             if full:
                 return Rejected(
                     stage="envelope",
                     pointer=pointer,
                     got=action.skill,
                     allowed=["place", "release"],
-                    hint="the hand is full: place or release first",
+                    hint=FULL_HAND_HINT,
                 )
             full = action.skill == "grasp"
-        elif action.skill == "place":
+        elif action.skill in NEED_LOAD:
             if not full:
                 return Rejected(
                     stage="envelope",
                     pointer=pointer,
-                    got="place",
+                    got=action.skill,
                     allowed=["grasp"],
-                    hint="nothing is held: grasp something first",
+                    hint=EMPTY_HAND_HINT,
                 )
             full = False
         elif action.skill == "release":

@@ -55,6 +55,12 @@ def summarise_scene(scene: Scene, holding: str | None = None) -> str:
     return "\n".join(lines)
 
 
+def held_in_summary(summary: str) -> str | None:
+    """The name of the held object in a summary, None if nothing is held."""
+    _, _, held = summary.partition("\n")[0].partition("; holding ")
+    return held if held and held != "nothing" else None
+
+
 def _places_line(scene: Scene) -> str:
     return "places: " + ", ".join(place.name for place in scene.places)
 

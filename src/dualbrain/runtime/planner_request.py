@@ -11,6 +11,7 @@ import msgspec
 from dualbrain.contracts.canonical_form import reorder_contract
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.schema import decoding_schema, describe_skills
+from dualbrain.grounding.scene_rules import skills_refused_first
 from dualbrain.grounding.scene_summary import summarise_scene
 from dualbrain.grounding.vocabulary import scene_names
 from dualbrain.memory.embedding.image_features import ImageFeatures
@@ -100,7 +101,7 @@ def build_request(
         robot=context.robot_model.name,
         registry_hash=registry.hash,
         skills_text=describe_skills(registry, names),
-        schema=decoding_schema(registry, names),
+        schema=decoding_schema(registry, names, not_first=skills_refused_first(context.holding)),
         contract_id="c-0001",
         failure_feedback=failure_feedback,
     )

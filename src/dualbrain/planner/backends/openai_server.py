@@ -44,7 +44,7 @@ DIALECTS = {
     ),
     "vllm": Dialect(
         "structured_outputs json (vLLM, its choice of engine)",
-        lambda schema: {"structured_outputs": {"json": strip_annotations(schema)}},
+        lambda schema: {"structured_outputs": {"json": strip_annotations(schema, prefix_items=True)}},
     ),
     "llama.cpp": Dialect(
         "response_format json_schema (llama.cpp, numeric bounds not enforced)",

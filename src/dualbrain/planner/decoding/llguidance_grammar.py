@@ -55,12 +55,12 @@ def tail_grammar(schema: dict[str, Any]) -> str:
 
 def contract_grammar(schema: dict[str, Any]) -> str:
     """Grammar of a whole contract, for a server that receives no beginning of the answer."""
-    whole = strip_annotations(schema) | {key: _strip_each(schema[key]) for key in _DEFINITIONS if key in schema}
+    whole = strip_annotations(schema, prefix_items=True) | {key: _strip_each(schema[key]) for key in _DEFINITIONS if key in schema}
     return f"{NO_FORCING}start: %json {_encode_schema(whole)}"
 
 
 def _grammar(schema: dict[str, Any], prefix: str) -> str:
-    actions = strip_annotations(schema["properties"]["action_sequence"])
+    actions = strip_annotations(schema["properties"]["action_sequence"], prefix_items=True)
     actions |= {key: _strip_each(schema[key]) for key in _DEFINITIONS if key in schema}
     return f'{NO_FORCING}start: {prefix}actions "}}"\nactions: %json {_encode_schema(actions)}'
 
@@ -89,20 +89,23 @@ def _missing_numbers(number: dict[str, Any]) -> list[float]:
     return [float(one) for one in sorted(prefixes) if Decimal(str(lower)) <= one <= Decimal(str(upper))]
 
 
-def strip_annotations(schema: Any) -> Any:
-    """`schema` without titles, descriptions and other keywords that do not constrain the answer."""
+def strip_annotations(schema: Any, *, prefix_items: bool = False) -> Any:
+    """`schema` without titles, descriptions and other keywords that do not constrain the answer.
+
+    With `prefix_items`, the schema of the first action remains; not every engine accepts it.
+    """
     if not isinstance(schema, dict):
         return schema
     narrowed: dict[str, Any] = {}
     for key, value in schema.items():
         if key == "properties":
-            narrowed[key] = _strip_each(value)
-        elif key in {"anyOf", "oneOf"}:
-            narrowed[key] = [strip_annotations(item) for item in value]
+            narrowed[key] = {name: strip_annotations(one, prefix_items=prefix_items) for name, one in value.items()}
+        elif key in {"anyOf", "oneOf"} or (key == "prefixItems" and prefix_items):
+            narrowed[key] = [strip_annotations(item, prefix_items=prefix_items) for item in value]
         elif key in {"enum", "const"}:
             narrowed[key] = value
         elif key in _KEYWORDS:
-            narrowed[key] = strip_annotations(value)
+            narrowed[key] = strip_annotations(value, prefix_items=prefix_items)
     return narrowed
 
 

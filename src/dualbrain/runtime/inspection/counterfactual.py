@@ -15,6 +15,8 @@ from dualbrain.contracts.schema import decoding_schema, describe_skills
 from dualbrain.core.storage.atomic_files import write_atomically
 from dualbrain.core.storage.private_files import open_private_folder
 from dualbrain.errors import DECODE_ERRORS
+from dualbrain.grounding.scene_rules import skills_refused_first
+from dualbrain.grounding.scene_summary import held_in_summary
 from dualbrain.grounding.vocabulary import scene_names
 from dualbrain.memory.plasticity.retrieval_utility import ExclusionEffect, evaluate_use
 from dualbrain.planner.prompt.full_prompt import render
@@ -72,7 +74,9 @@ class CounterfactualQueries:
             robot=episode.robot,
             registry_hash=episode.registry,
             skills_text=describe_skills(self._registry, names),
-            schema=decoding_schema(self._registry, names),
+            schema=decoding_schema(
+                self._registry, names, not_first=skills_refused_first(held_in_summary(episode.summary))
+            ),
             contract_id="c-0001",
             failure_feedback=episode.failure_feedback,
         )

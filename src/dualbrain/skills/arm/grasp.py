@@ -17,8 +17,15 @@ from dualbrain.skills.arm.grasp_planning import (
     pregrasp_goal,
     slow_descent_goal,
 )
-from dualbrain.skills.arm.load_monitor import offset_in_tool
-from dualbrain.skills.arm.waypoints import CONTACT_APPROACH_SPEED, descend, follow_waypoints, move_to_height, reach_goal, wait_for_people
+from dualbrain.skills.arm.load_monitor import MAX_CLOSING, offset_in_tool
+from dualbrain.skills.arm.waypoints import (
+    CONTACT_APPROACH_SPEED,
+    descend,
+    follow_waypoints,
+    move_to_height,
+    reach_goal,
+    wait_for_people,
+)
 from dualbrain.skills.kinematics import object_geometry
 from dualbrain.skills.skill import SkillResult, SkillRoutine, SkillStatus
 from dualbrain.skills.time_slicing import first_clear
@@ -186,22 +193,37 @@ def _find_holding_force(arm: ArmController, name: str, bound: float, open_finger
     """
     low = float(arm.observation.tool.position[2])
     while True:
+        gripped_at = arm.observation.state.opening
         if why := (yield from _micro_lift(arm, name)):
             return why
+        force = arm.force
         if arm.holding:
-            arm.force = min(bound, GRIP_RESERVE * arm.force)
+            arm.force = min(bound, GRIP_RESERVE * force)
             return (yield from arm.wait("lift", FORCE_RISE_TIME))
-        if why := (yield from move_to_height(arm, low, "close", CONTACT_APPROACH_SPEED)):
+        if why := (yield from _return_to_grasp(arm, low, gripped_at, open_fingers)):
             return why
-        if arm.force >= bound:
+        if force >= bound:
             break
-        if why := (yield from arm.close_gripper(min(bound, GRIP_FORCE_STEP * arm.force))):
+        if why := (yield from arm.close_gripper(min(bound, GRIP_FORCE_STEP * force))):
             yield from arm.open_gripper(open_fingers, "close")
             return why
     yield from arm.open_gripper(open_fingers, "close")
     return SkillResult(
         SkillStatus.FAILED, f"lift: {name} slips out of the fingers at {bound:.0f} N, the largest force allowed for it"
     )
+
+
+def _return_to_grasp(arm: ArmController, low: float, gripped_at: float | None, open_fingers: float) -> SubRoutine:
+    """Go down to the tool height `low` [m], with the object between the fingers, after it slipped.
+
+    Fingers that have slid off the object and closed above it open first, else they would push it onto its support.
+    Fingers that still press go down as they are: if the object did rise, it is put back and not dropped.
+    """
+    opening = arm.observation.state.opening
+    closed = opening is not None and gripped_at is not None and opening < gripped_at - MAX_CLOSING
+    if closed or not arm.is_gripping():
+        yield from arm.open_gripper(open_fingers, "close")
+    return (yield from move_to_height(arm, low - POSITION_TOLERANCE, "close", CONTACT_APPROACH_SPEED))
 
 
 def _micro_lift(arm: ArmController, name: str) -> SubRoutine:

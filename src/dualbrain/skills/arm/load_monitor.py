@@ -55,7 +55,7 @@ class _ToolPose:
 
 
 class LoadMonitor:
-    """Monitor of the load of one gripper. State: the load, its position in the tool frame, and the recent tool poses."""
+    """Monitor of the load of one gripper. State: the load, its position in the tool frame, the recent tool poses."""
 
     def __init__(self) -> None:
         """Start without a load."""
