@@ -301,6 +301,7 @@ class FailureFeedback(
     """Result of the previous contract, for replanning: actions `done`, the `failed_action` and the reason.
 
     `active_constraints` names the pairs that were nearest, or whose rows conflicted, when the action was given up.
+    `held` is the object in the hand afterwards, "" for none.
     """
 
     episode_id: str
@@ -309,6 +310,7 @@ class FailureFeedback(
     failed_action: str
     reason: str
     active_constraints: str = ""
+    held: str = ""
 
 
 class Violation(Record, frozen=True, kw_only=True):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import get_args
+from typing import Any, get_args
 
 import msgspec
 
@@ -34,6 +34,8 @@ from dualbrain.skills.registry import skill_registry
 
 STAGES = get_args(Stage)
 """The stages of the gate, in their order."""
+CONTINUATION = "continuation of "
+"""Beginning of the author of a contract whose actions remain of the contract before."""
 CONTRACT_LIFETIME = 660.0
 """Time [s] after the request at which a contract that was not accepted expires; planners time out earlier."""
 
@@ -45,8 +47,9 @@ class EpisodeRequest:
     `started` is its date (ISO 8601), `now` [s, 1970 UTC] the time under which memory stores it. The planner has
     `max_shots` proposals and is shown at most `max_exemplars` memories (0: neither exemplars nor warnings, as for a
     given contract). `tries_left` contracts may still be executed for the instruction, this one included;
-    `failure_feedback` is the feedback on the one before. `grants` defines which principal may call which skills; by
-    default the planner may call all of them.
+    `failure_feedback` is the feedback on the one before, `continuation` the actions that remain of it for the object in
+    the hand: if the gate rejects every proposal, it gets a contract of these actions. `grants` defines which principal
+    may call which skills; by default the planner may call all of them.
     """
 
     id: str
@@ -58,6 +61,7 @@ class EpisodeRequest:
     max_exemplars: int = MAX_RECALLED
     tries_left: int = 1
     failure_feedback: FailureFeedback | None = None
+    continuation: tuple[dict[str, Any], ...] = ()
     grants: Grants | None = None
 
 
@@ -136,12 +140,10 @@ def _propose(
     registry = skill_registry(executor.robot_model)
     gate = executor.gate(planner_grants(registry) if request.grants is None else request.grants)
     attempts: list[Attempt] = []
-    verdict: Verdict | None = None
-    for shot in range(1, request.max_shots + 1):
-        requested_at = executor.state.stamp
-        proposal = clock.wait_for(executor, lambda ask=plan_request: agent.planner.propose(ask))
-        if proposal is None:
-            break
+
+    def check(proposal: Proposal, requested_at: float) -> Verdict:
+        """The verdict on a proposal, which becomes the next attempt."""
+        shot = len(attempts) + 1
         header = ContractHeader(
             sequence=shot,
             issued=requested_at,
@@ -150,19 +152,45 @@ def _propose(
             scene_version=scene_version,
         )
         verdict, gate_s = clock.measure(
-            lambda text=proposal, header=header: _check(
-                gate, text, scene_names(executor.scene), executor.state.stamp, header
-            )
+            lambda: _check(gate, proposal, scene_names(executor.scene), executor.state.stamp, header)
         )
         text = storable_text(proposal.text)
         attempts.append(Attempt(msgspec.structs.replace(proposal, text=text), verdict, gate_s))
         executor.log.attempt(executor.state.stamp, attempts[-1])
         executor.log.note(executor.state.stamp, "verdict", _format_attempt(shot, attempts[-1]))
+        return verdict
+
+    verdict: Verdict | None = None
+    for _ in range(request.max_shots):
+        requested_at = executor.state.stamp
+        proposal = clock.wait_for(executor, lambda ask=plan_request: agent.planner.propose(ask))
+        if proposal is None:
+            return attempts, verdict
+        verdict = check(proposal, requested_at)
         if isinstance(verdict, Accepted) or not has_answer(proposal):
-            break
-        contract_id = f"c-{shot + 1:04d}"
+            return attempts, verdict
+        contract_id = f"c-{len(attempts) + 1:04d}"
         plan_request = msgspec.structs.replace(plan_request, rejection=verdict, contract_id=contract_id)
+    if request.continuation and executor.held_object:
+        verdict = check(_continuation(plan_request, request), executor.state.stamp)
     return attempts, verdict
+
+
+def _continuation(plan_request: PlanRequest, request: EpisodeRequest) -> Proposal:
+    """The remaining actions of the contract before as a proposal: its author is that contract, not the planner."""
+    contract = {
+        "id": plan_request.contract_id,
+        "context": {"robot": plan_request.robot, "registry": plan_request.registry_hash},
+        "action_sequence": list(request.continuation),
+    }
+    before = request.failure_feedback.episode_id if request.failure_feedback else ""
+    return Proposal(
+        text=msgspec.json.encode(contract).decode(),
+        finish_reason=STOP,
+        planner=f"{CONTINUATION}{before}",
+        constrained_by="the contract before",
+        timings={"total": 0.0},
+    )
 
 
 def reject_incomplete(proposal: Proposal) -> Rejected | None:

@@ -246,7 +246,8 @@ class Session:
         log, executor = robot.executor.log, robot.executor
         results: list[TryResult] = []
         episodes: list[Episode] = []
-        for one in successive_tries(self.config.out.name, 1 if self.config.contract else self.config.tries, episodes):
+        tries = 1 if self.config.contract else self.config.tries
+        for one in successive_tries(self.config.out.name, tries, episodes, lambda: executor.held_object):
             if feedback := one.failure_feedback:
                 reason = f"{feedback.outcome.replace('_', ' ')}: {feedback.failed_action}: {feedback.reason}"
                 details = msgspec.to_builtins(feedback)
@@ -270,6 +271,7 @@ class Session:
             max_exemplars=0 if given else MAX_RECALLED,
             tries_left=one.tries_left,
             failure_feedback=one.failure_feedback,
+            continuation=one.continuation,
             grants=self.grants,
         )
 

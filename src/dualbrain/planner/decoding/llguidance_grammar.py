@@ -55,7 +55,9 @@ def tail_grammar(schema: dict[str, Any]) -> str:
 
 def contract_grammar(schema: dict[str, Any]) -> str:
     """Grammar of a whole contract, for a server that receives no beginning of the answer."""
-    whole = strip_annotations(schema, prefix_items=True) | {key: _strip_each(schema[key]) for key in _DEFINITIONS if key in schema}
+    whole = strip_annotations(schema, prefix_items=True) | {
+        key: _strip_each(schema[key]) for key in _DEFINITIONS if key in schema
+    }
     return f"{NO_FORCING}start: %json {_encode_schema(whole)}"
 
 

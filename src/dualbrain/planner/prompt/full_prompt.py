@@ -14,10 +14,14 @@ from typing import Any, TypedDict
 
 import msgspec
 
-from dualbrain.contracts.verdict import Rejected
 from dualbrain.planner.prompt import mobile_base_examples, mobile_manipulator_examples, multi_goal
 from dualbrain.planner.prompt.arm_examples import DECLINE_EXAMPLE, WORKED_EXAMPLES, WorkedExample, select_examples
-from dualbrain.planner.prompt.failure_feedback import FAILURE_FEEDBACK_VERSION, FEEDBACK_INTRO, format_failure_feedback
+from dualbrain.planner.prompt.failure_feedback import (
+    FAILURE_FEEDBACK_VERSION,
+    FEEDBACK_INTRO,
+    format_failure_feedback,
+    format_rejection,
+)
 from dualbrain.planner.prompt.sanitize import compact_json, format_block, sanitize
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Exemplar, RetrievedContext
@@ -211,7 +215,7 @@ def _last_question(request: PlanRequest, names: str) -> str:
     if request.failure_feedback is not None:
         parts.insert(-1, format_failure_feedback(request.failure_feedback))
     if request.rejection is not None:
-        parts.insert(-1, _format_rejection(request.rejection))
+        parts.insert(-1, format_rejection(request.rejection))
     return "\n".join(parts)
 
 
@@ -228,18 +232,6 @@ def _warning(exemplar: Exemplar) -> str:
     actions = compact_json(exemplar.contract.get("action_sequence"), limit=CONTRACT_LIMIT)
     instruction = sanitize(exemplar.instruction, limit=INSTRUCTION_LIMIT)
     return f"Do not answer like this, it failed:\n<warning>\n{instruction}: {actions}\n</warning>" if actions else ""
-
-
-def _format_rejection(rejected: Rejected) -> str:
-    facts = {
-        "stage": rejected.stage,
-        "at": rejected.pointer,
-        "got": rejected.got,
-        "allowed": rejected.allowed,
-        "hint": rejected.hint,
-    }
-    text = compact_json(facts, limit=CONTRACT_LIMIT) or compact_json({"stage": rejected.stage}, limit=CONTRACT_LIMIT)
-    return f"Your last contract was refused. Mend what the refusal names:\n<refusal>\n{text}\n</refusal>"
 
 
 def _answer(request: PlanRequest, contract_id: str, actions: list[Any]) -> str:

@@ -27,9 +27,10 @@ class PromptFormat:
     """One format of prompts and answers.
 
     `answer_prefix` is the given beginning of the answer, `grammar` converts the decoding schema to the grammar of the
-    rest (None: no constraint). With `includes_rejections`, the next prompt describes the failure of an earlier answer.
-    Without it, the next answer is sampled (temperature 1; see `sampling_seed`), because the most probable answer has
-    failed. With `has_fixed_prefix`, all prompts begin with the same text, so that a server can cache its state.
+    rest (None: no constraint). With `includes_rejections`, the model is expected to follow the description of a failure
+    in the next prompt. Without it, the next answer is sampled (temperature 1; see `sampling_seed`), because the most
+    probable answer has failed and no training data contains such a description. With `has_fixed_prefix`, all prompts
+    begin with the same text, so that a server can cache its state.
     """
 
     messages: Callable[[PlanRequest], list[ChatMessage]]
@@ -61,6 +62,8 @@ def short_messages(request: PlanRequest) -> list[ChatMessage]:
         registry=request.registry_hash,
         contract_id=request.contract_id,
         exemplars=request.recall.exemplars,
+        rejection=request.rejection,
+        failure_feedback=request.failure_feedback,
     )
 
 

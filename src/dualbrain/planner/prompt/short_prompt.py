@@ -12,9 +12,11 @@ import json
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from dualbrain.contracts.verdict import Rejected
+from dualbrain.planner.prompt.failure_feedback import format_failures
 from dualbrain.planner.prompt.full_prompt import INSTRUCTION_LIMIT, SCENE_LIMIT, SCENE_LINES, ChatMessage
 from dualbrain.planner.prompt.sanitize import compact_json, format_block
-from dualbrain.records import Exemplar
+from dualbrain.records import Exemplar, FailureFeedback
 
 SHORT_TEMPLATE_VERSION = 2
 """Increases with every change of text or order; an adapter is valid for one version only."""
@@ -27,26 +29,52 @@ MAX_SHOWN_EXEMPLARS, STEPS_LIMIT = 3, 640
 
 
 def render_short(
-    scene: str, instruction: str, *, robot: str, registry: str, contract_id: str, exemplars: Iterable[Exemplar] = ()
+    scene: str,
+    instruction: str,
+    *,
+    robot: str,
+    registry: str,
+    contract_id: str,
+    exemplars: Iterable[Exemplar] = (),
+    rejection: Rejected | None = None,
+    failure_feedback: FailureFeedback | None = None,
 ) -> list[ChatMessage]:
     """The messages for `instruction` in `scene` (the summary in symbols), both untrusted; `registry` is a hash.
 
-    Of the `exemplars`, best first, only those that succeeded are shown.
+    Of the `exemplars`, best first, only those that succeeded are shown. The gate's `rejection` of the last contract and
+    the `failure_feedback` on an earlier one are blocks of facts between scene and instruction.
     """
     shown = (exemplar_steps(one.contract) for one in exemplars if one.succeeded)
     return render_short_with_steps(
-        list(shown), scene, instruction, robot=robot, registry=registry, contract_id=contract_id
+        list(shown),
+        scene,
+        instruction,
+        robot=robot,
+        registry=registry,
+        contract_id=contract_id,
+        failures=format_failures(rejection, failure_feedback),
     )
 
 
 def render_short_with_steps(
-    examples: list[str], scene: str, instruction: str, *, robot: str, registry: str, contract_id: str
+    examples: list[str],
+    scene: str,
+    instruction: str,
+    *,
+    robot: str,
+    registry: str,
+    contract_id: str,
+    failures: Iterable[str] = (),
 ) -> list[ChatMessage]:
-    """The messages with at most `MAX_SHOWN_EXEMPLARS` non-empty `examples` (results of `exemplar_steps`)."""
+    """The messages with at most `MAX_SHOWN_EXEMPLARS` non-empty `examples` (results of `exemplar_steps`).
+
+    `failures` are the blocks of `format_failures`; the first request for an instruction has none.
+    """
     question = QUESTION.format(contract_id=contract_id, robot=robot, registry=registry)
     parts = [
         *(EXAMPLE.format(steps=steps) for steps in [one for one in examples if one][:MAX_SHOWN_EXEMPLARS]),
         format_block("scene", scene, limit=SCENE_LIMIT, lines=SCENE_LINES),
+        *failures,
         format_block("instruction", instruction, limit=INSTRUCTION_LIMIT),
         question,
     ]
