@@ -27,6 +27,7 @@ NB_MODULE(DBK_MODULE, m) {
       .def("set_obstacles", &Kernel::set_obstacles)
       .def("clear_permits", &Kernel::clear_permits)
       .def("permit", &Kernel::permit)
+      .def("limit_near", &Kernel::limit_near)
       .def("attach", &Kernel::attach)
       .def("constrain", &Kernel::constrain)
       .def("set_base_pose", &Kernel::set_base_pose)

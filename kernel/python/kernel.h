@@ -34,6 +34,9 @@ struct Kernel {
   void set_obstacles(const Array &rows);
   // removes the contact permits of the current obstacles and of the padding
   void clear_permits();
+  // power and force limiting near an obstacle of the table: speed [m/s] within a distance [m], deceleration [m/s^2] and
+  // minimum assumed speed of the person [m/s]
+  void limit_near(int obstacle, double speed, double distance, double brake, double approach);
   void permit(int link, int obstacle, double speed);
   // spheres (k, 4) of a held object in the last frame, and its position error [m]
   void attach(const Array &spheres, double error);

@@ -23,6 +23,16 @@ void Kernel::set_obstacles(const Array &rows) {
   dbk_scene_prepare(scene.get());
 }
 
+void Kernel::limit_near(int obstacle, double speed, double distance, double brake, double approach) {
+  expect(obstacle >= 0 && obstacle < scene->n_obstacles, "limit_near");
+  dbk_obstacle &o = scene->obstacle[obstacle];
+  o.near_speed = static_cast<dbk_real>(speed);
+  o.near_distance = static_cast<dbk_real>(distance);
+  o.near_brake = static_cast<dbk_real>(brake);
+  o.near_approach = static_cast<dbk_real>(approach);
+  dbk_scene_prepare(scene.get());
+}
+
 void Kernel::clear_permits() {
   for (auto &row : scene->permit) { std::fill_n(row, DBK_PADDED(scene->n_obstacles), static_cast<dbk_real>(-1)); }
 }

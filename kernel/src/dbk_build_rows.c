@@ -6,7 +6,7 @@
  * the recovery min(alpha |h|, recovery). A row is omitted only if no control within the bounds can violate it and h is
  * above the cull floor. If contact is permitted, the contact-speed row n'(J u - v_o) >= -max(speed, alpha h) replaces
  * the barrier. If speed and separation monitoring is on, n'J u >= -v_max(h) holds in addition, as far as braking can
- * follow it.
+ * follow it. The rows of the speed limits are in speed/.
  */
 #include "dbk_build_rows.h"
 
@@ -14,6 +14,7 @@
 #include "rows/dbk_obstacle_rows.h"
 #include "rows/dbk_row_jacobian.h"
 #include "rows/dbk_self_collision_rows.h"
+#include "speed/dbk_speed_limit.h"
 
 static void mark_unavoidable(dbk_rows *rows, int32_t kind, int32_t i, int32_t j, dbk_real h) {
   rows->unavoidable = 1;
@@ -151,6 +152,7 @@ DBK_SIMD_CLONES static void to_joint_space(const dbk_model *model, dbk_ctx *ctx)
 void dbk_finish_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx) {
   to_joint_space(model, ctx);
   append_user_rows(model, scene, &ctx->rows);
+  if (ctx->speed.active) { dbk_speed_rows(model, ctx); }
   pad_rows(model, &ctx->rows);
 }
 

@@ -10,9 +10,10 @@
 #include "qp/dbk_qp.h"
 #include "qp/dbk_relaxation.h"
 #include "qp/dbk_warm_start.h"
+#include "speed/dbk_speed_limit.h"
 
 void dbk_init(dbk_ctx *ctx) {
-  ctx->n_warm = 0;
+  ctx->n_warm = ctx->speed.active = ctx->speed.n_cuts = 0;
   for (int32_t k = 0; k < DBK_MAX_DOF; ++k) {
     ctx->u_prev[k] = (dbk_real)0;
     ctx->u_nom_prev[k] = (dbk_real)0;
@@ -52,9 +53,10 @@ static int32_t input_flags(const dbk_model *model, const dbk_scene *scene, const
   return flags;
 }
 
-/* control bounds and kinematics at the lag-compensated state y = q + lag v, which do not depend on the rows */
+/* control bounds, kinematics and speed limits at the lag-compensated state y = q + lag v, which do not depend on the
+ * rows; the braking control then keeps the bounds and the speed limits */
 static int32_t set_state(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_in *in,
-                         const dbk_real *u_prev, const dbk_real *u_change) {
+                         const dbk_real *u_prev, const dbk_real *u_change, int32_t known_only, dbk_real *brake) {
   dbk_real y[DBK_MAX_DOF] = {0};
   int32_t conflict = 0, jerk_feasible = 1;
   for (int32_t k = 0; k < model->n; ++k) { y[k] = in->q[k] + model->lag * in->v[k]; }
@@ -63,7 +65,9 @@ static int32_t set_state(const dbk_model *model, const dbk_scene *scene, dbk_ctx
   dbk_base_frame(in, &ctx->frames);
   dbk_fk(model, y, &ctx->frames);
   dbk_spheres(model, scene, &ctx->frames, in->opening, &ctx->spheres);
-  return (conflict ? DBK_INFEASIBLE : 0) | (jerk_feasible ? 0 : DBK_JERK);
+  dbk_set_speed_limits(model, scene, ctx, in, u_prev, known_only);
+  for (int32_t k = 0; k < model->n; ++k) { brake[k] = dbk_clamp(brake[k], ctx->lower[k], ctx->upper[k]); }
+  return dbk_brake_within_speed(model, scene, ctx, brake) | (conflict ? DBK_INFEASIBLE : 0) | (jerk_feasible ? 0 : DBK_JERK);
 }
 
 /* builds the rows that a control within the trust region can violate */
@@ -81,39 +85,47 @@ void dbk_all_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, 
   (void)build(model, scene, ctx, in->scene_age, (dbk_real)0, 0);
 }
 
-/* returns 1 with u = u_nom if the nominal control satisfies the bounds and all rows */
-static int32_t nominal_is_safe(const dbk_model *model, dbk_ctx *ctx, const dbk_real *u_nom, dbk_real *u, dbk_out *out) {
+/* returns 1 with u = u_nom if the nominal control satisfies the bounds, all rows and the speed limits */
+static int32_t nominal_is_safe(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_real *u_nom,
+                               dbk_real *u, dbk_out *out) {
   out->iterations = out->n_active = out->relaxed = 0;
   out->h_min = ctx->h_min;
   out->n_rows = ctx->rows.count;
   for (int32_t k = 0; k < model->n; ++k) { u[k] = u_nom[k]; }
   if (!dbk_check(&ctx->rows, model->n, ctx->lower, ctx->upper, u_nom, (dbk_real)0)) { return 0; }
+  if (!dbk_keeps_speed(model, scene, ctx, u_nom)) { return 0; }
   ctx->n_warm = 0;
   return 1;
 }
 
-/* solves the QP; if it has no solution, u is the braking control and the result is a flag */
-static int32_t optimise(const dbk_model *model, dbk_ctx *ctx, const dbk_real *u_nom, const dbk_real *brake, dbk_real *u,
-                        dbk_out *out) {
-  int32_t ids[DBK_QP_DIM];
-  const int32_t warm = dbk_warm_start_load(model, ctx, ids);
-  const int32_t result = dbk_qp(&ctx->rows, model->n, model->scale, ctx->lower, ctx->upper, u_nom, 0, DBK_QP_SHIFT, ids,
-                                warm, &ctx->solution);
-  out->iterations = ctx->solution.iterations;
-  dbk_warm_start_store(model, ctx, out);
-  for (int32_t k = 0; k < model->n; ++k) {
-    u[k] = dbk_clamp(result == 0 ? ctx->solution.u[k] : brake[k], ctx->lower[k], ctx->upper[k]);
+/* Solves the QP, again with cuts as long as a solution is too fast; if it has no solution, u is the braking control and
+ * the result is a flag. After DBK_SPEED_ROUNDS solutions u may be too fast. */
+static int32_t optimise(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_real *u_nom,
+                        const dbk_real *brake, dbk_real *u, dbk_out *out) {
+  int32_t ids[DBK_QP_DIM], result = 0;
+  out->iterations = 0;
+  for (int32_t tries = 0; tries < DBK_SPEED_ROUNDS; ++tries) {
+    const int32_t warm = dbk_warm_start_load(model, ctx, ids);
+    result = dbk_qp(&ctx->rows, model->n, model->scale, ctx->lower, ctx->upper, u_nom, 0, DBK_QP_SHIFT, ids, warm,
+                    &ctx->solution);
+    out->iterations += ctx->solution.iterations;
+    dbk_warm_start_store(model, ctx, out);
+    for (int32_t k = 0; k < model->n; ++k) {
+      u[k] = dbk_clamp(result == 0 ? ctx->solution.u[k] : brake[k], ctx->lower[k], ctx->upper[k]);
+    }
+    if (result != 0 || dbk_cut_speed(model, scene, ctx, u) <= 0) { break; }
   }
   return result == 0 ? 0 : (result == 1 ? DBK_INFEASIBLE : DBK_QP_ITERATIONS);
 }
 
 /* solves the problem with the rows of the trust region. Returns 1: u is the solution of the full problem, 0: u is
  * outside the trust region, -1: no solution */
-static int32_t solve_in_trust_region(const dbk_model *model, dbk_ctx *ctx, const dbk_real *u_nom, const dbk_real *brake,
-                                     dbk_real *u, dbk_out *out) {
-  if (nominal_is_safe(model, ctx, u_nom, u, out)) { return dbk_trust_region_contains(model, ctx, u); }
-  if (optimise(model, ctx, u_nom, brake, u, out) ||
-      !dbk_check(&ctx->rows, model->n, ctx->lower, ctx->upper, u, DBK_CHECK_TOL)) {
+static int32_t solve_in_trust_region(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx,
+                                     const dbk_real *u_nom, const dbk_real *brake, dbk_real *u, dbk_out *out) {
+  if (nominal_is_safe(model, scene, ctx, u_nom, u, out)) { return dbk_trust_region_contains(model, ctx, u); }
+  if (optimise(model, scene, ctx, u_nom, brake, u, out) ||
+      !dbk_check(&ctx->rows, model->n, ctx->lower, ctx->upper, u, DBK_CHECK_TOL) ||
+      !dbk_keeps_speed(model, scene, ctx, u)) {
     ctx->n_warm = 0;
     return -1;
   }
@@ -130,7 +142,7 @@ static int32_t search_trust_regions(const dbk_model *model, const dbk_scene *sce
   for (int32_t tries = 0; ctx->trust_active && found == 0 && tries < DBK_TRUST_TRIES; ++tries) {
     if (tries > 0) { dbk_trust_region_around(model, ctx, u); }
     if (build(model, scene, ctx, in->scene_age, extra, known_only)) { return 0; }
-    found = solve_in_trust_region(model, ctx, in->u_nom, brake, u, out);
+    found = solve_in_trust_region(model, scene, ctx, in->u_nom, brake, u, out);
   }
   return found > 0;
 }
@@ -138,8 +150,8 @@ static int32_t search_trust_regions(const dbk_model *model, const dbk_scene *sce
 /* solves the problem with all rows, or minimises their violation */
 static int32_t solve_full(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_real *u_nom,
                           const dbk_real *brake, dbk_real *u, dbk_out *out) {
-  if (nominal_is_safe(model, ctx, u_nom, u, out)) { return 0; }
-  const int32_t failed = optimise(model, ctx, u_nom, brake, u, out);
+  if (nominal_is_safe(model, scene, ctx, u_nom, u, out)) { return 0; }
+  const int32_t failed = optimise(model, scene, ctx, u_nom, brake, u, out);
   if (failed & DBK_INFEASIBLE) {
     out->relaxed = dbk_relax(model, scene, ctx, brake, u);
     ctx->n_warm = 0;
@@ -148,7 +160,7 @@ static int32_t solve_full(const dbk_model *model, const dbk_scene *scene, dbk_ct
 }
 
 /* Keeps u if the next state is certified. Otherwise u moves in four steps toward braking, never toward zero, until the
- * next state is certified. If none is, an obstacle is about to touch the robot: the result is the relaxed control, for
+ * next state is certified; u also keeps the speed limits. If none is, an obstacle is about to touch the robot: the result is the relaxed control, for
  * which no pair closes faster than under braking, or else the braking control. Adds DBK_UNVERIFIED to *flags if u
  * violates a row that the QP was to satisfy. */
 static int32_t certify(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_in *in,
@@ -168,9 +180,10 @@ static int32_t certify(const dbk_model *model, const dbk_scene *scene, dbk_ctx *
     const int32_t satisfied =
         dbk_check(&ctx->rows, n, ctx->lower, ctx->upper, u, relaxed || tries == 4 ? (dbk_real)1e6 : DBK_CHECK_TOL);
     if (tries == 0 && !satisfied) { *flags |= DBK_UNVERIFIED; }
-    if (satisfied && dbk_certify(model, scene, ctx, in, u)) { return 1; }
+    if (satisfied && dbk_keeps_speed(model, scene, ctx, u) && dbk_certify(model, scene, ctx, in, u)) { return 1; }
   }
-  const int32_t keep = relaxed && dbk_check(&ctx->rows, n, ctx->lower, ctx->upper, start, DBK_CHECK_TOL);
+  const int32_t keep = relaxed && dbk_check(&ctx->rows, n, ctx->lower, ctx->upper, start, DBK_CHECK_TOL) &&
+                       dbk_keeps_speed(model, scene, ctx, start);
   for (int32_t k = 0; k < n; ++k) { u[k] = keep ? start[k] : brake[k]; }
   return 0;
 }
@@ -236,8 +249,7 @@ dbk_status dbk_step(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx
   dbk_limit_brake_jerk(model, ctx->u_prev, ctx->u_change, brake);
   const int32_t rejected = input_flags(model, scene, in);
   if (rejected) { return reject(model, ctx, in, rejected, brake, out); }
-  const int32_t flags = set_state(model, scene, ctx, in, ctx->u_prev, ctx->u_change);
-  for (int32_t k = 0; k < model->n; ++k) { brake[k] = dbk_clamp(brake[k], ctx->lower[k], ctx->upper[k]); }
+  const int32_t flags = set_state(model, scene, ctx, in, ctx->u_prev, ctx->u_change, 0, brake);
   /* the fast path: a certified solution from a trust region */
   if (!(flags & DBK_INFEASIBLE) &&
       search_trust_regions(model, scene, ctx, in, ctx->u_prev, (dbk_real)0, 0, brake, u, out) &&
@@ -254,8 +266,7 @@ dbk_status dbk_project(const dbk_model *model, const dbk_scene *scene, dbk_ctx *
   dbk_brake(model, u_prev, brake);
   int32_t flags = input_flags(model, scene, in);
   if (!flags) {
-    flags = set_state(model, scene, ctx, in, u_prev, 0);
-    for (int32_t k = 0; k < model->n; ++k) { brake[k] = dbk_clamp(brake[k], ctx->lower[k], ctx->upper[k]); }
+    flags = set_state(model, scene, ctx, in, u_prev, 0, 1, brake);
     if (!(flags & DBK_INFEASIBLE) &&
         search_trust_regions(model, scene, ctx, in, u_prev, extra, 1, brake, u, &ignored)) {
       return DBK_MODIFIED;

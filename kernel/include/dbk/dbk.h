@@ -33,16 +33,18 @@ enum {
   DBK_UNCERTIFIED = 512,  /* the next state would violate h >= 0, even under braking */
   DBK_UNAVOIDABLE = 1024, /* an obstacle moves toward a part of the robot that cannot move away */
   DBK_JERK = 2048,        /* information only: another limit has overridden the jerk limit in this step */
-  DBK_UNVERIFIED = 4096   /* the independent check rejected the solution of the QP; the result is nearer to braking */
+  DBK_UNVERIFIED = 4096,  /* the independent check rejected the solution of the QP; the result is nearer to braking */
+  DBK_OVERSPEED = 8192    /* no control within the control bounds keeps the speed limits; no part is faster than under
+                             braking */
 };
 
 enum { DBK_CAPSULE, DBK_BOX, DBK_HALF_SPACE }; /* obstacle shapes; a sphere is a capsule of length 0 */
 enum { DBK_KNOWN = 1, DBK_STATIC = 2 };        /* obstacle flags; what has a velocity or an error of it moves anyway */
-enum { DBK_ROW_OBSTACLE, DBK_ROW_SELF, DBK_ROW_LOWER, DBK_ROW_UPPER, DBK_ROW_USER };
+enum { DBK_ROW_OBSTACLE, DBK_ROW_SELF, DBK_ROW_LOWER, DBK_ROW_UPPER, DBK_ROW_USER, DBK_ROW_SPEED };
 enum { DBK_REVOLUTE, DBK_PRISMATIC };
 enum { DBK_LIMIT_VELOCITY, DBK_LIMIT_ACCELERATION, DBK_LIMIT_JERK, DBK_LIMIT_POSITION };
 
-/* priority of a row in the relaxation, highest first; the control bounds are never relaxed */
+/* priority of a row in the relaxation, highest first; the control bounds and the speed limits are never relaxed */
 enum { DBK_RANK_BODY = 1, DBK_RANK_OBSTACLE, DBK_RANK_WORKSPACE, DBK_RANK_TASK };
 
 /* a bounding sphere of all collision spheres of a link; the centre is relative to the centre of the link's first
@@ -60,6 +62,7 @@ typedef struct {
   dbk_real sampling, rounding, self_margin; /* margins for sampling, rounding and self-collision [m] */
   dbk_real lag;                             /* time constant of the drives [s]: y = q + lag v */
   dbk_real tracking;                        /* bound of the velocity tracking error [rad/s] */
+  dbk_real speed_limit;                     /* of every sphere centre and of the tool [m/s]; 0: no limit */
   dbk_real state_age_max, scene_age_max;    /* [s] */
   int32_t joint_kind[DBK_MAX_DOF]; /* a revolute joint rotates about its z axis, a prismatic one translates along it */
   dbk_real joint_rotation[DBK_MAX_DOF][9], joint_offset[DBK_MAX_DOF][3]; /* row-major; parent <- joint at q = 0 */
@@ -91,6 +94,9 @@ typedef struct {
   dbk_real velocity[3], margin, velocity_error;
   dbk_real reaction, brake, approach; /* speed and separation monitoring: reaction time [s], deceleration [m/s^2]
                                          (0: off), minimum assumed speed of the person [m/s] */
+  /* power and force limiting: speed limit [m/s] (0: off) of the parts within a distance [m] of the obstacle, the
+   * deceleration [m/s^2] to it outside, and the minimum assumed speed of the person [m/s] */
+  dbk_real near_speed, near_distance, near_brake, near_approach;
 } dbk_obstacle;
 
 /* an enclosing capsule of each obstacle except half-spaces, as a structure of arrays: one SIMD loop tests a link
@@ -107,7 +113,7 @@ typedef struct {
   int32_t known[DBK_OBSTACLE_CAPACITY], moving[DBK_OBSTACLE_CAPACITY], rank[DBK_OBSTACLE_CAPACITY];
   int32_t plain[DBK_OBSTACLE_CAPACITY];         /* the obstacle is a capsule without speed and separation monitoring */
   int32_t static_sphere[DBK_OBSTACLE_CAPACITY]; /* the capsule has zero length, velocity and velocity error */
-  int32_t any_half_space, any_separation, any_elongated;
+  int32_t any_half_space, any_separation, any_elongated, any_near;
 } dbk_obstacle_capsules;
 
 typedef struct {
@@ -133,7 +139,8 @@ typedef struct {
 } dbk_in;
 
 typedef struct {
-  int32_t kind, i, j; /* obstacle row: sphere, obstacle; self row: sphere, sphere; bound: joint, DBK_LIMIT_... */
+  int32_t kind, i, j; /* obstacle row: sphere, obstacle; self row: sphere, sphere; bound: joint, DBK_LIMIT_...;
+                         speed row: sphere (after the last one: the tool), cut; h is in m/s */
   dbk_real h, multiplier;
 } dbk_active;
 
@@ -210,6 +217,17 @@ typedef struct {
   dbk_real sampling_term[DBK_ALL_LINKS]; /* dt/2 |acceleration| */
 } dbk_sphere_motion;
 
+/* Speed limits of one step. Point s < n_points - 1 is the centre of sphere s, the last point is the tool. A cut limits
+ * the component of the velocity of a point along a unit vector; the cuts that were active remain for the next step */
+typedef struct {
+  int32_t active, n_points; /* active: 0 without any limit */
+  dbk_real tool[3];
+  dbk_real allowed[DBK_SPHERE_CAPACITY]; /* [m/s] */
+  dbk_real limit[DBK_SPHERE_CAPACITY];   /* at the beginning of the period, such that `allowed` holds until its end */
+  int32_t n_cuts, cut_point[DBK_MAX_CUTS];
+  dbk_real cut_x[DBK_MAX_CUTS], cut_y[DBK_MAX_CUTS], cut_z[DBK_MAX_CUTS];
+} dbk_speed;
+
 typedef struct {
   int32_t n, n_active, iterations, infeasible; /* infeasible: active[] and multiplier[] are the Farkas certificate */
   int32_t active[DBK_QP_DIM + 1];              /* 0..n-1 lower bounds, n..2n-1 upper bounds, 2n.. rows */
@@ -226,6 +244,7 @@ typedef struct {
   dbk_sphere_set spheres, next_spheres; /* at the current and at the predicted state */
   dbk_sphere_motion motion;
   dbk_rows rows;
+  dbk_speed speed;
   dbk_revisits revisits;
   dbk_rejected_pair rejected_pair; /* valid after a step with the status DBK_FAULT */
   int32_t narrow_phase_count; /* spheres tested against all spheres of another link */

@@ -38,6 +38,10 @@ typedef float dbk_real;
 #define DBK_MAX_USER 16 /* constraint rows supplied by the caller */
 #endif
 
+#ifndef DBK_MAX_CUTS
+#define DBK_MAX_CUTS 48 /* linear constraints that approximate the speed limits */
+#endif
+
 #ifndef DBK_MAX_REVISITS
 #define DBK_MAX_REVISITS 1024 /* groups of pairs that could reach h = 0 within one period */
 #endif
@@ -90,6 +94,11 @@ typedef float dbk_real;
 #define DBK_MAX_SPEED ((dbk_real)1000)     /* [m/s] largest velocity of an obstacle */
 #define DBK_ROTATION_TOL ((dbk_real)1e-3)  /* error of a dot product between two axes of a rotation */
 #define DBK_CLOCK_TOL ((dbk_real)0.005)    /* [s] a time stamp may be in the future by at most this */
+#define DBK_SPEED_ROUNDING ((dbk_real)1e-4) /* fraction of a speed limit kept free for rounding errors */
+#define DBK_SPEED_FLOOR ((dbk_real)5e-6)    /* [m/s] the same as a speed: the rounding error of a speed is below it */
+#define DBK_SPEED_SHRINK ((dbk_real)1e-3)   /* a cut is closer than the limit by this fraction, so that cuts suffice */
+#define DBK_SPEED_PERIODS ((dbk_real)4)     /* the growth of a speed at constant control is reserved for this time */
+#define DBK_SPEED_ROUNDS 8                  /* QPs with cuts in one search, before the control moves toward braking */
 #define DBK_TRUST_TRIES 3                  /* trust regions tried before the full control bounds are used */
 #define DBK_TRUST_RADIUS ((dbk_real)0.02)  /* half width of the trust region as a fraction of v_max */
 #define DBK_STOP_TRIES 8                   /* iterations for the approach to a position limit within the jerk limit */

@@ -41,6 +41,7 @@ void parse_settings(const nb::dict &d, size_t n, dbk_model &m) {
   m.self_margin = number(d, "self_margin");
   m.lag = number(d, "lag");
   m.tracking = number(d, "tracking");
+  m.speed_limit = number(d, "speed_limit");
   m.state_age_max = number(d, "state_age_max");
   m.scene_age_max = number(d, "scene_age_max");
 }
@@ -123,4 +124,5 @@ void parse_obstacle(const double *row, dbk_obstacle *o) {
   take(&o->reaction, 1);
   take(&o->brake, 1);
   take(&o->approach, 1);
+  o->near_speed = o->near_distance = o->near_brake = o->near_approach = 0;
 }

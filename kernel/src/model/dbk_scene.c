@@ -49,6 +49,9 @@ static int32_t obstacle_valid(const dbk_obstacle *o) {
   valid &= (o->reaction >= (dbk_real)0 && o->reaction <= (dbk_real)1e3);
   valid &= (o->brake >= (dbk_real)0 && o->brake <= (dbk_real)1e6 && o->approach >= (dbk_real)0 &&
             o->approach <= (dbk_real)1e3);
+  valid &= (o->near_speed >= (dbk_real)0 && o->near_speed <= DBK_MAX_SPEED);
+  valid &= (o->near_brake >= (dbk_real)0 && o->near_brake <= (dbk_real)1e6);
+  valid &= all_lengths(&o->near_distance, 1, DBK_MAX_SIZE) & all_lengths(&o->near_approach, 1, DBK_MAX_SPEED);
   valid &= (o->rank >= DBK_RANK_BODY && o->rank <= DBK_RANK_TASK);
   return valid;
 }
@@ -89,7 +92,7 @@ static int32_t obstacle_moves(const dbk_obstacle *o) {
 static void prepare_capsules(dbk_scene *scene) {
   static const dbk_obstacle empty = {.shape = DBK_CAPSULE, .flags = DBK_STATIC};
   dbk_obstacle_capsules *to = &scene->capsules;
-  to->any_half_space = to->any_separation = to->any_elongated = 0;
+  to->any_half_space = to->any_separation = to->any_elongated = to->any_near = 0;
   for (int32_t i = 0; i < DBK_PADDED(scene->n_obstacles); ++i) {
     const dbk_obstacle *o = i < scene->n_obstacles ? &scene->obstacle[i] : &empty;
     set_capsule(o, to, i);
@@ -108,6 +111,7 @@ static void prepare_capsules(dbk_scene *scene) {
     to->static_sphere[i] = !(to->half[i] > (dbk_real)0) && !(to->max_speed[i] > (dbk_real)0);
     to->any_half_space |= o->shape == DBK_HALF_SPACE;
     to->any_separation |= o->brake > (dbk_real)0;
+    to->any_near |= o->near_speed > (dbk_real)0;
     to->any_elongated |= to->half[i] != (dbk_real)0;
   }
 }

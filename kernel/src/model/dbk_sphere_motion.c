@@ -3,59 +3,13 @@
  * builders use these bounds to omit rows that no control can violate in this step. */
 #include "model/dbk_sphere_motion.h"
 
+#include "dbk_spatial.h"
 #include "model/dbk_model.h"
-
-/* spatial velocity (angular w, linear v) about the base origin and its time derivative (dw, dv) at the constant control
- * at the centre of the control bounds; and the spatial velocity (tw, tv) at the centre of the trust region */
-typedef struct {
-  dbk_real w[3], v[3], dw[3], dv[3];
-  dbk_real tw[3], tv[3];
-} spatial;
-
-static inline void cross(const dbk_real a[3], const dbk_real b[3], dbk_real out[3]) {
-  out[0] = a[1] * b[2] - a[2] * b[1];
-  out[1] = a[2] * b[0] - a[0] * b[2];
-  out[2] = a[0] * b[1] - a[1] * b[0];
-}
-
-/* prismatic joint: frame i+1 translates relative to frame i at rate u (t in the trust region) along the axis z, which
- * rotates with frame i */
-static inline void add_prismatic(const spatial *parent, const dbk_real z[3], dbk_real u, dbk_real t, spatial *child) {
-  dbk_real dz[3];
-  cross(parent->w, z, dz);
-  *child = *parent;
-  for (int32_t e = 0; e < 3; ++e) {
-    child->v[e] += u * z[e];
-    child->tv[e] += t * z[e];
-    child->dv[e] += u * dz[e];
-  }
-}
-
-/* revolute joint: frame i+1 rotates relative to frame i at rate u (t in the trust region) about the axis z through the
- * point p, which both move with frame i */
-static inline void add_revolute(const spatial *parent, const dbk_real z[3], const dbk_real p[3], dbk_real u, dbk_real t,
-                                spatial *child) {
-  dbk_real moment[3], dz[3], dp[3], wp[3], a[3], b[3];
-  cross(p, z, moment); /* velocity at the base origin per unit rate: -z x p */
-  cross(parent->w, z, dz);
-  cross(parent->w, p, wp);
-  for (int32_t e = 0; e < 3; ++e) { dp[e] = parent->v[e] + wp[e]; }
-  cross(dp, z, a);
-  cross(p, dz, b);
-  for (int32_t e = 0; e < 3; ++e) {
-    child->w[e] = parent->w[e] + u * z[e];
-    child->v[e] = parent->v[e] + u * moment[e];
-    child->tw[e] = parent->tw[e] + t * z[e];
-    child->tv[e] = parent->tv[e] + t * moment[e];
-    child->dw[e] = parent->dw[e] + u * dz[e];
-    child->dv[e] = parent->dv[e] + u * (a[e] + b[e]);
-  }
-}
 
 /* centre velocity tv + tw x c and acceleration dv + dw x c + w x (v + w x c) of the spheres first..last-1. The loop
  * runs to the end of the last SIMD vector; a later call overwrites the entries after `last`, or no function reads
  * them. */
-static inline void move_spheres(const spatial *t, const dbk_sphere_set *spheres, int32_t first, int32_t last,
+static inline void move_spheres(const dbk_spatial *t, const dbk_sphere_set *spheres, int32_t first, int32_t last,
                                 dbk_sphere_motion *restrict out) {
   const dbk_real wx = t->w[0], wy = t->w[1], wz = t->w[2], vx = t->v[0], vy = t->v[1], vz = t->v[2];
   const dbk_real ax = t->dw[0], ay = t->dw[1], az = t->dw[2], bx = t->dv[0], by = t->dv[1], bz = t->dv[2];
@@ -75,7 +29,7 @@ static inline void move_spheres(const spatial *t, const dbk_sphere_set *spheres,
 }
 
 /* velocities and accelerations of all spheres; consecutive links with the same frame are processed in one loop */
-static inline void move_all_spheres(const dbk_model *model, const dbk_scene *scene, const spatial *chain,
+static inline void move_all_spheres(const dbk_model *model, const dbk_scene *scene, const dbk_spatial *chain,
                                     dbk_ctx *ctx) {
   int32_t end = 0;
   for (int32_t l = 0; l <= model->n_links; l = end) {
@@ -147,8 +101,8 @@ static inline void bound_links(const dbk_model *model, const dbk_scene *scene, d
 }
 
 DBK_SIMD_CLONES void dbk_set_sphere_motion(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx) {
-  spatial chain[DBK_MAX_DOF + 1];
-  const spatial rest = {{0}, {0}, {0}, {0}, {0}, {0}};
+  dbk_spatial chain[DBK_MAX_DOF + 1];
+  const dbk_spatial rest = {{0}, {0}, {0}, {0}, {0}, {0}};
   const int32_t count = DBK_PADDED(ctx->spheres.count);
   dbk_sphere_motion *out = &ctx->motion;
   chain[0] = rest; /* the base */
@@ -163,9 +117,9 @@ DBK_SIMD_CLONES void dbk_set_sphere_motion(const dbk_model *model, const dbk_sce
     const dbk_real half_width = (dbk_real)0.5 * (high - low) + model->tracking;
     const dbk_real *restrict reach = model->reach[k];
     if (model->joint_kind[k] == DBK_PRISMATIC) {
-      add_prismatic(&chain[k], z, centre, trust_centre, &chain[k + 1]);
+      dbk_add_prismatic(&chain[k], z, centre, trust_centre, &chain[k + 1]);
     } else {
-      add_revolute(&chain[k], z, ctx->frames.origin[k + 1], centre, trust_centre, &chain[k + 1]);
+      dbk_add_revolute(&chain[k], z, ctx->frames.origin[k + 1], centre, trust_centre, &chain[k + 1]);
     }
     out->joint_half_width[k] = half_width;
     out->joint_max_speed[k] = dbk_abs(trust_centre) + half_width;

@@ -4,11 +4,13 @@
  * of the obstacles. Within this limit, the ranks are processed from the highest to the lowest. For each rank a QP with
  * one slack minimises the largest violation, subject to the values granted to higher ranks. A rank with moving
  * obstacles is processed twice: first as if all obstacles were static, so that the robot does not move toward any of
- * them (passive safety), then with their velocities, so that the robot moves out of their way.
+ * them (passive safety), then with their velocities, so that the robot moves out of their way. The speed limits are
+ * kept: braking satisfies their cuts, which therefore keep their right sides.
  */
 #include "qp/dbk_relaxation.h"
 
 #include "qp/dbk_qp.h"
+#include "speed/dbk_speed_limit.h"
 
 /* [1/(m/s)] coefficient of the slack: small, so that violations are expensive */
 #define SLACK_WEIGHT ((dbk_real)1e-3)
@@ -82,11 +84,30 @@ static void pad_rows(dbk_rows *rows, int32_t n) {
   }
 }
 
+/* moves the rows from `first` on, which are new cuts, to row `count`; they are kept like rows that braking satisfies */
+static void keep_cuts(dbk_rows *rows, int32_t n, row_targets *t, int32_t first, int32_t count) {
+  const int32_t end = rows->count;
+  rows->count = count;
+  for (int32_t r = first; r < end; ++r) {
+    const int32_t to = rows->count++;
+    for (int32_t k = 0; k < n; ++k) { rows->a[k][to] = rows->a[k][r]; }
+    rows->b[to] = rows->b[r];
+    rows->soft[to] = (dbk_real)0;
+    rows->norm[to] = rows->norm[r];
+    rows->h[to] = rows->h[r];
+    rows->kind[to] = rows->kind[r];
+    rows->i[to] = rows->i[r];
+    rows->j[to] = rows->j[r];
+    rows->moving[to] = rows->clip[to] = rows->rank[to] = 0;
+    t->level[to] = 0;
+  }
+}
+
 /* Minimises the largest violation [m/s] of the right sides `target` of a rank with one slack, and raises the right
  * sides of these rows to the granted values. u is the control closest to braking that attains the minimum. Returns the
  * violation, or a negative value if the QP failed. */
-static dbk_real minimise_violation(const dbk_model *model, dbk_ctx *ctx, const row_targets *t, const dbk_real *target,
-                                   int32_t rank, const dbk_real *brake, dbk_real *u) {
+static dbk_real minimise_violation(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, row_targets *t,
+                                   const dbk_real *target, int32_t rank, const dbk_real *brake, dbk_real *u) {
   dbk_rows *rows = &ctx->rows;
   const int32_t n = model->n, count = rows->count;
   /* hard rows with the values granted so far, and a soft copy of each row of the rank */
@@ -95,9 +116,13 @@ static dbk_real minimise_violation(const dbk_model *model, dbk_ctx *ctx, const r
   }
   if (rows->count == count) { return (dbk_real)0; }
   pad_rows(rows, n);
-  const int32_t result =
-      dbk_qp(rows, n, model->scale, ctx->lower, ctx->upper, brake, 1, (dbk_real)0, 0, 0, &ctx->solution);
-  rows->count = count;
+  const int32_t with_copies = rows->count;
+  int32_t result = 0, cut = 1;
+  for (int32_t tries = 0; cut > 0 && tries < DBK_SPEED_ROUNDS; ++tries) {
+    result = dbk_qp(rows, n, model->scale, ctx->lower, ctx->upper, brake, 1, (dbk_real)0, 0, 0, &ctx->solution);
+    cut = result == 0 ? dbk_cut_speed(model, scene, ctx, ctx->solution.u) : 0;
+  }
+  keep_cuts(rows, n, t, with_copies, count);
   pad_rows(rows, n);
   if (result != 0) { return (dbk_real)-1; }
   /* grant the rows of the rank the attained values */
@@ -126,8 +151,8 @@ int32_t dbk_relax(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, 
   }
   for (int32_t rank = DBK_RANK_BODY; rank <= t.lowest; ++rank) {
     /* passive safety first */
-    if (t.moving >> rank & 1 && minimise_violation(model, ctx, &t, t.passive, rank, brake, u) < (dbk_real)0) { break; }
-    const dbk_real violation = minimise_violation(model, ctx, &t, t.full, rank, brake, u);
+    if (t.moving >> rank & 1 && minimise_violation(model, scene, ctx, &t, t.passive, rank, brake, u) < (dbk_real)0) { break; }
+    const dbk_real violation = minimise_violation(model, scene, ctx, &t, t.full, rank, brake, u);
     if (violation < (dbk_real)0) { break; }
     if (violation > DBK_VIOLATION_TOL) { relaxed |= 1 << rank; }
   }

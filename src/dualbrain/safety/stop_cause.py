@@ -21,7 +21,7 @@ MAX_LEAD = 5e-3
 class Reason(IntFlag):
     """Reasons for the status of a step; several may apply. The bits are those of the kernel.
 
-    JERK is for information and occurs with every status; UNVERIFIED also occurs with MODIFIED.
+    JERK and OVERSPEED are for information and occur with every status; UNVERIFIED also occurs with MODIFIED.
     """
 
     BAD_INPUT = 1
@@ -37,6 +37,7 @@ class Reason(IntFlag):
     UNAVOIDABLE = 1024
     JERK = 2048
     UNVERIFIED = 4096
+    OVERSPEED = 8192
 
 
 class StopCause(StrEnum):
@@ -73,6 +74,7 @@ REASON_TEXTS = {
     "BAD_SCENE": "the obstacles, a constraint row or the grasped object cannot be used",
     "UNCERTIFIED": "not even braking keeps clear",
     "UNAVOIDABLE": "something comes at a part that cannot move away",
+    "OVERSPEED": "no control within the joint limits keeps the speed limits, and no part is faster than under braking",
     "UNVERIFIED": "the independent check rejected the solution of the optimisation",
 }
 """Texts of the reasons. They become part of outcomes, and so of the prompt of a planner that plans again."""

@@ -6,7 +6,7 @@ from typing import Literal
 
 import msgspec
 
-from dualbrain.core.geometry.validation import check_flag, check_length, check_positive
+from dualbrain.core.geometry.validation import check_flag, check_length, check_number, check_positive
 from dualbrain.errors import GeometryError
 
 MAX_GAIN = 1e6
@@ -17,6 +17,8 @@ MAX_RATE = 100.0
 """Largest recovery speed [m/s] and tracking error [rad/s]."""
 MAX_AGE = 3600.0
 """Largest age [s] up to which an observation can count as fresh."""
+MIN_CARTESIAN_SPEED, MAX_CARTESIAN_SPEED = 1e-3, 100.0
+"""Bounds of the limit of the Cartesian speed [m/s]. The rounding of the kernel is far below the smaller one."""
 PRECISIONS = ("float32", "float64")
 
 
@@ -37,6 +39,10 @@ class FilterConfig(msgspec.Struct, frozen=True, kw_only=True):
       begins to brake before its position and velocity limits early enough for the ramp of its deceleration. Jerk limits
       are dropped only in a step from which a joint would pass its position limit otherwise (`Reason.JERK`).
     - `lag_compensation`: evaluate barriers at y = q + lag·v.
+    - `cartesian_speed`: limit of the speed [m/s] of the tool and of the centre of every collision sphere, also of a
+      grasped object. None: no limit. It holds for the returned control in every step, also while the robot evades a
+      person or stops: of two limits that no control can keep together, the speed limit has priority over the obstacle,
+      and the box of joint limits over the speed limit (`Reason.OVERSPEED`).
     - `precision`: number type of the kernel.
 
     Raises `GeometryError` for a value of another type, below zero, not finite, or beyond `MAX_GAIN` (gains),
@@ -57,6 +63,7 @@ class FilterConfig(msgspec.Struct, frozen=True, kw_only=True):
     acceleration_limits: bool = True
     jerk_limits: bool = False
     lag_compensation: bool = True
+    cartesian_speed: float | None = None
     precision: Literal["float32", "float64"] = "float32"
 
     def __post_init__(self) -> None:
@@ -69,6 +76,10 @@ class FilterConfig(msgspec.Struct, frozen=True, kw_only=True):
         check_length("FilterConfig.recovery_speed [m/s]", self.recovery_speed, MAX_RATE)
         if self.tracking_error is not None:
             check_length("FilterConfig.tracking_error [rad/s]", self.tracking_error, MAX_RATE)
+        if self.cartesian_speed is not None:
+            check_number(
+                "FilterConfig.cartesian_speed [m/s]", self.cartesian_speed, MIN_CARTESIAN_SPEED, MAX_CARTESIAN_SPEED
+            )
         for name in ("scene_stale_after", "state_stale_after"):
             check_length(f"FilterConfig.{name} [s]", getattr(self, name), MAX_AGE)
         for name in ("acceleration_limits", "jerk_limits", "lag_compensation"):

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 RawRow = tuple[int, int, int, float, float]
 PACKED_ROW = Struct("=3i2d")
 """Binary format of a binding row. Rows stay packed until they are read, because most results are never inspected."""
-OBSTACLE, SELF, LOWER, UPPER, USER = range(5)
+OBSTACLE, SELF, LOWER, UPPER, USER, SPEED = range(6)
 """Kinds of rows in the kernel's numbering."""
 LIMIT_NAMES = ("velocity", "acceleration", "jerk", "position")
 """Sources of a bound of the box, in the kernel's numbering."""
@@ -56,13 +56,15 @@ class RowNames(msgspec.Struct, frozen=True, kw_only=True):
     refusal: str = ""
 
     def row_name(self, kind: int, i: int, j: int) -> str:
-        """Name of a row: "hand vs 'cup'", "link5 vs link2", "panda_joint4 acceleration limit"."""
+        """Name of a row: "hand vs 'cup'", "link5 vs link2", "hand speed limit", "panda_joint4 acceleration limit"."""
         if kind == OBSTACLE:
             return f"{self.link_of_sphere(i)} vs {self.obstacles[j]!r}"
         if kind == SELF:
             return f"{self.link_of_sphere(i)} vs {self.link_of_sphere(j)}"
         if kind == USER:
             return self.rows[i]
+        if kind == SPEED:
+            return f"{self.point_of_speed(i)} speed limit"
         return f"{self.joints[i]} {LIMIT_NAMES[j]} limit"
 
     def barrier_name(self, kind: int, i: int, j: int) -> str:
@@ -73,11 +75,21 @@ class RowNames(msgspec.Struct, frozen=True, kw_only=True):
             return self.rows[i].partition(":")[0]
         if kind == SELF:
             return "self_collision"
+        if kind == SPEED:
+            return "cartesian_speed"
         return "joint_limits" if LIMIT_NAMES[j] == "position" else "joint_motion"
 
     def link_of_sphere(self, index: int) -> str:
         """Link of a sphere; "held" for spheres beyond those of the robot."""
         return self.spheres[index] if index < len(self.spheres) else "held"
+
+    def point_of_speed(self, index: int) -> str:
+        """The part of a speed limit: the link of a sphere, or "tool or load" for the last points.
+
+        The tool is the point after the last sphere, so without a grasped object it has the index of the first sphere of
+        one. Both move with the last frame.
+        """
+        return self.spheres[index] if index < len(self.spheres) else "tool or load"
 
 
 class FilterResult(msgspec.Struct, frozen=True, eq=False, gc=False):  # numbers and tuples: no cycles

@@ -1,0 +1,35 @@
+/* Speed limits: |J_p u| <= v for every point p of the robot, a cone, as far as the control bounds permit.
+ *
+ * A solution that is too fast is cut off by the row n'J_p u <= v with n the direction of the velocity of p, and the QP
+ * is solved again. Every cut holds for all admissible controls, so a solution that keeps the limits is the closest one,
+ * up to DBK_SPEED_SHRINK. Only an evaluation of all speeds accepts a control. The limits are convex, and braking keeps
+ * them: a control between an admissible one and braking keeps them as well.
+ */
+#ifndef DBK_SPEED_LIMIT_H
+#define DBK_SPEED_LIMIT_H
+
+#include "dbk_math.h"
+
+/* Sets the limits of all points for a step from the control u_prev; the kinematics must be set. With `known_only` the
+ * obstacles without the flag DBK_KNOWN have no limits, and the limits are slightly smaller, as for a projection. */
+void dbk_set_speed_limits(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_in *in,
+                          const dbk_real u_prev[DBK_MAX_DOF], int32_t known_only);
+
+/* 1: no point is faster than its limit */
+int32_t dbk_keeps_speed(const dbk_model *model, const dbk_scene *scene, const dbk_ctx *ctx,
+                        const dbk_real u[DBK_MAX_DOF]);
+
+/* Adds cuts and their rows for the points that are too fast at u. Returns 0 if no point is too fast, 1 if the rows are
+ * new, -1 if there is no room for them. */
+int32_t dbk_cut_speed(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_real u[DBK_MAX_DOF]);
+
+/* appends the rows of all cuts */
+void dbk_speed_rows(const dbk_model *model, dbk_ctx *ctx);
+
+/* Moves the braking control to the closest one that keeps the limits. If there is none within the control bounds, the
+ * limits become the speeds under braking; the result is DBK_OVERSPEED if one of them is above the allowed speed, else
+ * 0. */
+int32_t dbk_brake_within_speed(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx,
+                               dbk_real brake[DBK_MAX_DOF]);
+
+#endif
