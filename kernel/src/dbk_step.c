@@ -65,7 +65,7 @@ static int32_t set_state(const dbk_model *model, const dbk_scene *scene, dbk_ctx
   dbk_base_frame(in, &ctx->frames);
   dbk_fk(model, y, &ctx->frames);
   dbk_spheres(model, scene, &ctx->frames, in->opening, &ctx->spheres);
-  dbk_set_speed_limits(model, scene, ctx, in, u_prev, known_only);
+  dbk_set_speed_limits(model, scene, ctx, in, u_prev, u_change, known_only);
   for (int32_t k = 0; k < model->n; ++k) { brake[k] = dbk_clamp(brake[k], ctx->lower[k], ctx->upper[k]); }
   return dbk_brake_within_speed(model, scene, ctx, brake) | (conflict ? DBK_INFEASIBLE : 0) | (jerk_feasible ? 0 : DBK_JERK);
 }
@@ -99,7 +99,7 @@ static int32_t nominal_is_safe(const dbk_model *model, const dbk_scene *scene, d
 }
 
 /* Solves the QP, again with cuts as long as a solution is too fast; if it has no solution, u is the braking control and
- * the result is a flag. After DBK_SPEED_ROUNDS solutions u may be too fast. */
+ * the result is a flag. A solution that is still too fast after DBK_SPEED_ROUNDS moves toward braking. */
 static int32_t optimise(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_real *u_nom,
                         const dbk_real *brake, dbk_real *u, dbk_out *out) {
   int32_t ids[DBK_QP_DIM], result = 0;
@@ -115,6 +115,7 @@ static int32_t optimise(const dbk_model *model, const dbk_scene *scene, dbk_ctx 
     }
     if (result != 0 || dbk_cut_speed(model, scene, ctx, u) <= 0) { break; }
   }
+  if (result == 0) { dbk_slow_down(model, scene, ctx, brake, u); }
   return result == 0 ? 0 : (result == 1 ? DBK_INFEASIBLE : DBK_QP_ITERATIONS);
 }
 
@@ -124,8 +125,7 @@ static int32_t solve_in_trust_region(const dbk_model *model, const dbk_scene *sc
                                      const dbk_real *u_nom, const dbk_real *brake, dbk_real *u, dbk_out *out) {
   if (nominal_is_safe(model, scene, ctx, u_nom, u, out)) { return dbk_trust_region_contains(model, ctx, u); }
   if (optimise(model, scene, ctx, u_nom, brake, u, out) ||
-      !dbk_check(&ctx->rows, model->n, ctx->lower, ctx->upper, u, DBK_CHECK_TOL) ||
-      !dbk_keeps_speed(model, scene, ctx, u)) {
+      !dbk_check(&ctx->rows, model->n, ctx->lower, ctx->upper, u, DBK_CHECK_TOL)) {
     ctx->n_warm = 0;
     return -1;
   }

@@ -634,6 +634,51 @@ static void mobile_base(golden_result *g) {
   }
 }
 
+/* speed limits: alone, with obstacles, an object in the hand, jerk limits, sliding joints, and a person who comes nearer;
+ * a state that is too fast, and the projection */
+static void speed_limits(golden_result *g) {
+  for (int run = 0; run < 12; ++run) {
+    uint64_t state = (uint64_t)run + 300;
+    start();
+    model.speed_limit = (dbk_real)(run == 11 ? 0.0 : run % 3 == 2 ? 0.05 : 0.3);
+    model.lag = (dbk_real)(run == 2 ? 0.02 : 0.0);
+    model.speed_first_joint = run == 5 ? 2 : 0;
+    for (int k = 0; k < model.n; ++k) {
+      model.j_max[k] = (dbk_real)(run == 3 || run == 4 ? 4000.0 : 0.0);
+      if (run == 6 && k < 3) {
+        model.joint_kind[k] = DBK_PRISMATIC;
+        model.q_lower[k] = (dbk_real)-0.5;
+        model.q_upper[k] = (dbk_real)0.5;
+        in.q[k] = 0;
+      }
+      if (run >= 7 && run <= 8) { ctx.u_prev[k] = (dbk_real)(run == 7 ? 1.2 : 0.3) * (dbk_real)(k % 2 ? -1 : 1); }
+    }
+    dbk_prepare(&model);
+    if (run % 2 || run == 6) { arm_scene(&scene, &state, 6); }
+    if (run == 4 || run == 8) { hold_two_spheres(); }
+    if (run >= 8) {
+      dbk_obstacle *o = near_tool(0.7, 0.1, 0.0, 0.1);
+      o->flags = run == 10 ? DBK_KNOWN : 0;
+      o->rank = DBK_RANK_BODY;
+      o->velocity[0] = (dbk_real)(run == 11 ? -1.5 : -0.6);
+      o->near_speed = (dbk_real)0.15;
+      o->near_distance = (dbk_real)0.2;
+      o->near_brake = (dbk_real)1.0;
+      o->near_approach = (dbk_real)0.1;
+      if (run == 9) { o->link_mask = 1u << 6; }
+    }
+    dbk_scene_prepare(&scene);
+    for (int piece = 0; piece < 4; ++piece) {
+      loop(g, &state, 150, 75);
+      project(g, ctx.u_prev, (dbk_real)5e-4);
+      if (run == 8 && piece == 1) {
+        scene.n_held = 0;
+        dbk_scene_prepare(&scene);
+      }
+    }
+  }
+}
+
 /* single functions: sine and cosine, and the Jacobian */
 static void parts(golden_result *g) {
   uint64_t state = 200;
@@ -726,6 +771,7 @@ static const struct {
     {"mount", mount},
     {"sliding", sliding},
     {"mobile_base", mobile_base},
+    {"speed_limits", speed_limits},
     {"parts", parts},
     {"programs", programs},
 };

@@ -63,6 +63,7 @@ typedef struct {
   dbk_real lag;                             /* time constant of the drives [s]: y = q + lag v */
   dbk_real tracking;                        /* bound of the velocity tracking error [rad/s] */
   dbk_real speed_limit;                     /* of every sphere centre and of the tool [m/s]; 0: no limit */
+  int32_t speed_first_joint; /* speeds are relative to frame speed_first_joint, such as that of a mobile base */
   dbk_real state_age_max, scene_age_max;    /* [s] */
   int32_t joint_kind[DBK_MAX_DOF]; /* a revolute joint rotates about its z axis, a prismatic one translates along it */
   dbk_real joint_rotation[DBK_MAX_DOF][9], joint_offset[DBK_MAX_DOF][3]; /* row-major; parent <- joint at q = 0 */
@@ -224,7 +225,10 @@ typedef struct {
   dbk_real tool[3];
   dbk_real allowed[DBK_SPHERE_CAPACITY]; /* [m/s] */
   dbk_real limit[DBK_SPHERE_CAPACITY];   /* at the beginning of the period, such that `allowed` holds until its end */
-  int32_t n_cuts, cut_point[DBK_MAX_CUTS];
+  /* with jerk limits: the control gain u + shift after the acceleration is reduced to zero, and the limits for it */
+  int32_t ramped;
+  dbk_real gain[DBK_MAX_DOF], shift[DBK_MAX_DOF], ramp_limit[DBK_SPHERE_CAPACITY];
+  int32_t n_cuts, cut_point[DBK_MAX_CUTS], cut_ramped[DBK_MAX_CUTS];
   dbk_real cut_x[DBK_MAX_CUTS], cut_y[DBK_MAX_CUTS], cut_z[DBK_MAX_CUTS];
 } dbk_speed;
 

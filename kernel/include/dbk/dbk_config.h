@@ -39,7 +39,7 @@ typedef float dbk_real;
 #endif
 
 #ifndef DBK_MAX_CUTS
-#define DBK_MAX_CUTS 48 /* linear constraints that approximate the speed limits */
+#define DBK_MAX_CUTS 64 /* linear constraints that approximate the speed limits */
 #endif
 
 #ifndef DBK_MAX_REVISITS

@@ -42,6 +42,7 @@ void parse_settings(const nb::dict &d, size_t n, dbk_model &m) {
   m.lag = number(d, "lag");
   m.tracking = number(d, "tracking");
   m.speed_limit = number(d, "speed_limit");
+  m.speed_first_joint = static_cast<int32_t>(number(d, "speed_first_joint"));
   m.state_age_max = number(d, "state_age_max");
   m.scene_age_max = number(d, "scene_age_max");
 }

@@ -19,7 +19,7 @@ int32_t dbk_frame_of_point(const dbk_model *model, const dbk_ctx *ctx, int32_t p
   return tool ? model->n : model->sphere_frame[point];
 }
 
-/* spatial motion of every frame at the control u; without `accelerations` only tw and tv */
+/* spatial motion of every frame at the control u, relative to frame speed_first_joint; without `accelerations` only tw and tv */
 static inline void chain_motion(const dbk_model *model, const dbk_frames *frames, const dbk_real *u,
                                 int32_t accelerations, dbk_spatial chain[DBK_MAX_DOF + 1]) {
   const dbk_spatial rest = {{0}, {0}, {0}, {0}, {0}, {0}};
@@ -28,6 +28,10 @@ static inline void chain_motion(const dbk_model *model, const dbk_frames *frames
     const dbk_real *r = frames->rotation[k + 1];
     const dbk_real z[3] = {r[2], r[5], r[8]};
     const int32_t prismatic = model->joint_kind[k] == DBK_PRISMATIC;
+    if (k < model->speed_first_joint) {
+      chain[k + 1] = rest;
+      continue;
+    }
     if (!accelerations) {
       dbk_real moment[3];
       dbk_cross(frames->origin[k + 1], z, moment);

@@ -70,7 +70,7 @@ DBK_SIMD_CLONES static void reserve_growth(const dbk_model *model, const dbk_poi
   }
 }
 
-/* Keeps the cuts that were active in the last step, and numbers them anew in the warm start. Cuts of a point that no
+/* Keeps the cuts that were active in the last step, and numbers them again in the warm start. Cuts of a point that no
  * longer exists, after an object was released, are omitted. */
 static void keep_active_cuts(dbk_ctx *ctx) {
   dbk_speed *speed = &ctx->speed;
@@ -80,6 +80,7 @@ static void keep_active_cuts(dbk_ctx *ctx) {
       if (ctx->warm[w][0] != DBK_ROW_SPEED || ctx->warm[w][2] != c) { continue; }
       if (speed->cut_point[c] >= speed->n_points) { continue; }
       speed->cut_point[kept] = speed->cut_point[c];
+      speed->cut_ramped[kept] = speed->cut_ramped[c];
       speed->cut_x[kept] = speed->cut_x[c];
       speed->cut_y[kept] = speed->cut_y[c];
       speed->cut_z[kept] = speed->cut_z[c];
@@ -91,8 +92,28 @@ static void keep_active_cuts(dbk_ctx *ctx) {
   speed->n_cuts = kept;
 }
 
+/* The control after the acceleration is reduced to zero with the jerk limit from the next period on. With the change c
+ * in this period and J = j dt^2, the later changes c - J, c - 2 J, ... add up to at most R(c) = c^2 / (2 J) - c / 2 +
+ * J / 8. R is convex and c differs by at most J from the last change, so R is at most J / 2 above its tangent there. */
+static void set_ramp(const dbk_model *model, const dbk_real *u_prev, const dbk_real *u_change, dbk_speed *speed) {
+  speed->ramped = 0;
+  for (int32_t k = 0; k < model->n; ++k) {
+    const dbk_real jump = model->j_max[k] * model->period * model->period;
+    speed->gain[k] = (dbk_real)1;
+    speed->shift[k] = (dbk_real)0;
+    if (!u_change || !(jump > (dbk_real)0)) { continue; }
+    const dbk_real change = dbk_abs(u_change[k]), half = (dbk_real)0.5;
+    speed->ramped = 1;
+    if (change <= half * jump) { continue; }
+    const dbk_real slope = change / jump - half;
+    const dbk_real rest = half * change * change / jump - half * change + (dbk_real)0.625 * jump;
+    speed->gain[k] += slope;
+    speed->shift[k] = (u_change[k] < (dbk_real)0 ? -rest : rest) - slope * (u_prev[k] + u_change[k]);
+  }
+}
+
 void dbk_set_speed_limits(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_in *in,
-                          const dbk_real u_prev[DBK_MAX_DOF], int32_t known_only) {
+                          const dbk_real u_prev[DBK_MAX_DOF], const dbk_real *u_change, int32_t known_only) {
   dbk_speed *speed = &ctx->speed;
   dbk_point_velocities v;
   speed->n_points = ctx->spheres.count + 1;
@@ -116,62 +137,77 @@ void dbk_set_speed_limits(const dbk_model *model, const dbk_scene *scene, dbk_ct
   for (int32_t p = 0; p < count; ++p) { v.vx[p] = v.vy[p] = v.vz[p] = v.ax[p] = v.ay[p] = v.az[p] = (dbk_real)0; }
   dbk_motion_of_points(model, scene, ctx, u_prev, &v);
   reserve_growth(model, &v, speed);
+  set_ramp(model, u_prev, u_change, speed);
+  for (int32_t p = 0; p < count; ++p) { speed->ramp_limit[p] = speed->limit[p]; }
 }
 
-/* the largest v^2 - limit^2 over all points; NaN counts as too fast */
-DBK_SIMD_CLONES static int32_t too_fast(const dbk_speed *speed, const dbk_point_velocities *v) {
+/* 1 if a point is faster than its limit; NaN counts as too fast */
+DBK_SIMD_CLONES static int32_t too_fast(const dbk_speed *speed, const dbk_real *limit, const dbk_point_velocities *v) {
   int32_t fast[DBK_LANES] = {0}, any = 0;
   const int32_t whole = speed->n_points / DBK_LANES * DBK_LANES;
   for (int32_t base = 0; base < whole; base += DBK_LANES) {
     for (int32_t l = 0; l < DBK_LANES; ++l) {
       const int32_t p = base + l;
       const dbk_real square = v->vx[p] * v->vx[p] + v->vy[p] * v->vy[p] + v->vz[p] * v->vz[p];
-      fast[l] |= !(square <= speed->limit[p] * speed->limit[p]);
+      fast[l] |= !(square <= limit[p] * limit[p]);
     }
   }
   for (int32_t p = whole; p < speed->n_points; ++p) {
     const dbk_real square = v->vx[p] * v->vx[p] + v->vy[p] * v->vy[p] + v->vz[p] * v->vz[p];
-    any |= !(square <= speed->limit[p] * speed->limit[p]);
+    any |= !(square <= limit[p] * limit[p]);
   }
   for (int32_t l = 0; l < DBK_LANES; ++l) { any |= fast[l]; }
   return any;
+}
+
+/* velocities at u, or after the ramp that follows u; the limits for them */
+static const dbk_real *velocities(const dbk_model *model, const dbk_scene *scene, const dbk_ctx *ctx, const dbk_real *u,
+                                  int32_t ramped, dbk_point_velocities *out) {
+  const dbk_speed *speed = &ctx->speed;
+  dbk_real end[DBK_MAX_DOF] = {(dbk_real)0};
+  for (int32_t k = 0; k < model->n; ++k) { end[k] = ramped ? speed->gain[k] * u[k] + speed->shift[k] : u[k]; }
+  dbk_velocities_of_points(model, scene, ctx, end, out);
+  return ramped ? speed->ramp_limit : speed->limit;
 }
 
 int32_t dbk_keeps_speed(const dbk_model *model, const dbk_scene *scene, const dbk_ctx *ctx,
                         const dbk_real u[DBK_MAX_DOF]) {
   dbk_point_velocities v;
   if (!ctx->speed.active) { return 1; }
-  dbk_velocities_of_points(model, scene, ctx, u, &v);
-  return !too_fast(&ctx->speed, &v);
+  for (int32_t ramped = 0; ramped <= ctx->speed.ramped; ++ramped) {
+    const dbk_real *limit = velocities(model, scene, ctx, u, ramped, &v);
+    if (too_fast(&ctx->speed, limit, &v)) { return 0; }
+  }
+  return 1;
 }
 
-/* appends the row of a cut: -n'J_p u >= -limit, normalised */
+/* appends the row of a cut: -n'J_p (gain u + shift) >= -limit, normalised */
 static void append_row(const dbk_model *model, dbk_ctx *ctx, int32_t cut) {
   dbk_rows *rows = &ctx->rows;
   const dbk_speed *speed = &ctx->speed;
   const dbk_real nx = speed->cut_x[cut], ny = speed->cut_y[cut], nz = speed->cut_z[cut];
-  const int32_t point = speed->cut_point[cut];
-  dbk_real c[3], a[DBK_MAX_DOF], square = (dbk_real)0, before = (dbk_real)0;
+  const int32_t point = speed->cut_point[cut], ramped = speed->cut_ramped[cut];
+  dbk_real c[3], a[DBK_MAX_DOF], square = (dbk_real)0, before = (dbk_real)0, offset = (dbk_real)0;
   const int32_t frame = dbk_frame_of_point(model, ctx, point, c);
   for (int32_t k = 0; k < model->n; ++k) {
     const dbk_real *r = ctx->frames.rotation[k + 1], *p = ctx->frames.origin[k + 1];
     const dbk_real zx = r[2], zy = r[5], zz = r[8], x = c[0] - p[0], y = c[1] - p[1], z = c[2] - p[2];
     const dbk_real along = nx * zx + ny * zy + nz * zz;
     const dbk_real around = nx * (zy * z - zz * y) + ny * (zz * x - zx * z) + nz * (zx * y - zy * x);
-    const dbk_real value = model->joint_kind[k] == DBK_PRISMATIC ? along : around;
-    a[k] = k < frame ? -value : (dbk_real)0;
+    const int32_t moves = k < frame && k >= model->speed_first_joint;
+    const dbk_real value = !moves ? (dbk_real)0 : (model->joint_kind[k] == DBK_PRISMATIC ? -along : -around);
+    before += value * ctx->u_prev[k];
+    a[k] = ramped ? value * speed->gain[k] : value;
+    offset += ramped ? value * speed->shift[k] : (dbk_real)0;
     square += a[k] * a[k];
-    before += a[k] * ctx->u_prev[k];
   }
-  const dbk_real norm = dbk_sqrt(square);
+  const dbk_real norm = dbk_sqrt(square), limit = ramped ? speed->ramp_limit[point] : speed->limit[point];
   if (!(norm > DBK_ZERO_GRADIENT)) { return; } /* no joint can make the point faster than the limit */
-  if (rows->count >= DBK_MAX_ROWS) {
-    rows->overflow = 1;
-    return;
-  }
+  rows->overflow |= rows->count >= DBK_MAX_ROWS;
+  if (rows->overflow) { return; }
   const int32_t r = rows->count++;
   for (int32_t k = 0; k < model->n; ++k) { rows->a[k][r] = a[k] / norm; }
-  rows->b[r] = -((dbk_real)1 - DBK_SPEED_SHRINK) * speed->limit[point] / norm;
+  rows->b[r] = (-((dbk_real)1 - DBK_SPEED_SHRINK) * limit - offset) / norm;
   rows->h[r] = speed->allowed[point] + before;
   rows->norm[r] = norm;
   rows->kind[r] = DBK_ROW_SPEED;
@@ -195,12 +231,12 @@ void dbk_speed_rows(const dbk_model *model, dbk_ctx *ctx) {
 }
 
 /* the point of first..last-1 that exceeds its limit by the largest factor; -1 if none does */
-static int32_t fastest(const dbk_speed *speed, const dbk_point_velocities *v, int32_t first, int32_t last) {
+static int32_t fastest(const dbk_real *limit, const dbk_point_velocities *v, int32_t first, int32_t last) {
   dbk_real most = (dbk_real)1;
   int32_t found = -1;
   for (int32_t p = first; p < last; ++p) {
     const dbk_real square = v->vx[p] * v->vx[p] + v->vy[p] * v->vy[p] + v->vz[p] * v->vz[p];
-    const dbk_real factor = square / (speed->limit[p] * speed->limit[p]);
+    const dbk_real factor = square / (limit[p] * limit[p]);
     if (factor > most) {
       most = factor;
       found = p;
@@ -210,12 +246,15 @@ static int32_t fastest(const dbk_speed *speed, const dbk_point_velocities *v, in
 }
 
 /* adds the cut of a point in the direction of its velocity, and its row; 0 if there is no room */
-static int32_t add_cut(const dbk_model *model, dbk_ctx *ctx, const dbk_point_velocities *v, int32_t point) {
+static int32_t add_cut(const dbk_model *model, dbk_ctx *ctx, const dbk_point_velocities *v, int32_t point,
+                       int32_t ramped) {
   dbk_speed *speed = &ctx->speed;
   const int32_t at = speed->n_cuts;
+  if (point < 0) { return 1; }
   const dbk_real length = dbk_length(v->vx[point], v->vy[point], v->vz[point]);
   if (at >= DBK_MAX_CUTS || !dbk_finite(length)) { return 0; }
   speed->cut_point[at] = point;
+  speed->cut_ramped[at] = ramped;
   speed->cut_x[at] = v->vx[point] / length;
   speed->cut_y[at] = v->vy[point] / length;
   speed->cut_z[at] = v->vz[point] / length;
@@ -227,25 +266,60 @@ static int32_t add_cut(const dbk_model *model, dbk_ctx *ctx, const dbk_point_vel
 int32_t dbk_cut_speed(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_real u[DBK_MAX_DOF]) {
   dbk_point_velocities v;
   const int32_t tool = ctx->spheres.count;
-  int32_t room = 1;
+  int32_t fast = 0, room = 1;
   if (!ctx->speed.active) { return 0; }
-  dbk_velocities_of_points(model, scene, ctx, u, &v);
-  if (!too_fast(&ctx->speed, &v)) { return 0; }
-  /* one cut for every link: the velocities of its points are similar */
-  for (int32_t l = 0; l <= model->n_links; ++l) {
-    const int32_t point =
-        fastest(&ctx->speed, &v, dbk_link_first_sphere(model, l), dbk_link_end_sphere(model, scene, l));
-    if (point >= 0) { room &= add_cut(model, ctx, &v, point); }
+  for (int32_t ramped = 0; ramped <= ctx->speed.ramped; ++ramped) {
+    const dbk_real *limit = velocities(model, scene, ctx, u, ramped, &v);
+    if (!too_fast(&ctx->speed, limit, &v)) { continue; }
+    fast = 1;
+    /* one cut for every link: the velocities of its points are similar */
+    for (int32_t l = 0; l <= model->n_links; ++l) {
+      const int32_t first = dbk_link_first_sphere(model, l), last = dbk_link_end_sphere(model, scene, l);
+      room &= add_cut(model, ctx, &v, fastest(limit, &v, first, last), ramped);
+    }
+    room &= add_cut(model, ctx, &v, fastest(limit, &v, tool, tool + 1), ramped);
   }
-  if (fastest(&ctx->speed, &v, tool, tool + 1) >= 0) { room &= add_cut(model, ctx, &v, tool); }
+  if (!fast) { return 0; }
   pad_rows(model, &ctx->rows);
   return room ? 1 : -1;
+}
+
+void dbk_slow_down(const dbk_model *model, const dbk_scene *scene, const dbk_ctx *ctx,
+                   const dbk_real brake[DBK_MAX_DOF], dbk_real u[DBK_MAX_DOF]) {
+  dbk_real start[DBK_MAX_DOF], part = (dbk_real)0.5, share = (dbk_real)0;
+  if (dbk_keeps_speed(model, scene, ctx, u)) { return; }
+  for (int32_t k = 0; k < model->n; ++k) { start[k] = u[k]; }
+  for (int32_t tries = 0; tries < DBK_SPEED_ROUNDS; ++tries) {
+    for (int32_t k = 0; k < model->n; ++k) { u[k] = brake[k] + (share + part) * (start[k] - brake[k]); }
+    if (dbk_keeps_speed(model, scene, ctx, u)) { share += part; }
+    part *= (dbk_real)0.5;
+  }
+  for (int32_t k = 0; k < model->n; ++k) {
+    u[k] = dbk_clamp(brake[k] + share * (start[k] - brake[k]), ctx->lower[k], ctx->upper[k]);
+  }
+}
+
+/* The limits that braking exceeds become the speeds under braking. Returns 1 if a speed exceeds the allowed one. */
+static int32_t limit_as_braking(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_real *brake) {
+  dbk_speed *speed = &ctx->speed;
+  dbk_point_velocities v;
+  int32_t above = 0;
+  for (int32_t ramped = 0; ramped <= speed->ramped; ++ramped) {
+    (void)velocities(model, scene, ctx, brake, ramped, &v);
+    dbk_real *limit = ramped ? speed->ramp_limit : speed->limit;
+    for (int32_t p = 0; p < speed->n_points; ++p) {
+      const dbk_real attained = dbk_length(v.vx[p], v.vy[p], v.vz[p]);
+      if (attained <= limit[p]) { continue; }
+      above |= !ramped && attained > speed->allowed[p];
+      limit[p] = attained + attained * (dbk_real)2 * DBK_SPEED_SHRINK + DBK_SPEED_FLOOR;
+    }
+  }
+  return above;
 }
 
 int32_t dbk_brake_within_speed(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx,
                                dbk_real brake[DBK_MAX_DOF]) {
   dbk_speed *speed = &ctx->speed;
-  dbk_point_velocities v;
   dbk_real u[DBK_MAX_DOF];
   if (!speed->active) { return 0; }
   const int32_t kept = speed->n_cuts; /* of the last step */
@@ -264,15 +338,6 @@ int32_t dbk_brake_within_speed(const dbk_model *model, const dbk_scene *scene, d
     }
     for (int32_t k = 0; k < model->n; ++k) { u[k] = dbk_clamp(ctx->solution.u[k], ctx->lower[k], ctx->upper[k]); }
   }
-  /* the limits become the speeds under braking */
-  int32_t above = 0;
   speed->n_cuts = kept;
-  dbk_velocities_of_points(model, scene, ctx, brake, &v);
-  for (int32_t p = 0; p < speed->n_points; ++p) {
-    const dbk_real attained = dbk_length(v.vx[p], v.vy[p], v.vz[p]);
-    if (attained <= speed->limit[p]) { continue; }
-    above |= attained > speed->allowed[p];
-    speed->limit[p] = attained + attained * (dbk_real)2 * DBK_SPEED_SHRINK + DBK_SPEED_FLOOR;
-  }
-  return above ? DBK_OVERSPEED : 0;
+  return limit_as_braking(model, scene, ctx, brake) ? DBK_OVERSPEED : 0;
 }

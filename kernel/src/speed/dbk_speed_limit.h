@@ -10,10 +10,12 @@
 
 #include "dbk_math.h"
 
-/* Sets the limits of all points for a step from the control u_prev; the kinematics must be set. With `known_only` the
+/* Sets the limits of all points for a step from the control u_prev; the kinematics must be set. With `u_change`, the
+ * last change of the control, the speeds also stay within their limits while the acceleration is reduced to zero within
+ * the jerk limits. With `known_only` the
  * obstacles without the flag DBK_KNOWN have no limits, and the limits are slightly smaller, as for a projection. */
 void dbk_set_speed_limits(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_in *in,
-                          const dbk_real u_prev[DBK_MAX_DOF], int32_t known_only);
+                          const dbk_real u_prev[DBK_MAX_DOF], const dbk_real *u_change, int32_t known_only);
 
 /* 1: no point is faster than its limit */
 int32_t dbk_keeps_speed(const dbk_model *model, const dbk_scene *scene, const dbk_ctx *ctx,
@@ -22,6 +24,10 @@ int32_t dbk_keeps_speed(const dbk_model *model, const dbk_scene *scene, const db
 /* Adds cuts and their rows for the points that are too fast at u. Returns 0 if no point is too fast, 1 if the rows are
  * new, -1 if there is no room for them. */
 int32_t dbk_cut_speed(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_real u[DBK_MAX_DOF]);
+
+/* moves u toward braking, by as little as a bisection resolves, until no point is too fast */
+void dbk_slow_down(const dbk_model *model, const dbk_scene *scene, const dbk_ctx *ctx,
+                   const dbk_real brake[DBK_MAX_DOF], dbk_real u[DBK_MAX_DOF]);
 
 /* appends the rows of all cuts */
 void dbk_speed_rows(const dbk_model *model, dbk_ctx *ctx);

@@ -24,7 +24,7 @@ from dualbrain.safety.barriers.traversable_region import traversable_region
 from dualbrain.safety.barriers.workspace import plane
 from dualbrain.safety.cbf.filter import FilterResult, SafetyFilter
 from dualbrain.safety.cbf.grasped_object import cover_with_spheres
-from dualbrain.safety.cbf.obstacles import Contact, Obstacle, obstacles_from_scene
+from dualbrain.safety.cbf.obstacles import Contact, Obstacle, PersonLimits, obstacles_from_scene
 from dualbrain.safety.supervisor.actions import NO_ACTION, SupervisorDecision
 from dualbrain.safety.supervisor.conditions import Condition
 from dualbrain.safety.supervisor.controller import SafetyController
@@ -73,7 +73,8 @@ class ControlLoopConfig:
     two perceived scenes, `snapshot_period` [s] that between two snapshots for observers, `settle_time` [s] the time at
     rest after a contract. `timing` holds the limits on delays of the robot's interface. `unrecorded`: the arm may move
     on if its recording cannot be written. `keep_margins`: observations and ends of permits do not make a margin short
-    without need (`ObstacleEstimates`, `ResidualContacts.keep_until_clear`); False is for comparisons.
+    without need (`ObstacleEstimates`, `ResidualContacts.keep_until_clear`); False is for comparisons. `persons`: speed
+    limits near persons, from the site file.
     """
 
     guard: bool = True
@@ -83,6 +84,7 @@ class ControlLoopConfig:
     timing: Timing = SIMULATED
     unrecorded: bool = False
     keep_margins: bool = True
+    persons: PersonLimits | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -439,7 +441,8 @@ class ControlLoop:
             | self._residual_contacts.object_names
             | self._mapped_obstacles()
         )
-        obstacles, stamp = obstacles_from_scene(self.scene, known=known, held=held), effective_stamp(self.scene)
+        obstacles = obstacles_from_scene(self.scene, known=known, held=held, persons=self.config.persons)
+        stamp = effective_stamp(self.scene)
         if self.config.keep_margins:
             obstacles = self._estimate(obstacles, grasped=grasped)
         if self.scene.region:

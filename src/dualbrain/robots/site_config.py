@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, cast, get_args, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, cast, get_args, get_type_hints
 
 import msgspec
 
@@ -39,10 +39,16 @@ class SiteEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class RobotSettings(SiteEntry, frozen=True):
-    """[robot]: control period [s], tool speed [m/s]; for a base also turn rate [rad/s], turn acceleration [rad/s²]."""
+    """[robot]: control period [s], tool speed [m/s], mass of the moving parts and of the load [kg].
+
+    For a base also turn rate [rad/s], turn acceleration [rad/s²]. The masses serve the power and force limiting of
+    [person.NAME].
+    """
 
     period: Positive | None = None
     tool_speed: Positive | None = None
+    moving_mass: Positive | None = None
+    load: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0
     turn: Positive | None = None
     turn_acceleration: Positive | None = None
 
@@ -104,6 +110,32 @@ class KeepOut(SiteEntry, frozen=True, kw_only=True):
     margin: Length = 0.0
 
 
+class PersonEntry(SiteEntry, frozen=True, kw_only=True):
+    """[person.NAME], for a person by name or for all `others`: the speed limit near the person.
+
+    - `monitoring` "separation": the speed toward the person falls with the distance (`reaction` [s], `brake` [m/s²],
+      `approach` [m/s]). "power_and_force": within `distance` [m] no part is faster than the contact speed of the body
+      region minus `approach`, and decelerates to it with `brake` before. "barrier": the obstacle barrier alone.
+    - `body_region`: name in `safety.integration.power_and_force.BODY_REGIONS`, or "own" with `mass` [kg], `stiffness`
+      [N/m], `force` [N], `transient` and the `source` of these numbers. `pressure` [Pa] and `area` [m²] of the contact
+      limit the force further.
+    """
+
+    monitoring: Literal["separation", "power_and_force", "barrier"]
+    reaction: Annotated[float, msgspec.Meta(ge=0.0)] = 0.1
+    brake: Positive | None = None
+    approach: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0
+    body_region: str | None = None
+    distance: Length = 0.3
+    mass: Positive | None = None
+    stiffness: Positive | None = None
+    force: Positive | None = None
+    transient: Positive | None = None
+    source: str | None = None
+    pressure: Positive | None = None
+    area: Positive | None = None
+
+
 class Commander(SiteEntry, frozen=True):
     """[commander.NAME]: the skills that this principal may call."""
 
@@ -120,6 +152,7 @@ class Site(SiteEntry, frozen=True, kw_only=True):
     payload: Payload | None = None
     plane: tuple[PlaneEntry, ...] = ()
     keep_out: tuple[KeepOut, ...] = ()
+    person: dict[str, PersonEntry] = {}
     commander: dict[str, Commander] = {}
 
 

@@ -22,6 +22,7 @@ from dualbrain.records import Judgement, Outcome
 from dualbrain.robots.interface import RobotInterface
 from dualbrain.robots.loader import load_robot
 from dualbrain.robots.model import RobotModel
+from dualbrain.safety.cbf.config import operating_config
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
@@ -68,18 +69,18 @@ class SimulatedCell:
     ) -> None:
         """Connect the parts of a cell; `SimulatedCell.make` makes them from a robot and a scene.
 
-        `safety` is the filter of `robot_model`, by default without a site file; `log` gets ticks and events. `config`,
-        `observer` and `inputs` are those of the control loop. A contract that `inputs` interrupts when the robot's
-        clock shows `time_limit` [s] or more has failed. `robot` and `environment` replace the plant and the world for
-        the control loop. The world follows the phases of the control loop in any case, before the callback of
-        `observer`.
+        `safety` is the filter of `robot_model`, by default with its `operating_config` and without a site file;
+        `log` gets ticks and events. `config`, `observer` and `inputs` are those of the control loop. A contract
+        that `inputs` interrupts when the robot's clock shows `time_limit` [s] or more has failed. `robot` and
+        `environment` replace the plant and the world for the control loop. The world follows the phases of the
+        control loop in any case, before the callback of `observer`.
 
         Raises:
             ConfigurationError: the filter cannot be made for `robot_model` (see `SafetyFilter`).
         """
         outer = observer or LoopObserver()
         self.robot_model, self.world, self.plant = robot_model, world, world.plant
-        self.safety = safety or SafetyFilter(robot_model)
+        self.safety = safety or SafetyFilter(robot_model, operating_config(robot_model))
         self.log = log or FlightLog(Trace(robot_model.n, robot_model.nq))
 
         def on_phase(phase: str, roles: dict[str, str | None]) -> None:

@@ -55,7 +55,7 @@ from dualbrain.runtime.episode import EpisodeRequest, run_episode
 from dualbrain.runtime.inspection.counterfactual import CounterfactualQueries
 from dualbrain.runtime.replanning import Try, successive_tries
 from dualbrain.safety.cbf.kernel import kernel_hash
-from dualbrain.safety.integration.site import site_obstacles, site_robot, site_skill_grants
+from dualbrain.safety.integration.site import site_obstacles, site_persons, site_robot, site_skill_grants
 from dualbrain.simulation.perception.rendering import Camera
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from dualbrain.simulation.scenes.scene_spec import save_scene
@@ -112,6 +112,7 @@ class Session:
         site = read_site(config.site) if config.site else None
         self.robot_model = site_robot(load_robot(config.robot), site) if site else load_robot(config.robot)
         self.fixed_obstacles = site_obstacles(self.robot_model, site) if site else ()
+        self.persons = site_persons(site) if site else None
         self.grants = site_skill_grants(site, frozenset(skill_registry(self.robot_model).by_name)) if site else None
         self.spec = open_scene(config.scene, config.robot)
         encoder = MiniLmEncoder.from_cache(config.cache)
@@ -234,6 +235,7 @@ class Session:
             spec=self.spec,
             world=self.world,
             fixed_obstacles=self.fixed_obstacles,
+            persons=self.persons,
             versions=self._versions(),
             image_features=self._image_features,
             interrupted=lambda: self._stop_requested,

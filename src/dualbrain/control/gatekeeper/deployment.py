@@ -16,9 +16,9 @@ from dualbrain.drivers.commissioning.record import require_record
 from dualbrain.robots.loader import BUILTIN_ROBOTS, load_robot
 from dualbrain.robots.model import RobotModel
 from dualbrain.robots.site_config import read_site
-from dualbrain.safety.cbf.config import FilterConfig
-from dualbrain.safety.cbf.obstacles import Obstacle
-from dualbrain.safety.integration.site import site_obstacles, site_robot, site_skill_grants
+from dualbrain.safety.cbf.config import FilterConfig, operating_config
+from dualbrain.safety.cbf.obstacles import Obstacle, PersonLimits
+from dualbrain.safety.integration.site import site_obstacles, site_persons, site_robot, site_skill_grants
 from dualbrain.safety.supervisor.timing import Timing, simulated_timing
 from dualbrain.skills.registry import skill_registry
 
@@ -31,6 +31,7 @@ class Deployment:
     fixed_obstacles: tuple[Obstacle, ...]
     capability: Capability
     driver: DriverKind | None
+    persons: PersonLimits | None = None
 
     @classmethod
     def from_config(cls, config: GatekeeperConfig) -> Deployment:
@@ -59,7 +60,8 @@ class Deployment:
             capability = capability.intersect(Capability(granted.get(PLANNER, frozenset())))
         if config.capability is not None:
             capability = capability.intersect(config.capability)
-        return cls(robot_model, site_obstacles(robot_model, site) if site else (), capability, kind)
+        persons = site_persons(site) if site else None
+        return cls(robot_model, site_obstacles(robot_model, site) if site else (), capability, kind, persons)
 
     @property
     def timing(self) -> Timing:
@@ -67,9 +69,9 @@ class Deployment:
         return self.driver.timing if self.driver else simulated_timing(self.robot_model.period)
 
     @property
-    def filter_config(self) -> FilterConfig | None:
+    def filter_config(self) -> FilterConfig:
         """Settings of the filter; for an arm that refuses high jerk, the filter enforces its jerk limits."""
-        return FilterConfig(jerk_limits=True) if self.driver and self.driver.jerk_limits else None
+        return operating_config(self.robot_model, jerk_limits=bool(self.driver and self.driver.jerk_limits))
 
     def process_settings(self, config: GatekeeperConfig) -> SimulatedRobotSettings | DriverSettings:
         """Settings of the robot process."""
@@ -95,6 +97,7 @@ class Deployment:
     def recording_metadata(self, config: GatekeeperConfig) -> dict[str, Any]:
         """Metadata of the recording; with a site file, everything about the site that a replay needs."""
         about: dict[str, Any] = {"robot": config.robot, "guard": True, "instruction": config.instruction}
+        about["cartesian_speed"] = self.filter_config.cartesian_speed
         if config.site or config.robot not in BUILTIN_ROBOTS:  # a recording names known robots only
             about |= {"body": self.robot_model, "standing": self.fixed_obstacles}
         return about

@@ -47,7 +47,7 @@ from dualbrain.records import Outcome
 from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.config import FilterConfig
 from dualbrain.safety.cbf.filter import SafetyFilter
-from dualbrain.safety.cbf.obstacles import Obstacle
+from dualbrain.safety.cbf.obstacles import Obstacle, PersonLimits
 from dualbrain.safety.supervisor.conditions import Condition
 from dualbrain.safety.supervisor.timing import Timing
 from dualbrain.skills.registry import skill_registry
@@ -74,13 +74,15 @@ class GatekeeperSettings:
 
     `timing`: limits on delays of the robot's interface. `speed_scale`: initial speed scale, (0, 1]. `fixed_obstacles`:
     obstacles of the site. `filter_config`: settings of the filter for this robot. `drive_initially_off`: the drive has
-    to be switched on first. `unrecorded`: the arm may move on if the recording cannot be written.
+    to be switched on first. `unrecorded`: the arm may move on if the recording cannot be written. `persons`: speed
+    limits near persons.
     """
 
     timing: Timing
     speed_scale: float = 1.0
     fixed_obstacles: tuple[Obstacle, ...] = ()
     filter_config: FilterConfig | None = None
+    persons: PersonLimits | None = None
     drive_initially_off: bool = False
     unrecorded: bool = False
 
@@ -137,7 +139,10 @@ class Gatekeeper:
             safety,
             self._log,
             ControlLoopConfig(
-                snapshot_period=TICK_REPORT_PERIOD, timing=settings.timing, unrecorded=settings.unrecorded
+                snapshot_period=TICK_REPORT_PERIOD,
+                timing=settings.timing,
+                unrecorded=settings.unrecorded,
+                persons=settings.persons,
             ),
             LoopObserver(on_tick=self._broadcast_tick, on_phase=robot.set_phase, mark_part=mark_part),
             LoopInputs(external_conditions=self._service_connections, clock=robot.clock),

@@ -116,6 +116,7 @@ def _assemble(
             speed_scale=config.speed_scale,
             fixed_obstacles=deployment.fixed_obstacles,
             filter_config=deployment.filter_config,
+            persons=deployment.persons,
             drive_initially_off=deployment.driver is not None,
             unrecorded=config.unrecorded,
         ),

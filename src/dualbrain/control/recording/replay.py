@@ -31,6 +31,7 @@ from dualbrain.records import MarginShortfall
 from dualbrain.robots.interface import RobotState
 from dualbrain.robots.loader import find_model_faults, load_builtin_robot
 from dualbrain.robots.model import RobotModel
+from dualbrain.safety.cbf.config import FilterConfig
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.obstacles import Contact, Obstacle
 from dualbrain.safety.cbf.result import FilterResult
@@ -136,7 +137,8 @@ class _ReplayFilter:
         """Make the filter of the /episode message `data`: robot, guard, and the changes that a site file made."""
         robot_model = _recorded_robot(data)
         obstacles = msgspec.convert(data.get("standing", ()), tuple[Obstacle, ...])
-        self._filter, self._guard = SafetyFilter(robot_model, obstacles=obstacles), bool(data["guard"])
+        config = FilterConfig(cartesian_speed=data.get("cartesian_speed"))
+        self._filter, self._guard = SafetyFilter(robot_model, config, obstacles=obstacles), bool(data["guard"])
         self._columns = columns(robot_model.n, robot_model.nq)
         self.monitor = MarginMonitor(self._filter)
 

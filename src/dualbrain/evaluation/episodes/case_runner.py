@@ -32,6 +32,7 @@ from dualbrain.runtime.agent import Agent, EpisodicMemory
 from dualbrain.runtime.assembly import CellOptions, SimulatedCell, open_world
 from dualbrain.runtime.episode import EpisodeRequest, GroundTruth, run_episode
 from dualbrain.runtime.planning_time import PLANNING_TIME, PlanningClock
+from dualbrain.safety.cbf.config import operating_config
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.simulation.monitoring.safety_monitor import SafetyMeasurements
 from dualbrain.simulation.perception.noisy_perception import NoisyPerception, PerceptionNoise
@@ -184,7 +185,7 @@ def _make_cell(case: Case, method: Method, resources: EpisodeResources, stopwatc
         permitted_skills=planner_grants(skill_registry(model))[PLANNER],
     )
     world = open_world(case.spec, model, options)
-    safety = SafetyFilter(model) if method.guard else PassiveFilter(model)
+    safety = SafetyFilter(model, operating_config(model)) if method.guard else PassiveFilter(model)
     _time_parts(stopwatch, world, safety)
     return SimulatedCell(
         model,

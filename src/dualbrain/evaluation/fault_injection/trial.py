@@ -26,6 +26,7 @@ from dualbrain.records import Outcome, Violation
 from dualbrain.robots.loader import load_robot
 from dualbrain.robots.model import RobotModel
 from dualbrain.runtime.assembly import SimulatedCell
+from dualbrain.safety.cbf.config import operating_config
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.supervisor.actions import SafetyAction
 from dualbrain.simulation.plant.plant import Plant
@@ -108,7 +109,7 @@ def run_fault_trial(fault: Fault, *, robot: str = "panda", scene: str = "tableto
     plant = world.plant
     motion.observe(plant)
     injector = FaultInjector(fault, lambda: plant.now)
-    safety = SafetyFilter(robot_model)
+    safety = SafetyFilter(robot_model, operating_config(robot_model))
     inject_filter_fault(safety, injector)
     events: list[tuple[float, Event]] = []  # with true times: the robot's own stamps may be faulty
     log = FlightLog(Trace(robot_model.n, robot_model.nq), None, lambda event: events.append((plant.now, event)))

@@ -14,7 +14,7 @@ from dualbrain.robots.model import RobotModel
 from dualbrain.runtime.config import Clocks, RunConfig, RunObserver
 from dualbrain.runtime.episode import GroundTruth
 from dualbrain.runtime.planning_time import PlanningClock
-from dualbrain.safety.cbf.obstacles import Obstacle
+from dualbrain.safety.cbf.obstacles import Obstacle, PersonLimits
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
 from dualbrain.simulation.world import SimulatedWorld
 
@@ -34,6 +34,7 @@ class RunContext:
     spec: SceneSpec
     world: SimulatedWorld
     fixed_obstacles: tuple[Obstacle, ...]
+    persons: PersonLimits | None
     versions: dict[str, str]
     image_features: Callable[[], ImageFeatures | None]
     interrupted: Callable[[], bool]

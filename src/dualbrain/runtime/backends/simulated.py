@@ -16,6 +16,7 @@ from dualbrain.runtime.backends.backend import RunContext, RunningRobot
 from dualbrain.runtime.config import RunObserver
 from dualbrain.runtime.episode import GroundTruth
 from dualbrain.runtime.planning_time import PLANNING_TIME, PlanningClock
+from dualbrain.safety.cbf.config import operating_config
 from dualbrain.safety.cbf.filter import SafetyFilter
 
 
@@ -40,9 +41,9 @@ class SimulatedBackend:
             cell = SimulatedCell(
                 model,
                 world,
-                safety=SafetyFilter(model, obstacles=context.fixed_obstacles),
+                safety=SafetyFilter(model, operating_config(model), obstacles=context.fixed_obstacles),
                 log=log,
-                config=ControlLoopConfig(guard=config.guard, unrecorded=config.unrecorded),
+                config=ControlLoopConfig(guard=config.guard, unrecorded=config.unrecorded, persons=context.persons),
                 observer=LoopObserver(on_tick=observer.on_tick, on_phase=lambda phase, roles: observer.on_phase(phase)),
                 inputs=LoopInputs(interrupted=context.interrupted, clock=lambda: world.plant.now),
             )
@@ -63,6 +64,7 @@ def _recording_metadata(context: RunContext) -> dict[str, object]:
     """Metadata of the recording; with a site file, everything about the site that a replay needs."""
     config = context.config
     about: dict[str, object] = {"robot": config.robot, "guard": config.guard, "instruction": config.instruction}
+    about["cartesian_speed"] = operating_config(context.robot_model).cartesian_speed
     if config.site or config.robot not in BUILTIN_ROBOTS:  # a recording names known robots only
         about |= {"body": context.robot_model, "standing": context.fixed_obstacles}
     return about

@@ -8,6 +8,7 @@ import msgspec
 
 from dualbrain.core.geometry.validation import check_flag, check_length, check_number, check_positive
 from dualbrain.errors import GeometryError
+from dualbrain.robots.model import RobotModel
 
 MAX_GAIN = 1e6
 """Largest gain [1/s]."""
@@ -87,3 +88,14 @@ class FilterConfig(msgspec.Struct, frozen=True, kw_only=True):
         precision: object = getattr(self, "precision")  # noqa: B009  (a caller may give any type)
         if not (isinstance(precision, str) and precision in PRECISIONS):
             raise GeometryError("FilterConfig.precision", got=self.precision, allowed=" or ".join(PRECISIONS))
+
+
+def operating_config(robot_model: RobotModel, *, jerk_limits: bool = False) -> FilterConfig:
+    """The configuration with which a robot is operated: the Cartesian speed is limited to `RobotModel.tool_speed`.
+
+    The limit of a mobile manipulator is relative to the mount of its arm. A base without an arm has no such limit,
+    because the bounds of its control are those of its speed and turn rate.
+    """
+    limited = robot_model.is_mobile_manipulator or not robot_model.is_mobile
+    speed = robot_model.tool_speed.value if limited else None
+    return FilterConfig(cartesian_speed=speed, jerk_limits=jerk_limits)

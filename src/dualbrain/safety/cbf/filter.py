@@ -185,6 +185,10 @@ class SafetyFilter:
         usable = (*check_obstacles(obstacles, room), *self._fixed_obstacles)
         self._check_gains(usable)
         self._kernel.set_obstacles(obstacle_table(usable, self._part_links))
+        for index, obstacle in enumerate(usable):
+            if obstacle.near is not None:
+                near = obstacle.near
+                self._kernel.limit_near(index, near.speed, near.distance, near.brake, near.approach)
         self._obstacles, self._stamp = usable, stamp
         names, barriers = tuple([one.name for one in usable]), tuple([one.barrier for one in usable])
         if (names, barriers) != (self._names.obstacles, self._names.barriers):

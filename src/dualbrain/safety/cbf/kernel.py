@@ -30,6 +30,8 @@ BUILD_SUFFIXES = ("", "_wide")
 """Suffixes of the builds by size: up to 8 joints and up to 16 joints."""
 CAPSULE, BOX, HALF_SPACE = 0.0, 1.0, 2.0
 KNOWN_FLAG, STATIC_FLAG = 1, 2
+BASE_JOINTS = 2
+"""Joints of a mobile base in the chain: speeds of a mobile manipulator are relative to the mount of its arm."""
 ALL_PARTS = 2**32 - 1
 OBSTACLE_COLUMNS = 29
 _pack_entry = Struct(f"{OBSTACLE_COLUMNS}d").pack
@@ -128,6 +130,7 @@ def _settings(robot_model: RobotModel, config: FilterConfig) -> dict[str, Any]:
         "lag": robot_model.tracking.lag if config.lag_compensation else 0.0,
         "tracking": tracking_error(robot_model, config),
         "speed_limit": config.cartesian_speed or 0.0,
+        "speed_first_joint": float(BASE_JOINTS if robot_model.is_mobile_manipulator else 0),
         "state_age_max": config.state_stale_after,
         "scene_age_max": config.scene_stale_after,
     }

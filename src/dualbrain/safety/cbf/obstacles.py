@@ -12,7 +12,7 @@ from dualbrain.core.geometry.distance import Solid, bounding_solid
 from dualbrain.core.geometry.shapes import IDENTITY_POSE, Box, Capsule, HalfSpace, Pose, Sphere, Vector
 from dualbrain.errors import GeometryError
 from dualbrain.records import ZERO_VECTOR, Scene, SceneObject
-from dualbrain.safety.cbf.config import MAX_GAIN
+from dualbrain.safety.cbf.config import MAX_CARTESIAN_SPEED, MAX_GAIN, MIN_CARTESIAN_SPEED
 from dualbrain.safety.cbf.rows import Rank
 
 SOLIDS = (Sphere, Capsule, Box, HalfSpace)
@@ -20,6 +20,10 @@ SOLIDS = (Sphere, Capsule, Box, HalfSpace)
 MAX_CLOCK_LEAD = 0.005
 """Time [s] by which a stamp may be in the future, for two clocks that are not exactly synchronous."""
 MAX_REACTION, MAX_DECELERATION, MAX_APPROACH = 1e3, 1e6, 1e3
+OTHERS = "others"
+"""Name of the entry of `PersonLimits` for the persons that have no entry of their own."""
+MAX_NEAR_DISTANCE = 100.0
+"""Largest distance of a speed limit near a person [m]."""
 MAX_CONTACT_SPEED = 10.0
 """Largest contact speed of a permit [m/s]."""
 
@@ -47,6 +51,51 @@ class SpeedAndSeparation(msgspec.Struct, frozen=True):
         validation.check_length("SpeedAndSeparation.approach [m/s]", self.approach, MAX_APPROACH)
 
 
+class NearSpeed(msgspec.Struct, frozen=True):
+    """Limit of the speed of the robot's parts near one person, for power and force limiting (`contact_speed`).
+
+    A part within `distance` [m] of the person moves at most at `speed` [m/s], in any direction. Farther away the limit
+    rises such that the part decelerates to `speed` with `brake` [m/s²] before it is within the distance, also if the
+    person approaches at `approach` [m/s] or at the observed speed.
+    """
+
+    speed: float
+    distance: float = 0.3
+    brake: float = 1.0
+    approach: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the numbers; raises `GeometryError`."""
+        validation.check_number("NearSpeed.speed [m/s]", self.speed, MIN_CARTESIAN_SPEED, MAX_CARTESIAN_SPEED)
+        validation.check_length("NearSpeed.distance [m]", self.distance, MAX_NEAR_DISTANCE)
+        validation.check_positive("NearSpeed.brake [m/s²]", self.brake, MAX_DECELERATION)
+        validation.check_length("NearSpeed.approach [m/s]", self.approach, MAX_APPROACH)
+
+
+class PersonLimits(msgspec.Struct, frozen=True, kw_only=True):
+    """Speed limits near persons, by the name of the scene object; `OTHERS` is the entry of every other person.
+
+    An entry under the name of a person replaces those of `OTHERS`. Without any, the obstacle barrier alone applies,
+    also to the persons in `named` that have no entry.
+    """
+
+    separation: dict[str, SpeedAndSeparation] = {}
+    near: dict[str, NearSpeed] = {}
+    named: frozenset[str] = frozenset()
+
+    def separation_of(self, name: str) -> SpeedAndSeparation | None:
+        """The speed and separation monitoring of a person."""
+        return self.separation.get(self._key(name))
+
+    def near_of(self, name: str) -> NearSpeed | None:
+        """The power and force limiting of a person."""
+        return self.near.get(self._key(name))
+
+    def _key(self, name: str) -> str:
+        own = name in self.named or name in self.separation or name in self.near
+        return name if own else OTHERS
+
+
 class PlacedShape(msgspec.Struct, frozen=True):
     """A named `shape` at `pose`."""
 
@@ -64,7 +113,8 @@ class Obstacle(PlacedShape, frozen=True, kw_only=True):
       a velocity or a velocity error moves, with or without `static`.
     - `rank` is the order of relaxation, `alpha` [1/s] replaces the gain of the filter.
     - `parts`: robot parts that keep away (groups, links, "held"); empty means all.
-    - `separation` adds a speed limit by distance. `barrier` is the name of the barrier that the rows belong to.
+    - `separation` adds a limit of the speed toward the obstacle by distance, `near` a limit of the speed of the parts
+      near it, for power and force limiting. `barrier` is the name of the barrier that the rows belong to.
     """
 
     velocity: Vector = ZERO_VECTOR
@@ -77,6 +127,7 @@ class Obstacle(PlacedShape, frozen=True, kw_only=True):
     parts: tuple[str, ...] = ()
     separation: SpeedAndSeparation | None = None
     barrier: str = "obstacle"
+    near: NearSpeed | None = None
 
     @property
     def moves(self) -> bool:
@@ -116,7 +167,7 @@ def _is_plain(obstacle: object) -> bool:
         and type(obstacle.rank) is Rank
         and type(obstacle.known) is bool
         and obstacle.parts == ()
-        and obstacle.alpha is obstacle.separation is None
+        and obstacle.alpha is obstacle.separation is obstacle.near is None
     )
 
 
@@ -178,6 +229,8 @@ def check_obstacle(obstacle: object, index: int = 0) -> Obstacle:
         validation.check_positive(f"alpha of {of}", given.alpha, MAX_GAIN)
     if given.separation is not None:
         validation.check_instance(f"separation of {of}", given.separation, SpeedAndSeparation).__post_init__()
+    if given.near is not None:
+        validation.check_instance(f"near of {of}", given.near, NearSpeed).__post_init__()
     if type(given.rank) is not Rank:
         raise GeometryError(f"rank of {of}", got=given.rank, allowed="a Rank")
     parts = validation.check_sequence(f"parts of {of}", given.parts, validation.MAX_NAME_LENGTH, of="part names")
@@ -194,17 +247,23 @@ def check_obstacle(obstacle: object, index: int = 0) -> Obstacle:
         alpha=given.alpha,
         parts=tuple(validation.check_name(f"parts of {of}", part) for part in parts),
         separation=given.separation,
+        near=given.near,
         barrier=validation.check_name(f"barrier of {of}", given.barrier),
     )
 
 
 def obstacles_from_scene(
-    scene: Scene, *, known: Collection[str], held: str | None, clearance: float = 0.0
+    scene: Scene,
+    *,
+    known: Collection[str],
+    held: str | None,
+    clearance: float = 0.0,
+    persons: PersonLimits | None = None,
 ) -> tuple[Obstacle, ...]:
     """Obstacles for all scene objects except `held`, with the perception error plus `clearance` [m] as margin.
 
     Objects observed before the stamp of the scene are moved along their velocity, and their margin grows accordingly.
-    `known` lists the objects that the projection φ respects.
+    `known` lists the objects that the projection φ respects. `persons` adds its limits to the persons.
 
     Raises:
         GeometryError: an object has a number, shape or pose that is not usable, or a stamp after that of the scene.
@@ -212,7 +271,9 @@ def obstacles_from_scene(
     validation.check_length("clearance", clearance)
     usable = check_scene(scene)
     return tuple(
-        _to_obstacle(obj, usable.stamp, obj.name in known, clearance) for obj in usable.objects if obj.name != held
+        _to_obstacle(obj, usable.stamp, obj.name in known, clearance, persons)
+        for obj in usable.objects
+        if obj.name != held
     )
 
 
@@ -261,7 +322,9 @@ def moves(obj: SceneObject) -> bool:
     return obj.role == "person" or any(obj.velocity) or obj.velocity_error > 0.0
 
 
-def _to_obstacle(obj: SceneObject, stamp: float, known: bool, clearance: float) -> Obstacle:
+def _to_obstacle(
+    obj: SceneObject, stamp: float, known: bool, clearance: float, persons: PersonLimits | None
+) -> Obstacle:
     age = max(0.0, stamp - obj.stamp)
     shape, pose = bounding_solid(obj.shape, obj.pose)
     x, y, z = (p + v * age for p, v in zip(pose.position, obj.velocity, strict=True))
@@ -275,6 +338,8 @@ def _to_obstacle(obj: SceneObject, stamp: float, known: bool, clearance: float) 
         known=known,
         static=not moves(obj),
         rank=Rank.BODY if obj.role == "person" else Rank.OBSTACLE,
+        separation=persons.separation_of(obj.name) if persons and obj.role == "person" else None,
+        near=persons.near_of(obj.name) if persons and obj.role == "person" else None,
     )
 
 

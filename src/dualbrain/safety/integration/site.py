@@ -11,13 +11,15 @@ from numpy.typing import NDArray
 
 from dualbrain.core.geometry.rotations import matrix_to_quaternion, quaternion_to_matrix
 from dualbrain.core.geometry.shapes import Box, Pose
+from dualbrain.errors import ConfigurationError
 from dualbrain.robots.model import Bound, CollisionSphere, Joint, Link, RobotModel, SelfCollisionPairs, Tool
-from dualbrain.robots.site_config import SiteFile, ToolEntry, ToolSphere
+from dualbrain.robots.site_config import PersonEntry, SiteError, SiteFile, ToolEntry, ToolSphere
 from dualbrain.safety.barriers.workspace import plane
-from dualbrain.safety.cbf.config import FilterConfig
+from dualbrain.safety.cbf.config import FilterConfig, operating_config
 from dualbrain.safety.cbf.filter import SafetyFilter
-from dualbrain.safety.cbf.obstacles import Obstacle
+from dualbrain.safety.cbf.obstacles import NearSpeed, Obstacle, PersonLimits, SpeedAndSeparation
 from dualbrain.safety.cbf.rows import Rank
+from dualbrain.safety.integration.power_and_force import BodyRegion, body_region, contact_speed, effective_mass
 
 TOOL_LINK, PAYLOAD_LINK = "site_tool", "site_payload"
 Array = NDArray[np.float64]
@@ -27,11 +29,15 @@ GRIPPER_GROUPS = ("hand", "fingers")
 def site_filter(file: SiteFile, robot_model: RobotModel, config: FilterConfig | None = None) -> SafetyFilter:
     """Filter of `robot_model` at this site, with its limits, tool, payload, planes and keep-out boxes.
 
+    Without `config` it is the `operating_config`, which limits the speed of all parts to the tool speed of the site.
+    The limits near persons are those of the obstacles: pass `site_persons` to `obstacles_from_scene`.
+
     Raises:
         SiteError: an entry does not fit the robot model; the error has its line and column.
     """
     narrowed = site_robot(robot_model, file)
-    return SafetyFilter(narrowed, config, obstacles=site_obstacles(narrowed, file))
+    chosen = operating_config(narrowed) if config is None else config
+    return SafetyFilter(narrowed, chosen, obstacles=site_obstacles(narrowed, file))
 
 
 def site_robot(robot_model: RobotModel, file: SiteFile) -> RobotModel:
@@ -86,6 +92,51 @@ def site_obstacles(robot_model: RobotModel, file: SiteFile) -> tuple[Obstacle, .
             )
         )
     return tuple(found)
+
+
+def site_persons(file: SiteFile) -> PersonLimits | None:
+    """The speed limits near persons; None if the file has no entry for any.
+
+    Raises:
+        SiteError: an entry lacks a number, names an unknown body region, or its contact speed is not usable.
+    """
+    separation: dict[str, SpeedAndSeparation] = {}
+    near: dict[str, NearSpeed] = {}
+    for name, entry in file.site.person.items():
+        path = f"person.{name}"
+        try:
+            if entry.monitoring == "separation":
+                brake = SpeedAndSeparation().brake if entry.brake is None else entry.brake
+                separation[name] = SpeedAndSeparation(entry.reaction, brake, entry.approach)
+            elif entry.monitoring == "power_and_force":
+                near[name] = _near_speed(entry, file, path)
+        except SiteError:
+            raise
+        except ConfigurationError as error:
+            raise file.make_error(path, got=entry.body_region or entry.monitoring, allowed=str(error)) from error
+    names = frozenset(file.site.person)
+    return PersonLimits(separation=separation, near=near, named=names) if names else None
+
+
+def _near_speed(entry: PersonEntry, file: SiteFile, path: str) -> NearSpeed:
+    """The power and force limiting of one person: the contact speed minus the assumed speed of the person."""
+    moving = file.site.robot.moving_mass
+    if moving is None:
+        raise file.make_error(path, got="no [robot] moving_mass", allowed="the mass of the moving parts [kg]")
+    region = _own_region(entry, file, path) if entry.body_region == "own" else body_region(entry.body_region or "")
+    mass = effective_mass(moving, file.site.robot.load)
+    speed = contact_speed(region, mass, pressure=entry.pressure, area=entry.area)
+    brake = entry.brake if entry.brake is not None else 1.0
+    return NearSpeed(speed - entry.approach, entry.distance, brake, entry.approach)
+
+
+def _own_region(entry: PersonEntry, file: SiteFile, path: str) -> BodyRegion:
+    """The body region with the numbers of the site."""
+    mass, stiffness, force, source = entry.mass, entry.stiffness, entry.force, entry.source
+    if mass is None or stiffness is None or force is None or not source:
+        got = f"mass {mass}, stiffness {stiffness}, force {force}, source {source!r}"
+        raise file.make_error(path, got=got, allowed="mass, stiffness, force and their source")
+    return BodyRegion(mass, stiffness, force, entry.transient, source)
 
 
 def site_skill_grants(file: SiteFile, skills: frozenset[str]) -> dict[str, frozenset[str]] | None:
