@@ -263,6 +263,39 @@ MARGIN_CAUSE_TEXTS: dict[MarginCause, str] = {
     MarginCause.TRACKING: "the robot did not follow the command within its tracking error",
 }
 """Each cause as part of a sentence."""
+class SenseVerdict(Record, frozen=True):
+    """Verdict of one sense of the robot on an outcome, with the reason as a sentence.
+
+    The senses are "placed", "intact", "held", "undisturbed" and "fulfilled" (`grounding.outcome`).
+    """
+
+    sense: str
+    verdict: Literal["confirmed", "contradicted", "not judged"]
+    reason: str
+
+
+CLOSING_WINDOW = 0.05
+"""Time [s] within which a closing of the fingers counts as sudden."""
+
+
+class GripProfile(Record, frozen=True, kw_only=True):
+    """Finger forces and openings while `object_name` was between the fingers, from the robot's own sensors.
+
+    `max_force` [N] is the largest force on one finger, `first_opening` and `min_opening` [m per finger] those at the
+    first contact and the smallest, `fastest_closing` [m per finger] the largest closing within `CLOSING_WINDOW` under
+    load. `released`: a later action ended the grip. `end_force` [N, the smaller of both fingers] and `end_opening` [m]
+    are those after the motion; `holds_at_end`: both fingers still press on something.
+    """
+
+    object_name: str
+    max_force: float
+    first_opening: float
+    min_opening: float
+    fastest_closing: float
+    released: bool
+    end_force: float
+    end_opening: float
+    holds_at_end: bool
 
 
 class Outcome(Record, frozen=True, kw_only=True, rename={"active_constraints": "hindrance"}):
@@ -288,6 +321,8 @@ class Outcome(Record, frozen=True, kw_only=True, rename={"active_constraints": "
     """Names of the constraint rows that were active last when an action did not succeed, in words."""
     margin_shortfalls: tuple[MarginShortfall, ...] = ()
     """The intervals with h < 0 during the actions, each with its cause."""
+    grips: tuple[GripProfile, ...] = ()
+    """One profile for each grasp of the contract in which the fingers pressed on something, in its order."""
 
     @property
     def r(self) -> int:
@@ -325,11 +360,17 @@ class Violation(Record, frozen=True, kw_only=True):
 
 
 class Judgement(Record, frozen=True):
-    """Evaluation of an episode on simulator ground truth: task success, progress in [0, 1] and every violation."""
+    """Evaluation of an episode on simulator ground truth: task success, progress in [0, 1] and every violation.
+
+    `success` is that of the instruction, where it can be read, else that of a given goal or contract. `judged` is False
+    if none of them can be judged; `success` is then False. `reason` is a sentence.
+    """
 
     success: bool
     progress: float
     violations: tuple[Violation, ...] = ()
+    judged: bool = True
+    reason: str = ""
 
 
 class Episode(Record, frozen=True, kw_only=True, rename={"failure_feedback": "setback"}):
@@ -353,8 +394,14 @@ class Episode(Record, frozen=True, kw_only=True, rename={"failure_feedback": "se
     binding: dict[str, int] = {}
     """Number of ticks on which a constraint row of each barrier was active, by the name of the barrier."""
     second_opinion: OutcomeCheck = "none"
-    """Check of the outcome by a sensor that the executing skills do not use."""
+    """Check of the outcome by senses that the executing skills do not use: the combination of `senses`."""
     uses: tuple[MemoryUse, ...] = ()
     """Use of each exemplar in the prompt, if the planner was queried again without it."""
     failure_feedback: FailureFeedback | None = None
     """Result of the previous contract, if this contract was planned because the previous one did not succeed."""
+    senses: tuple[SenseVerdict, ...] = ()
+    """Verdicts of the independent senses on the outcome; empty if nothing was executed or declined."""
+    changes: str = ""
+    """Perceived changes of the scene in words."""
+    withheld_skills: tuple[str, ...] = ()
+    """Skills that a recalled episode contains and the instruction does not: removed from what the planner is shown."""

@@ -17,6 +17,7 @@ from dualbrain.contracts.verdict import Rejected
 from dualbrain.control.control_loop import IDLE_ACTION, ControlLoop
 from dualbrain.control.executor import Grants
 from dualbrain.control.recording.flight_log import FlightLog
+from dualbrain.control.recording.grip_profile import grip_profiles
 from dualbrain.grounding.scene_rules import scene_rules
 from dualbrain.records import ActionResult, MarginShortfall, Outcome, OutcomeClass, Scene
 from dualbrain.robots.interface import RobotState
@@ -117,7 +118,11 @@ class ContractExecutor:
         if kind == "aborted" and self._is_out_of_time():
             kind, reason = "failed", f"{TIME_LIMIT_REASON}, {self.time_limit:.0f} s"
         outcome = self.log.outcome(kind, reason, first, tuple(results))
-        return msgspec.structs.replace(outcome, margin_shortfalls=self._margin_shortfalls(first))
+        return msgspec.structs.replace(
+            outcome,
+            margin_shortfalls=self._margin_shortfalls(first),
+            grips=grip_profiles(self.log.trace, first, contract),
+        )
 
     def _margin_shortfalls(self, first: int) -> tuple[MarginShortfall, ...]:
         """The intervals with h < 0 during the actions of the segment that began at tick `first`."""

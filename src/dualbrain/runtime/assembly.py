@@ -17,6 +17,7 @@ from dualbrain.control.control_loop import ControlLoop, ControlLoopConfig, LoopI
 from dualbrain.control.executor import Grants
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.trace import Event, Trace
+from dualbrain.grounding.instruction.truth import make_instruction_judge
 from dualbrain.grounding.vocabulary import planner_grants, scene_names
 from dualbrain.records import Judgement, Outcome
 from dualbrain.robots.interface import RobotInterface
@@ -38,7 +39,8 @@ class CellOptions:
     `goal`: goal that ground truth is judged by; None: the goals of the contract itself. `seed`: randomness of the
     perception. `perception`: makes the perception model of a plant. `visuals`: load meshes for rendering. `pace(now)`
     may delay each period of the simulation. `permitted_skills`: the monitor reports every other skill that begins.
-    `configuration`: initial joint position [rad] and gripper opening [m], None for open.
+    `configuration`: initial joint position [rad] and gripper opening [m], None for open. `instruction`: the words that
+    ground truth is judged by, beside a `goal`.
     """
 
     goal: Goal | None = None
@@ -48,6 +50,7 @@ class CellOptions:
     pace: Callable[[float], None] | None = None
     permitted_skills: frozenset[str] | None = None
     configuration: tuple[Any, float | None] | None = None
+    instruction: str = ""
 
 
 class SimulatedCell:
@@ -171,6 +174,7 @@ def open_world(spec: SceneSpec, robot_model: RobotModel, options: CellOptions) -
         visuals=options.visuals,
         pace=options.pace,
         permitted_skills=options.permitted_skills,
+        instruction_judge=make_instruction_judge(options.instruction),
     )
     if options.configuration is not None:
         world.plant.set_configuration(*options.configuration)

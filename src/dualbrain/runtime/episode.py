@@ -17,7 +17,9 @@ from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.verdict import Accepted, Rejected, Stage, Verdict
 from dualbrain.control.executor import ContractGate, Executor, Grants
 from dualbrain.core.text import storable_text
-from dualbrain.grounding.outcome_check import check_outcome
+from dualbrain.grounding.instruction.recalled_steps import fit_recall, reject_recalled_step
+from dualbrain.grounding.instruction.truth import judge_decline
+from dualbrain.grounding.outcome.outcome_check import check_outcome, collect_evidence
 from dualbrain.grounding.vocabulary import planner_grants, scene_names
 from dualbrain.memory.embedding.image_features import ImageFeatures
 from dualbrain.memory.embedding.posture_features import Posture
@@ -25,7 +27,7 @@ from dualbrain.memory.memory import StoreReport
 from dualbrain.planner.prompt.full_prompt import MAX_RECALLED
 from dualbrain.planner.protocol import STOP, describe_failure, has_answer
 from dualbrain.planner.request import PlanRequest
-from dualbrain.records import Attempt, Episode, FailureFeedback, Judgement, Outcome, Proposal
+from dualbrain.records import Attempt, Episode, FailureFeedback, Judgement, Outcome, Proposal, Scene
 from dualbrain.runtime.agent import Agent
 from dualbrain.runtime.planner_request import PlanningContext, build_request, retrieve
 from dualbrain.runtime.planning_time import PlanningClock, decision_timings
@@ -48,8 +50,9 @@ class EpisodeRequest:
     `max_shots` proposals and is shown at most `max_exemplars` memories (0: neither exemplars nor warnings, as for a
     given contract). `tries_left` contracts may still be executed for the instruction, this one included;
     `failure_feedback` is the feedback on the one before, `continuation` the actions that remain of it for the object in
-    the hand: if the gate rejects every proposal, it gets a contract of these actions. `grants` defines which principal
-    may call which skills; by default the planner may call all of them.
+    the hand: if the gate rejects every proposal, it gets a contract of these actions. `first_scene` is the scene in
+    which the instruction was given, if an earlier contract may have changed it. `grants` defines which principal may
+    call which skills; by default the planner may call all of them.
     """
 
     id: str
@@ -63,6 +66,7 @@ class EpisodeRequest:
     failure_feedback: FailureFeedback | None = None
     continuation: tuple[dict[str, Any], ...] = ()
     grants: Grants | None = None
+    first_scene: Scene | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,13 +102,19 @@ def run_episode(
     recall, retrieval_s = clock.measure(
         lambda: retrieve(request.instruction, context, agent.memory, request.max_exemplars, agent.retrieve_passages)
     )
-    binding_before = executor.log.binding.copy()
+    recall, withheld = fit_recall(recall, request.instruction)
+    binding_before, q_before = executor.log.binding.copy(), executor.state.q.copy()
     plan_request = build_request(request.instruction, context, recall, request.failure_feedback)
-    attempts, verdict = _propose(request, agent, executor, clock, plan_request, scene.version)
+    attempts, verdict = _propose(request, agent, executor, clock, plan_request, scene.version, withheld)
     contract = verdict.contract if isinstance(verdict, Accepted) else None
     if contract:
         ground_truth.start_contract(contract)
     outcome = executor.execute(contract) if contract else _outcome_without_motion(executor, attempts)
+    evidence = collect_evidence(
+        request.first_scene or scene, executor.scene, contract, outcome, q_before, executor.state.q, executor.robot_model
+    )
+    checked = check_outcome(request.instruction, outcome, contract, evidence)
+    judged = None if should_retry(outcome, request.tries_left) else ground_truth.judge()
     episode = Episode(
         id=request.id,
         started=request.started,
@@ -118,12 +128,15 @@ def run_episode(
         attempts=tuple(attempts),
         contract=msgspec.to_builtins(contract) if contract else None,
         outcome=outcome,
-        judgement=None if should_retry(outcome, request.tries_left) else ground_truth.judge(),
+        judgement=judge_decline(judged, request.instruction, evidence),
         timings=decision_timings(attempts, retrieval_s) | {"motion": outcome.duration},
         versions=ground_truth.versions,
         binding=dict(executor.log.binding - binding_before),
-        second_opinion=check_outcome(executor.scene, contract, outcome),
+        second_opinion=checked.check,
         failure_feedback=request.failure_feedback,
+        senses=checked.verdicts,
+        changes=checked.changes,
+        withheld_skills=withheld,
     )
     return episode, agent.memory.store(episode, posture, now=request.now, image=context.image)
 
@@ -135,6 +148,7 @@ def _propose(
     clock: PlanningClock,
     plan_request: PlanRequest,
     scene_version: int,
+    withheld: tuple[str, ...],
 ) -> tuple[list[Attempt], Verdict | None]:
     """Request contracts until the gate accepts one, the planner gives no answer, or all shots are used."""
     registry = skill_registry(executor.robot_model)
@@ -152,7 +166,10 @@ def _propose(
             scene_version=scene_version,
         )
         verdict, gate_s = clock.measure(
-            lambda: _check(gate, proposal, scene_names(executor.scene), executor.state.stamp, header)
+            lambda: (
+                reject_before_gate(proposal, request.instruction, withheld)
+                or _check(gate, proposal, scene_names(executor.scene), executor.state.stamp, header)
+            )
         )
         text = storable_text(proposal.text)
         attempts.append(Attempt(msgspec.structs.replace(proposal, text=text), verdict, gate_s))
@@ -207,10 +224,26 @@ def reject_incomplete(proposal: Proposal) -> Rejected | None:
     )
 
 
+def reject_before_gate(proposal: Proposal, instruction: str, withheld: tuple[str, ...]) -> Rejected | None:
+    """The rejection of an answer that no gate sees: incomplete, or with a step that only a recalled episode contains.
+
+    The check is before the gate because a gatekeeper starts the motion as soon as its gate accepts.
+    """
+    if rejected := reject_incomplete(proposal):
+        return rejected
+    if not withheld:
+        return None
+    try:
+        contract = msgspec.json.decode(proposal.text.encode("utf-8", "surrogatepass"), type=Contract)
+    except (msgspec.DecodeError, RecursionError):
+        return None  # the gate says why
+    return reject_recalled_step(msgspec.to_builtins(contract), withheld, instruction)
+
+
 def _check(gate: ContractGate, proposal: Proposal, names: SceneNames, now: float, header: ContractHeader) -> Verdict:
     """The gate's verdict on a proposal."""
     data = proposal.text.encode("utf-8", "surrogatepass")
-    return reject_incomplete(proposal) or gate.check(data, names=names, principal=PLANNER, now=now, header=header)
+    return gate.check(data, names=names, principal=PLANNER, now=now, header=header)
 
 
 def _outcome_without_motion(executor: Executor, attempts: Sequence[Attempt]) -> Outcome:

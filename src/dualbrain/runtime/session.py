@@ -28,6 +28,7 @@ from dualbrain.core.untrusted.bounded_file import read_bounded_file
 from dualbrain.errors import ConfigurationError
 from dualbrain.grounding.document_retrieval import retrieve_passages
 from dualbrain.grounding.map_overlay import apply_map
+from dualbrain.grounding.instruction.truth import make_instruction_judge
 from dualbrain.knowledge.builtin_documents import open_library
 from dualbrain.knowledge.library import Library
 from dualbrain.memory.config import MemoryConfig
@@ -44,7 +45,7 @@ from dualbrain.memory.plasticity.hebbian_update import Plasticity
 from dualbrain.planner.prompt.full_prompt import MAX_RECALLED, conditional_text_hash, template_hash
 from dualbrain.planner.protocol import Planner
 from dualbrain.planner.scripted import FixedContractPlanner
-from dualbrain.records import Episode, Passage
+from dualbrain.records import Episode, Passage, Scene
 from dualbrain.robots.loader import load_robot
 from dualbrain.robots.site_config import read_site
 from dualbrain.runtime.agent import Agent, EpisodicMemory
@@ -140,7 +141,13 @@ class Session:
             ledger, encoder, MemoryConfig(limits=(PostureLimits.from_model(self.robot_model),), plasticity=rule)
         )
         self.world = make_world(
-            self.spec, self.robot_model, seed=config.seed, goal=goal, visuals=config.visuals, pace=self.clocks.pace
+            self.spec,
+            self.robot_model,
+            seed=config.seed,
+            goal=goal,
+            visuals=config.visuals,
+            pace=self.clocks.pace,
+            instruction_judge=make_instruction_judge(config.instruction),
         )
         self.plant = self.world.plant
         self.interrupted_runs: tuple[InterruptedRun, ...] = ()
@@ -254,13 +261,14 @@ class Session:
                 reason = f"{feedback.outcome.replace('_', ' ')}: {feedback.failed_action}: {feedback.reason}"
                 details = msgspec.to_builtins(feedback)
                 log.note(executor.state.stamp, "planner", f"planning again: {reason}", **details)
-            result = run_episode(self._episode_request(one), agent, executor, robot.clock, robot.ground_truth)
+            request = self._episode_request(one, episodes[0].scene if episodes else None)
+            result = run_episode(request, agent, executor, robot.clock, robot.ground_truth)
             _log_weight_changes(log, executor.state.stamp, result[1])
             results.append(result)
             episodes.append(result[0])
         return results
 
-    def _episode_request(self, one: Try) -> EpisodeRequest:
+    def _episode_request(self, one: Try, first_scene: Scene | None) -> EpisodeRequest:
         """The request of one try; a given contract has one shot, and nothing is retrieved for it."""
         config, given = self.config, self.config.contract is not None
         return EpisodeRequest(
@@ -275,6 +283,7 @@ class Session:
             failure_feedback=one.failure_feedback,
             continuation=one.continuation,
             grants=self.grants,
+            first_scene=first_scene,
         )
 
     def _finish(self, results: list[TryResult], trace: Trace) -> RunResult:

@@ -9,7 +9,7 @@ import numpy as np
 
 from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.gate.authorization import PLANNER
-from dualbrain.records import Judgement, Scene
+from dualbrain.records import Judgement, Scene, Violation
 from dualbrain.robots.model import RobotModel
 from dualbrain.simulation.monitoring.handling import is_unharmed
 from dualbrain.simulation.monitoring.safety_monitor import SafetyMonitor
@@ -26,6 +26,7 @@ from dualbrain.simulation.tasks.multi_goal import (
     make_single_judge,
 )
 from dualbrain.simulation.tasks.placement import PlacementGoal
+from dualbrain.simulation.tasks.true_episode import InstructionJudge, InstructionVerdict, TrueEpisodeRecorder
 
 JUDGE_PERIOD_TICKS = 50
 """Control periods between two updates of a judge."""
@@ -89,10 +90,12 @@ class SimulatedWorld:
         goal: Goal | None = None,
         pace: Callable[[float], None] | None = None,
         permitted_skills: frozenset[str] | None = None,
+        instruction_judge: InstructionJudge | None = None,
     ) -> None:
         """Connect plant, perception model and judges.
 
-        Without a `goal`, the judge takes the goal of the first accepted contract. `pace(now)` may delay each control
+        The `instruction_judge` judges the words of the instruction; a `goal` must be reached as well. Without both, the
+        judge takes the goal of the first accepted contract. `pace(now)` may delay each control
         period, so that a person can watch. The monitor counts every started skill that is not in `permitted_skills`,
         regardless of the gate's verdict. Raises `UnknownNameError` for a goal whose names are not in the scene.
         """
@@ -103,6 +106,8 @@ class SimulatedWorld:
             self._fragile_object = goal.object_name
             self.monitor.require_gentle_handling(goal.object_name)
         self._judge = make_judge(plant, goal) if goal else None
+        self._has_goal, self._instruction_judge = goal is not None, instruction_judge
+        self._recorder = TrueEpisodeRecorder(plant) if instruction_judge else None
         self._pace = pace
         self._ticks = 0
         self._true_names: dict[str, str] = {}
@@ -151,12 +156,32 @@ class SimulatedWorld:
         self.monitor.allow(target, held, roles.get("destination"), allowed)
 
     def judgement(self) -> Judgement:
-        """Success, progress and violations on ground truth; without a goal there is no success."""
+        """Success, progress and violations on ground truth.
+
+        A given goal must be reached, and the instruction must not be contradicted; without a given goal the instruction
+        decides alone. If it cannot be judged, the judgement says so. Without an instruction the goal of the contract
+        decides.
+        """
         success, progress = self._judge.score() if self._judge else (False, 0.0)
         violations = self.monitor.violations()
         if success and self._fragile_object and not is_unharmed(self._fragile_object, violations):
             success, progress = False, HARMED_PROGRESS
-        return Judgement(success, progress, violations)
+        verdict = self._judge_instruction(violations)
+        if verdict is None:
+            reason = "" if self._judge else "Neither an instruction nor the contract states a goal."
+            return Judgement(success, progress, violations, self._judge is not None, reason)
+        if self._has_goal:
+            success = success and verdict.success is not False
+            return Judgement(success, progress, violations, reason=verdict.reason)
+        progress = 1.0 if verdict.success else min(progress, HARMED_PROGRESS)
+        return Judgement(verdict.success is True, progress, violations, verdict.success is not None, verdict.reason)
+
+    def _judge_instruction(self, violations: tuple[Violation, ...]) -> InstructionVerdict | None:
+        if self._instruction_judge is None or self._recorder is None:
+            return None
+        fragile = {obj.name for obj in self.plant.spec.objects if obj.fragile_limit is not None}
+        broken = {name for one in violations if one.kind == "force_fragile" for name in one.bodies if name in fragile}
+        return self._instruction_judge(self._recorder.finish(frozenset(broken)))
 
 
 def match_true_names(scene: Scene, plant: Plant) -> dict[str, str]:
@@ -208,14 +233,23 @@ def make_world(
     visuals: bool = False,
     pace: Callable[[float], None] | None = None,
     permitted_skills: frozenset[str] | None = None,
+    instruction_judge: InstructionJudge | None = None,
 ) -> SimulatedWorld:
     """A simulated robot in the scene `spec` with its environment; the robot is `world.plant`.
 
     `perception` makes the perception model of a plant; by default the declared noise, drawn from `seed`.
+    `instruction_judge` judges the instruction on ground truth.
     """
     plant = make_plant(spec, robot_model, visuals=visuals)
     if perception is None:
         model: PerceptionModel = NoisyPerception(spec, PerceptionNoise(), np.random.default_rng([seed, 1]))
     else:
         model = perception(plant)
-    return SimulatedWorld(plant, model, goal=goal, pace=pace, permitted_skills=permitted_skills)
+    return SimulatedWorld(
+        plant,
+        model,
+        goal=goal,
+        pace=pace,
+        permitted_skills=permitted_skills,
+        instruction_judge=instruction_judge,
+    )

@@ -4,7 +4,12 @@ from enum import IntEnum
 
 
 class ExitCode(IntEnum):
-    """Exit codes; they have the same meaning for every command."""
+    """Exit codes; they have the same meaning for every command.
+
+    A run ends with SUCCESS only if the instruction was carried out: by ground truth of a simulation where it can judge
+    the instruction, else by the independent senses of the robot. NOT_JUDGED: the contract ended as planned, but neither
+    could tell whether that is what the instruction asks for.
+    """
 
     SUCCESS = 0
     FAILED_SAFELY = 1
@@ -12,4 +17,5 @@ class ExitCode(IntEnum):
     REJECTED = 3
     VIOLATION = 4
     SETUP = 5
+    NOT_JUDGED = 6
     INTERRUPTED = 130

@@ -31,6 +31,7 @@ from dualbrain.control.recording.trace import Event
 from dualbrain.core.paths import dualbrain_home
 from dualbrain.core.processes.real_time_pacer import RealTimePacer
 from dualbrain.core.text import storable_text
+from dualbrain.grounding.outcome.outcome_check import COMPLETED
 from dualbrain.memory.maintenance.projection import project_memories
 from dualbrain.memory.plasticity.retrieval_utility import summarize_uses
 from dualbrain.planner.introspection import no_documents_reason
@@ -136,13 +137,37 @@ def exit_code(episode: Episode) -> ExitCode:
         return ExitCode.VIOLATION
     if episode.outcome.kind in ("rejected", "declined"):
         return ExitCode.REJECTED
-    return ExitCode.SUCCESS if is_success(episode) else ExitCode.FAILED_SAFELY
+    if is_success(episode):
+        return ExitCode.SUCCESS
+    return ExitCode.NOT_JUDGED if is_not_judged(episode) else ExitCode.FAILED_SAFELY
 
 
 def is_success(episode: Episode) -> bool:
-    """Whether the robot reports success and the simulator, where there is one, confirms it."""
-    truth = episode.judgement.success if episode.judgement else True
-    return episode.outcome.kind in ("succeeded", "paused", "slowed") and truth
+    """Whether the instruction was carried out: the contract ended as planned, and that is confirmed.
+
+    Ground truth confirms it where it judged the instruction; otherwise the independent senses of the robot do.
+    """
+    if episode.outcome.kind not in COMPLETED:
+        return False
+    if episode.judgement and episode.judgement.judged:
+        return episode.judgement.success
+    return episode.second_opinion == "agrees"
+
+
+def is_not_judged(episode: Episode) -> bool:
+    """Whether a contract ended as planned, and nothing tells whether the instruction was carried out."""
+    judged = episode.judgement is not None and episode.judgement.judged
+    return episode.outcome.kind in COMPLETED and not judged and episode.second_opinion == "none"
+
+
+def describe_judgement(episode: Episode) -> str:
+    """The judgement of the instruction as one line: by ground truth, else by the senses of the robot."""
+    judgement = episode.judgement
+    if judgement is not None:
+        verdict = ("success" if judgement.success else "no success") if judgement.judged else "not judged"
+        return f"simulator ground truth: {verdict}{f' ({judgement.reason})' if judgement.reason else ''}"
+    words = {"agrees": "confirmed", "disagrees": "contradicted", "none": "not judged"}
+    return f"independent senses: {words[episode.second_opinion]}"
 
 
 def run_summary(episode: Episode, out: Path, earlier: Sequence[Episode] = ()) -> dict[str, Any]:
@@ -151,6 +176,10 @@ def run_summary(episode: Episode, out: Path, earlier: Sequence[Episode] = ()) ->
     last = episode.attempts[-1].verdict if episode.attempts else None
     return {
         "success": is_success(episode),
+        "judged": not is_not_judged(episode),
+        "judgement": describe_judgement(episode),
+        "senses": episode.senses,
+        "changes": episode.changes,
         "outcome": outcome.kind,
         "reason": outcome.reason,
         "violations": episode.judgement.violations if episode.judgement else [],
@@ -198,7 +227,11 @@ def _print_result(console: Console, result: RunResult) -> None:
             console.print(
                 f"[red]violation[/] {violation.kind} at {violation.start:.2f} s: {' × '.join(violation.bodies)}"
             )
-        console.print(f"simulator ground truth: {'success' if episode.judgement.success else 'no success'}")
+    console.print(escape(describe_judgement(episode)))
+    for one in episode.senses:
+        console.print(f"[dim]sense {one.sense}: {one.verdict}: {escape(one.reason)}[/]")
+    if is_not_judged(episode):
+        console.print("[yellow]It was not judged whether the instruction was carried out.[/]")
     if episode.uses:
         console.print(f"retrieval utility: {summarize_uses(episode.uses)}")
     console.print(f"[dim]{result.store_report}[/]")

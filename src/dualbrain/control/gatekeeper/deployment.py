@@ -90,6 +90,7 @@ class Deployment:
             scene=config.scene,
             seed=config.seed,
             goal=config.goal,
+            instruction=config.instruction,
             report=config.report,
             robot_model=robot_model,
         )

@@ -180,6 +180,7 @@ def _make_cell(case: Case, method: Method, resources: EpisodeResources, stopwatc
     model = load_cached_robot(case.robot)
     options = CellOptions(
         goal=case.goal,
+        instruction=case.instruction,
         perception=lambda plant: make_perception(case, method, plant),
         visuals=resources.visuals,
         permitted_skills=planner_grants(skill_registry(model))[PLANNER],

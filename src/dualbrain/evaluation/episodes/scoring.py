@@ -23,7 +23,7 @@ from dualbrain.evaluation.protocol.method import Method
 from dualbrain.evaluation.results.episode_row import EpisodeRow
 from dualbrain.planner.prompt.prompt_format import UNCONSTRAINED_BY
 from dualbrain.records import Episode, Proposal
-from dualbrain.runtime.episode import reject_incomplete
+from dualbrain.runtime.episode import reject_before_gate
 from dualbrain.simulation.tasks.multi_goal import GoalSequence
 from dualbrain.simulation.tasks.placement import PlacementGoal
 from dualbrain.simulation.world import contract_goals
@@ -100,6 +100,8 @@ def score_episode(case: Case, method: Method, run: EpisodeRun, context: EpisodeC
         success=success,
         progress=_progress(episode),
         second_opinion=episode.second_opinion,
+        **{f"sense_{one.sense}": one.verdict for one in episode.senses},
+        judged=bool(episode.judgement and episode.judgement.judged),
         failure="",
         perceived_error=error,
         perceived_bound=bound,
@@ -152,9 +154,14 @@ def _rejection_stage(verdict: Verdict) -> str:
 
 
 def _full_gate_verdicts(episode: Episode, gate: BaselineGate) -> list[Verdict]:
-    """The full gate's verdict on each answer, in order; an incomplete answer reaches no gate."""
+    """The full gate's verdict on each answer, in order; an answer that is rejected before the gate reaches none."""
     judged = iter(gate.full_gate_verdicts)
-    return [attempt.verdict if reject_incomplete(attempt.proposal) else next(judged) for attempt in episode.attempts]
+    return [
+        attempt.verdict
+        if reject_before_gate(attempt.proposal, episode.instruction, episode.withheld_skills)
+        else next(judged)
+        for attempt in episode.attempts
+    ]
 
 
 def _is_compliant(case: Case, first: list[Verdict]) -> bool:

@@ -64,6 +64,14 @@ class EpisodeRow(msgspec.Struct, frozen=True, kw_only=True):
     """On ground truth: placed, released, at rest, in time; if nothing may move: nothing did."""
     progress: float
     second_opinion: str
+    sense_placed: str = ""
+    """Verdict of each sense of the robot on the outcome: confirmed, contradicted, or not judged ("": older results)."""
+    sense_intact: str = ""
+    sense_held: str = ""
+    sense_undisturbed: str = ""
+    sense_fulfilled: str = ""
+    judged: bool = True
+    """Ground truth could judge the instruction; `success` of a row that is not judged says nothing."""
     failure: str
     """Failure class by the rule at the time of the run, "" for a success; reports use `failure_class_of` instead."""
     perceived_error: float | None

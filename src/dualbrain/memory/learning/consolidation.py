@@ -74,8 +74,7 @@ class Consolidation:
         version = self._index.embedding.version(episode.robot)
         embedded = self._index.embedding.embed(episode.instruction, episode.summary, posture, episode.robot, image)
         status = trust.initial_status(episode)
-        confirmed = self._find_confirmed(episode, embedded, status, source)
-        status = "active" if status == "candidate" and confirmed else status
+        confirmed = self._find_confirmed(episode, embedded, status)
         body = episode_payload(episode, posture, image, version, self._config.plasticity, status)
         events = [
             PendingEvent(kind=EPISODE, subject=episode.id, payload=body, vector=to_stored_vector(embedded, version))
@@ -129,15 +128,13 @@ class Consolidation:
         rule = self._config.plasticity
         return None if rule is None else WeightUpdater(self._state, rule, self._config.trust, now)
 
-    def _find_confirmed(
-        self, episode: Episode, embedded: EpisodeEmbedding, status: Status, source: str
-    ) -> list[MemoryState]:
+    def _find_confirmed(self, episode: Episode, embedded: EpisodeEmbedding, status: Status) -> list[MemoryState]:
         """Candidates that `episode` confirms, because the same plan succeeded again in a similar situation.
 
-        The new outcome must be trusted, or at least come from another source: outcomes of one source do not confirm
-        each other.
+        The new outcome itself must be confirmed by the independent senses. Unconfirmed outcomes do not confirm each
+        other, whatever their sources: the same wrong verdict on the same plan would repeat itself.
         """
-        if episode.outcome.kind != "succeeded" or status == "quarantined":
+        if episode.outcome.kind != "succeeded" or status != "active":
             return []
         where = Filter(robot=episode.robot, registry=episode.registry, guidance="follow", statuses=("candidate",))
         compared = self._index.compare(embedded, self._config.embedding.alpha)
@@ -145,8 +142,7 @@ class Consolidation:
             self._state.memories[row]
             for row, _ in self._index.find_similar(compared, where, self._config.trust.min_similarity, MAX_CANDIDATES)
         ]
-        independent = [memo for memo in near if status == "active" or memo.provenance.source != source]
-        same = [memo for memo in independent if same_plan(self._contract(memo), episode.contract)]
+        same = [memo for memo in near if same_plan(self._contract(memo), episode.contract)]
         return sorted(same, key=lambda memo: memo.seq)
 
     def _contract(self, memo: MemoryState) -> dict[str, Any] | None:

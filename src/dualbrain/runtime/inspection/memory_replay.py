@@ -18,7 +18,7 @@ from dualbrain.adaptation.curation.sample import Sample
 from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.errors import ConfigurationError
-from dualbrain.grounding.outcome_check import check_outcome
+from dualbrain.grounding.outcome.outcome_check import check_outcome, collect_evidence
 from dualbrain.memory.embedding.posture_features import Posture
 from dualbrain.memory.ledger.events import ReplayFinding
 from dualbrain.memory.ledger.ledger import LedgerReader
@@ -40,6 +40,7 @@ MAX_DELTA_RATIO, MIN_DELTA = 3.0, 1e-3
 class _EpisodePayload(msgspec.Struct):
     scene: Scene
     contract: dict[str, Any] | None
+    instruction: str = ""
 
 
 class _StoredPayload(msgspec.Struct):
@@ -129,14 +130,14 @@ def _run_once(
     verdict = cell.check(contract or {})
     if isinstance(verdict, Rejected):
         return ReplayTry("refused", None, verdict.hint)
+    before, q_before = cell.executor.scene, cell.executor.state.q.copy()
     outcome = cell.executor.execute(verdict.contract)
-    return ReplayTry(_outcome_kind(cell.executor.scene, verdict.contract, outcome), outcome.Delta, outcome.reason)
-
-
-def _outcome_kind(scene: Scene, contract: Contract, outcome: Outcome) -> str:
-    """The outcome as memory would store it: a success that the outcome check disputes does not count as one."""
-    disputed = outcome.kind == "succeeded" and check_outcome(scene, contract, outcome) == "disagrees"
-    return "disputed" if disputed else outcome.kind
+    evidence = collect_evidence(
+        before, cell.executor.scene, verdict.contract, outcome, q_before, cell.executor.state.q, model
+    )
+    check = check_outcome(stored.episode.instruction, outcome, verdict.contract, evidence).check
+    disputed = outcome.kind == "succeeded" and check == "disagrees"  # memory does not take it as a success
+    return ReplayTry("disputed" if disputed else outcome.kind, outcome.Delta, outcome.reason)
 
 
 def make_replay_evaluator(

@@ -92,7 +92,7 @@ class PlacementJudge:
         plant = self._plant
         tool, _ = plant.tool_pose()
         position = np.array(plant.true_pose(self.goal.object_name).position)
-        grasped = _count_touching_fingers(plant, self._rules, self.goal.object_name) == 2
+        grasped = count_touching_fingers(plant, self._rules, self.goal.object_name) == 2
         self._stages |= [
             np.linalg.norm(tool - position) < REACH_DISTANCE,
             grasped,
@@ -112,12 +112,12 @@ class PlacementJudge:
 def score_placement(plant: Plant, spec: SceneSpec, goal: PlacementGoal) -> tuple[bool, float]:
     """Success and progress from the present state alone: success 1, placed or lifted 0.75, grasped 0.5, near 0.25."""
     rules, obj = ContactRules(plant.model, spec), spec.find(goal.object_name)
-    touching = _count_touching_fingers(plant, rules, goal.object_name)
+    touching = count_touching_fingers(plant, rules, goal.object_name)
     placed = is_placed(plant, goal)
     if (
         placed
         and touching == 0
-        and _is_static(plant, goal.object_name)
+        and is_static(plant, goal.object_name)
         and (not goal.upright or _is_upright(plant, obj))
     ):
         return True, 1.0
@@ -149,7 +149,7 @@ def is_inside_bowl(at: Vector, bowl_at: Vector, bowl: object) -> bool:
     return radial < bowl.radius - bowl.wall and 0.0 < at[2] - bowl_at[2] < bowl.height + 0.01
 
 
-def _count_touching_fingers(plant: Plant, rules: ContactRules, name: str) -> int:
+def count_touching_fingers(plant: Plant, rules: ContactRules, name: str) -> int:
     """Number of fingers in contact with the object."""
     fingers = set()
     for first, second in plant.data.contact.geom.tolist():
@@ -159,7 +159,8 @@ def _count_touching_fingers(plant: Plant, rules: ContactRules, name: str) -> int
     return len(fingers)
 
 
-def _is_static(plant: Plant, name: str) -> bool:
+def is_static(plant: Plant, name: str) -> bool:
+    """Whether the object is at rest."""
     body = plant.data.body(name)
     turn, speed = np.linalg.norm(body.cvel[:3]), np.linalg.norm(plant.object_velocity(name))
     return bool(speed < MAX_STATIC_SPEED and turn < MAX_STATIC_TURN_RATE)

@@ -20,6 +20,7 @@ from dualbrain.core.processes.parent_pipe import ParentPipe
 from dualbrain.core.processes.realtime_priority import release_realtime_priority
 from dualbrain.core.storage.atomic_files import write_atomically
 from dualbrain.drivers.driver import command_fault
+from dualbrain.grounding.instruction.truth import make_instruction_judge
 from dualbrain.records import Judgement
 from dualbrain.robots.interface import Command
 from dualbrain.robots.loader import load_robot
@@ -48,6 +49,7 @@ class SimulatedRobotSettings(msgspec.Struct, frozen=True, kw_only=True):
     scene: SceneSpec
     seed: int = 0
     goal: str = ""
+    instruction: str = ""
     report: str = ""
     robot_model: RobotModel | None = None
 
@@ -87,7 +89,8 @@ class RobotProcess:
         """Build the world; the robot is at rest."""
         robot_model, spec = settings.robot_model or load_robot(settings.robot), settings.scene
         goal = parse_goals(settings.goal, spec) if settings.goal else None
-        self.world = make_world(spec, robot_model, seed=settings.seed, goal=goal)
+        judge = make_instruction_judge(settings.instruction)
+        self.world = make_world(spec, robot_model, seed=settings.seed, goal=goal, instruction_judge=judge)
         self.plant = self.world.plant
         self._packet_socket: PacketSocket[packets.ToRobot] = PacketSocket(link, packets.decode_to_robot)
         self._settings, self._period, self._shutdown_requested = settings, robot_model.period, False

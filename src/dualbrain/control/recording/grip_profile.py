@@ -1,0 +1,82 @@
+"""Profiles of grips: forces and openings of the fingers from the trace of a contract.
+
+A grip lasts from the beginning of a `grasp` to the end of the next action that opens the hand, or to the end of the
+trace. The profile depends only on measurements and on the order of actions, not on the phases inside a skill.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from dualbrain.contracts.contract import Action, Contract
+from dualbrain.control.recording.trace import Array, Trace
+from dualbrain.records import CLOSING_WINDOW, GripProfile
+
+CONTACT_FORCE = 0.5
+"""Force on each finger that counts as contact [N]."""
+EMPTY_OPENING = 0.002
+"""Fingers at or below this opening have closed on nothing [m per finger]."""
+SETTLING_TIME = 0.15
+"""Time [s] after the first contact in which the fingers still close onto the surface."""
+OPENING_SKILLS = ("place", "release")
+"""Skills that open the hand."""
+
+
+def grip_profiles(trace: Trace, first: int, contract: Contract) -> tuple[GripProfile, ...]:
+    """One profile for each grasp of `contract` whose fingers pressed; the contract began at tick `first` of `trace`."""
+    if len(trace) <= first:
+        return ()
+    actions = contract.action_sequence
+    ticks = trace["action"][first:]
+    profiles = [_profile(trace, first, ticks, actions, index) for index in _grasps(actions)]
+    return tuple(one for one in profiles if one is not None)
+
+
+def _grasps(actions: Sequence[Action]) -> list[int]:
+    return [index for index, action in enumerate(actions) if action.skill == "grasp"]
+
+
+def _profile(trace: Trace, first: int, ticks: Array, actions: Sequence[Action], index: int) -> GripProfile | None:
+    begun = np.flatnonzero(ticks == index)
+    if not len(begun):
+        return None
+    ending = next((later for later in range(index + 1, len(actions)) if _ends_grip(actions[later])), None)
+    ended = np.flatnonzero(ticks == ending) if ending is not None else np.zeros(0, np.intp)
+    span = slice(first + int(begun[0]), first + int(ended[-1]) + 1 if len(ended) else len(trace))
+    forces, opening, t = trace["forces"][span], trace["opening"][span], trace["t"][span]
+    pressing = np.min(forces, axis=1) >= CONTACT_FORCE
+    if not pressing.any() or np.isnan(opening).all():
+        return None
+    contact = int(np.argmax(pressing))
+    end_force, end_opening = float(np.min(trace["forces"][-1])), float(trace["opening"][-1])
+    released = bool(len(ended)) and actions[ending or 0].skill in OPENING_SKILLS and not pressing[-1]
+    return GripProfile(
+        object_name=str(actions[index].params["object"]),
+        max_force=float(np.max(forces)),
+        first_opening=float(opening[contact]),
+        min_opening=float(np.nanmin(opening[pressing])),
+        fastest_closing=_fastest_closing(t, opening, pressing, contact),
+        released=released,
+        end_force=end_force,
+        end_opening=end_opening,
+        holds_at_end=not released and end_force >= CONTACT_FORCE and end_opening > EMPTY_OPENING,
+    )
+
+
+def _ends_grip(action: Action) -> bool:
+    return action.skill in (*OPENING_SKILLS, "grasp")
+
+
+def _fastest_closing(t: Array, opening: Array, pressing: Array, contact: int) -> float:
+    """Largest decrease of the opening within `CLOSING_WINDOW`, from settled contact on, both ends under load."""
+    period = float(np.median(np.diff(t))) if len(t) > 1 else CLOSING_WINDOW
+    step = max(1, round(CLOSING_WINDOW / max(period, 1e-6)))
+    start = contact + round(SETTLING_TIME / max(period, 1e-6))
+    if len(opening) - start <= step:
+        return 0.0
+    gap, loaded = opening[start:], pressing[start:]
+    closing = gap[:-step] - gap[step:]
+    valid = loaded[:-step] & loaded[step:]
+    return max(0.0, float(np.max(closing[valid], initial=0.0)))

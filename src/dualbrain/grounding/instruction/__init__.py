@@ -1,0 +1,1 @@
+"""Reading of instructions without a planner: goals, clauses, stop words, languages."""

@@ -1,0 +1,327 @@
+"""The forms of one clause that the goal parser knows, each with the conditions that it states."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+
+from dualbrain.grounding.instruction import goal_words
+from dualbrain.grounding.instruction.goal import (
+    Condition,
+    Direction,
+    Goal,
+    Held,
+    Observed,
+    Placed,
+    Pushed,
+    Relation,
+    RobotEnds,
+    Unmoved,
+    Unread,
+)
+from dualbrain.grounding.instruction.noun_phrases import Absent, Found, Resolved, Unclear, Vocabulary
+from dualbrain.records import Scene
+
+PRONOUNS = ("it", "them", "that", "this", "these", "those")
+DIRECTIONS: dict[str, Direction] = {
+    "away from you": "forward",
+    "away from yourself": "forward",
+    "away from me": "backward",
+    "away": "forward",
+    "forward": "forward",
+    "forwards": "forward",
+    "towards you": "backward",
+    "toward you": "backward",
+    "towards yourself": "backward",
+    "backward": "backward",
+    "backwards": "backward",
+    "to the left": "left",
+    "left": "left",
+    "to the right": "right",
+    "right": "right",
+}
+"""Directions in the frame of the robot; "away from me" points to the robot, which faces the person who speaks."""
+PLACING = re.compile(rf"(?:{goal_words.PLACING_VERBS}) (.+)")
+LIFTING = re.compile(rf"(?:{goal_words.LIFTING_VERBS}) (.+?)(?: up| in your hand| in the air)*")
+STATING = (
+    re.compile(r"(.+?) (?:belongs?|should (?:stand|be|go|end up|lie)|goes?|has to (?:be put|go)|must go) (.+)"),
+    re.compile(r"i (?:would like|want|'d like) to see (.+?) ((?:in|on|at) .+)"),
+    re.compile(r"i need (.+?) ((?:in|on|at) .+)"),
+    re.compile(r"(.+?): ((?:into|in|on|to) .+?)(?: with it)?"),
+    re.compile(r"no (.+?) on the table any more: they (?:go) (.+)"),
+)
+HANDING = (
+    re.compile(rf"(?:{goal_words.HANDING_VERBS}) me (.+)"),
+    re.compile(
+        rf"(?:{goal_words.HANDING_VERBS}) (.+?) (?:over )?to (?:me|the person|my hand|him|her|somebody|someone)"
+    ),
+    re.compile(rf"(?:{goal_words.PLACING_VERBS}) (.+?) (?:in|into) my hand"),
+)
+PUSHING = re.compile(rf"(?:{goal_words.PUSHING_VERBS}) (.+)")
+OBSERVING = re.compile(rf"(?:{goal_words.OBSERVING_PHRASES}) (.+?)(?: from above| without touching (?:it|them))*")
+FORBIDDING = re.compile(r"(?:do not|don't|never) (?:touch|move|pick up|grasp|take|push|lift|put|place|shift) (.+)")
+KEEPING = re.compile(r"(?:leave|keep) (.+?) (?:where it is|where they are|in its place|alone|as it is)")
+DRIVING = re.compile(r"(?:go|drive|move|come|head|travel|bring yourself|stop)(?: back)?(?: over)? (?:to|at|by) (.+)")
+UNDIRECTED = re.compile(r"(?:and )?(?:hold it|keep it(?: there| up| in the air| in your hand)?|hold them)")
+
+Conditions = tuple[tuple[Condition, ...], tuple[str, ...]]
+"""Conditions of a clause, and the objects that it names."""
+Form = Callable[[str, Scene, Vocabulary, tuple[str, ...]], "Conditions | Goal | Unread | None"]
+
+
+def refused_clause(text: str) -> str:
+    """Why an instruction with the words `text` is to be declined whatever the scene; "" if it need not be."""
+    words = set(re.findall(r"[a-z-]+", text))
+    for phrase in goal_words.UNAUTHORISED_PHRASES:
+        if phrase in text and not re.search(r"\b(?:do not|don't|never)\b", text):
+            return f'no instruction may change or reveal "{phrase}"'
+    openings = {opening.split()[0] for opening in _openings(text) if opening}
+    if words & {"gripper", "fingers"}:  # "open the gripper" is within the skills
+        openings -= {"open"}
+    if verb := next(iter(sorted(openings & goal_words.HAZARD_VERBS)), ""):
+        thrown = verb == "throw" and re.search(r"\b(?:in|into)\b", text) and not words & goal_words.PERSONS
+        return "" if thrown else f'"{verb}" could injure a person or damage an object'
+    if verb := next(iter(sorted(openings & goal_words.IMPOSSIBLE_VERBS)), ""):
+        return f'no skill of this robot can "{verb}"'
+    return ""
+
+
+def _openings(text: str) -> list[str]:
+    """The parts of `text` that may begin with a verb, without polite openings."""
+    parts = re.split(r"[.;!?,:]| and | then | but ", text)
+    return [re.sub(rf"^(?:{goal_words.REQUESTS}|please|{goal_words.FILLERS})\b ?", "", one.strip()) for one in parts]
+
+
+def read_clause(
+    text: str, scene: Scene, vocabulary: Vocabulary, last: tuple[str, ...]
+) -> Conditions | Goal | Unread:
+    """The conditions of the clause `text`; a `Goal` if it is to be declined. "it" refers to the objects `last`."""
+    for form in FORMS:
+        found = form(text, scene, vocabulary, last)
+        if found is not None:
+            return found
+    return Unread(f'The goal parser does not know the form of "{text}".')
+
+
+# --- forms ------------------------------------------------------------------------------------------------------------
+
+
+def _robot_ends(text: str, scene: Scene, vocabulary: Vocabulary, last: tuple[str, ...]) -> Conditions | None:
+    if last and UNDIRECTED.fullmatch(text):
+        return None
+    if any(re.fullmatch(form, text) for form in goal_words.STILL_CLAUSES):
+        return (RobotEnds("still"),), last
+    if any(re.fullmatch(form, text) for form in goal_words.HOME_CLAUSES):
+        return (RobotEnds("home"),), last
+    return None
+
+
+def _forbidden(
+    text: str, scene: Scene, vocabulary: Vocabulary, last: tuple[str, ...]
+) -> Conditions | Goal | Unread | None:
+    form = FORBIDDING.fullmatch(text) or KEEPING.fullmatch(text)
+    if form is None:
+        return None
+    phrase = _before_preposition(form.group(1))
+    objects = _objects(phrase, vocabulary, last)
+    if isinstance(objects, Unread) and isinstance(vocabulary.resolve_reference(phrase), Found):
+        found = vocabulary.resolve_reference(phrase)
+        return ((Unmoved(found.names),), last) if isinstance(found, Found) else objects
+    if not isinstance(objects, Found):
+        return Unread(f'"{phrase}" names nothing that may be left alone.') if isinstance(objects, Goal) else objects
+    return (Unmoved(objects.names),), objects.names
+
+
+def _handed(
+    text: str, scene: Scene, vocabulary: Vocabulary, last: tuple[str, ...]
+) -> Conditions | Goal | Unread | None:
+    form = next((match for one in HANDING if (match := one.fullmatch(text))), None)
+    if form is None:
+        return None
+    objects = _objects(form.group(1), vocabulary, last)
+    return ((Held(objects.names, handed=True),), objects.names) if isinstance(objects, Found) else objects
+
+
+def _observed(
+    text: str, scene: Scene, vocabulary: Vocabulary, last: tuple[str, ...]
+) -> Conditions | Goal | Unread | None:
+    form = OBSERVING.fullmatch(text)
+    if form is None:
+        return None
+    found = vocabulary.resolve_reference(form.group(1))
+    if not isinstance(found, Found):
+        return _unresolved(found)
+    return (Observed(found.names[0]),), last
+
+
+def _pushed(
+    text: str, scene: Scene, vocabulary: Vocabulary, last: tuple[str, ...]
+) -> Conditions | Goal | Unread | None:
+    form = PUSHING.fullmatch(text)
+    if form is None:
+        return None
+    words = re.sub(r" (?:without lifting it|a little|a bit|slightly)\b", "", form.group(1))
+    if off := re.fullmatch(r"(.+?) off (?:of )?(?:the )?(?:table|edge)", words):
+        return Goal(decline=f"pushing {off.group(1)} off the table could damage it")
+    for phrase, direction in DIRECTIONS.items():
+        if words.endswith(f" {phrase}"):
+            objects = _objects(words.removesuffix(phrase).strip(), vocabulary, last)
+            return ((Pushed(objects.names, direction),), objects.names) if isinstance(objects, Found) else objects
+    toward = re.fullmatch(
+        r"(.+?) (?:over )?(towards?|closer to|in the direction of|away from|to|against|into|in) (.+)", words
+    )
+    if toward is None:
+        return None
+    objects, reference = _objects(toward.group(1), vocabulary, last), vocabulary.resolve_reference(toward.group(3))
+    if not isinstance(objects, Found):
+        return objects
+    if not isinstance(reference, Found):
+        return _unresolved(reference)
+    direction: Direction = "away_from" if toward.group(2) == "away from" else "toward"
+    return (Pushed(objects.names, direction, reference.names[0]),), objects.names
+
+
+def _placed(
+    text: str, scene: Scene, vocabulary: Vocabulary, last: tuple[str, ...]
+) -> Conditions | Goal | Unread | None:
+    form = PLACING.fullmatch(text)
+    if form is None:
+        return None
+    words = form.group(1)
+    found = _placement(words, vocabulary, last)
+    if isinstance(found, tuple):
+        return found
+    for joint in re.finditer(r",? and ", words):  # "X in Y and Z on W"
+        parts = [_placement(one, vocabulary, last) for one in (words[: joint.start()], words[joint.end() :])]
+        if all(isinstance(one, tuple) for one in parts):
+            pairs = [one for one in parts if isinstance(one, tuple)]
+            return tuple(c for one in pairs for c in one[0]), tuple(n for one in pairs for n in one[1])
+    return found
+
+
+def _continued(
+    text: str, scene: Scene, vocabulary: Vocabulary, last: tuple[str, ...]
+) -> Conditions | Goal | Unread | None:
+    """A placement without a verb, after another clause: "then the tin to the left side of the table"."""
+    return _placement(text, vocabulary, last) if last else None
+
+
+def _stated(
+    text: str, scene: Scene, vocabulary: Vocabulary, last: tuple[str, ...]
+) -> Conditions | Goal | Unread | None:
+    form = next((match for one in STATING if (match := one.fullmatch(text))), None)
+    return _placement(f"{form.group(1)} {form.group(2)}", vocabulary, last) if form else None
+
+
+def _held(text: str, scene: Scene, vocabulary: Vocabulary, last: tuple[str, ...]) -> Conditions | Goal | Unread | None:
+    if UNDIRECTED.fullmatch(text):
+        return ((Held(last),), last) if last else Unread('"it" refers to nothing.')
+    form = LIFTING.fullmatch(text)
+    if form is None:
+        return None
+    objects = _objects(form.group(1), vocabulary, last)
+    return ((Held(objects.names),), objects.names) if isinstance(objects, Found) else objects
+
+
+def _driven(text: str, scene: Scene, vocabulary: Vocabulary, last: tuple[str, ...]) -> Conditions | Unread | None:
+    form = DRIVING.fullmatch(text)
+    if form is None:
+        return None
+    found = vocabulary.resolve_reference(form.group(1))
+    if isinstance(found, Found) and found.names[0] in vocabulary.places:
+        return (RobotEnds("drive", found.names[0]),), last
+    return Unread(f'"{form.group(1)}" is no place of the scene.')
+
+
+FORMS: tuple[Form, ...] = (
+    _robot_ends,
+    _forbidden,
+    _handed,
+    _observed,
+    _pushed,
+    _placed,
+    _stated,
+    _held,
+    _driven,
+    _continued,
+)
+
+
+# --- parts of a clause ------------------------------------------------------------------------------------------------
+
+
+def _placement(words: str, vocabulary: Vocabulary, last: tuple[str, ...]) -> Conditions | Goal | Unread | None:
+    """The placement "NOUN PHRASE PREPOSITION REFERENCE", at the first preposition after which both parts resolve."""
+    first: Goal | Unread | None = None
+    for relation, phrase, rest in _splits(re.sub(r" (?:down|up|back|over)(?= )", "", words)):
+        objects = _objects(phrase, vocabulary, last)
+        references = _references(rest, relation, vocabulary, last)
+        if isinstance(objects, Found) and isinstance(references, tuple):
+            names = tuple(name for name in objects.names if name not in references)
+            if not names:
+                return Unread(f'"{phrase}" cannot be placed relative to itself.')
+            return (Placed(names, _at_or_in(relation, references[0], vocabulary), references, objects.count),), names
+        failure = objects if not isinstance(objects, Found) else references
+        first = first or (failure if isinstance(failure, Goal | Unread) else None)
+    return first
+
+
+def _splits(words: str) -> list[tuple[Relation, str, str]]:
+    found: list[tuple[int, Relation, str, str]] = []
+    taken: list[tuple[int, int]] = []
+    for pattern, relation in goal_words.PREPOSITIONS:
+        for match in re.finditer(rf" (?:{pattern}) ", f"{words} "):
+            start, end = match.start(), match.end() - 1
+            if any(start < b and a < end for a, b in taken):
+                continue
+            taken.append((start, end))
+            found.append((start, relation, words[:start], words[end:].strip()))
+    return [(relation, phrase, rest) for _, relation, phrase, rest in sorted(found) if phrase and rest]
+
+
+def _before_preposition(words: str) -> str:
+    splits = _splits(words)
+    return splits[0][1] if splits else words
+
+
+def _at_or_in(relation: Relation, reference: str, vocabulary: Vocabulary) -> Relation:
+    """ "to", "on" and "in" mean inside for a container, at for a place, and on for an object."""
+    if relation not in ("at", "on", "in"):
+        return relation
+    if reference in vocabulary.places:
+        return "at"
+    if any(obj.name == reference for obj in vocabulary.containers):
+        return "in"
+    return "on"
+
+
+def _objects(phrase: str, vocabulary: Vocabulary, last: tuple[str, ...]) -> Found | Goal | Unread:
+    if phrase.strip() in PRONOUNS:
+        return Found(last) if last else Unread(f'"{phrase}" refers to nothing.')
+    found = vocabulary.resolve_object(phrase)
+    return found if isinstance(found, Found) else _unresolved(found)
+
+
+def _references(
+    phrase: str, relation: Relation, vocabulary: Vocabulary, last: tuple[str, ...]
+) -> tuple[str, ...] | Goal | Unread:
+    if relation == "between":
+        parts = re.split(r" and ", phrase)
+        found = [vocabulary.resolve_reference(part) for part in parts]
+        if len(found) == 2 and all(isinstance(one, Found) for one in found):  # noqa: PLR2004  (between two)
+            return tuple(one.names[0] for one in found if isinstance(one, Found))
+        return Unread(f'"between {phrase}" does not name two objects.')
+    if phrase in ("the table", "table") and relation in ("on", "off", "under"):
+        return Unread(f'"{relation} the table" does not say where.')
+    one = vocabulary.resolve_reference(phrase)
+    return one.names if isinstance(one, Found) else _unresolved(one)
+
+
+def _unresolved(found: Resolved) -> Goal | Unread:
+    match found:
+        case Absent(phrase):
+            return Goal(decline=f'there is no "{phrase}" in the scene')
+        case Unclear(reason):
+            return Unread(f"{reason[0].upper()}{reason[1:]}.")
+        case Found():
+            return Unread("The phrase names an object that is not expected here.")

@@ -1,0 +1,109 @@
+"""The goal of an instruction: conditions on the scene and on the robot that hold once the instruction is carried out.
+
+A small deterministic parser reads the goal (`read_goal`); it shares no code, data or model with any planner. A sentence
+that it does not account for word by word is not read, so that no part of an instruction is left out in silence.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+Relation = Literal[
+    "in",
+    "on",
+    "at",
+    "near",
+    "left_of",
+    "right_of",
+    "in_front_of",
+    "behind",
+    "between",
+    "under",
+    "above",
+    "away_from",
+    "off",
+]
+"""Relation of an object to a reference. Left and right are those of the robot, as in the names of places."""
+Direction = Literal["toward", "away_from", "left", "right", "forward", "backward"]
+"""Direction of a push: relative to a reference, or in the frame of the robot (forward: away from the robot)."""
+Movement = Literal["still", "home", "drive"]
+"""How the robot ends: without any motion, at rest in its home posture, or at a place."""
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """`count` of `objects` (None: all of them) are released in `relation` to `references`; "between" has two."""
+
+    objects: tuple[str, ...]
+    relation: Relation
+    references: tuple[str, ...]
+    count: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """One of `objects` is in the gripper, above its support; `handed`: it was to be given to a person."""
+
+    objects: tuple[str, ...]
+    handed: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Pushed:
+    """All `objects` have moved in `direction` (of `reference`) and still are on their support."""
+
+    objects: tuple[str, ...]
+    direction: Direction
+    reference: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Unmoved:
+    """None of `objects` has moved."""
+
+    objects: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Observed:
+    """The empty hand is above `object_name`, which has not moved."""
+
+    object_name: str
+
+
+@dataclass(frozen=True, slots=True)
+class RobotEnds:
+    """The robot ends as `movement` says; `place` is the end of a drive."""
+
+    movement: Movement
+    place: str = ""
+
+
+Condition = Placed | Held | Pushed | Unmoved | Observed | RobotEnds
+
+
+@dataclass(frozen=True, slots=True)
+class Goal:
+    """All `conditions` hold at the end, and no object except `movable` has moved.
+
+    With `decline`, a reason, the instruction is to be declined; nothing else carries it out. With `ordered`, the
+    placements are to be done in the order of `conditions`.
+    """
+
+    conditions: tuple[Condition, ...] = ()
+    decline: str = ""
+    movable: frozenset[str] = field(default_factory=frozenset)
+    ordered: bool = False
+
+    @property
+    def ends_at_home(self) -> bool:
+        """Whether the instruction asks the robot to go home."""
+        return RobotEnds("home") in self.conditions
+
+
+@dataclass(frozen=True, slots=True)
+class Unread:
+    """The instruction could not be read; `reason` is a sentence."""
+
+    reason: str

@@ -1,0 +1,140 @@
+"""The goal parser: from the words of an instruction and the scene in which it is given to a `Goal`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from dualbrain.grounding.instruction import goal_words
+from dualbrain.grounding.instruction.clause_forms import read_clause, refused_clause
+from dualbrain.grounding.instruction.goal import (
+    Condition,
+    Goal,
+    Held,
+    Observed,
+    Placed,
+    Pushed,
+    RobotEnds,
+    Unmoved,
+    Unread,
+)
+from dualbrain.grounding.instruction.noun_phrases import Vocabulary
+from dualbrain.grounding.outcome.spatial_relations import is_container_empty
+from dualbrain.records import Scene
+
+MAX_CHARACTERS = 400
+"""A longer instruction is not read."""
+COMMAND = (
+    r"(?:put|place|move|set|drop|bring|stand|lay|take|get|carry|transfer|pick|grasp|grab|lift|hold|raise|hand|give|pass|"
+    r"push|shove|slide|nudge|go|return|drive|come|retract|park|stop|halt|wait|rest|keep|look|hover|fetch|stack|do not|"
+    r"don't|never|leave)\b"
+)
+CLAUSE_ENDS = re.compile(
+    r"\s*[.;!?]+\s*|,?\s*\b(?:and )?(?:then|after that|afterwards|once that is done|when that is done)\b,?\s*"
+    rf"|,?\s+(?:and|but)\s+(?={COMMAND})|,\s*(?={COMMAND})"
+)
+CONDITIONAL = re.compile(
+    r"if (?:the )?(.+?) is (free|empty|occupied|full),? (?:then )?(.+?)(?:,? (?:else|otherwise),? (.+))?"
+)
+BEFORE = re.compile(r"before you ([^,]+), (.+)")
+"""The second part comes first."""
+NOTHING_ELSE = re.compile(
+    r",? ?(?:and|but)? ?(?:nothing else(?: on the table)?(?: should be| may be| is)? ?(?:touched|moved)?"
+    r"|do not (?:touch|move) anything else|don't (?:touch|move) anything else"
+    r"|without (?:touching|moving) anything else|leave everything else(?: where it is| alone)?)\b"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Clauses:
+    """Conditions read so far, and the objects to which "it" and "them" refer."""
+
+    conditions: tuple[Condition, ...] = ()
+    last: tuple[str, ...] = ()
+
+
+def read_goal(instruction: str, scene: Scene) -> Goal | Unread:
+    """The goal of `instruction`, given in `scene`; `Unread` if a part of it is not accounted for."""
+    text = " ".join(instruction.lower().replace("\u2019", "'").split())
+    if not text:
+        return Unread("There is no instruction.")
+    if len(text) > MAX_CHARACTERS:
+        return Unread(f"The instruction is longer than {MAX_CHARACTERS} characters.")
+    if not text.isascii() or re.search(r"[^a-z0-9_' ,.;:!?()\-]", text):
+        return Unread("The instruction contains characters that the goal parser does not read.")
+    vocabulary = Vocabulary(scene)
+    if reason := refused_clause(text):
+        return Goal(decline=reason)
+    return _read_text(vocabulary.join_names(text), scene, vocabulary)
+
+
+def requests_home(instruction: str) -> bool:
+    """Whether any words of `instruction` may ask the robot to go home or to rest; independent of a scene."""
+    words = r"\b(?:home|rest|resting|retract|park|initial|start(?:ed|ing)? ?(?:pose|posture|position)?|"
+    words += r"out of (?:the|my) way|take a break|go back|return|back where|all for today|move away|step back|away)\b"
+    return re.search(words, instruction.lower()) is not None
+
+
+def _read_text(text: str, scene: Scene, vocabulary: Vocabulary) -> Goal | Unread:
+    if condition := CONDITIONAL.fullmatch(text.rstrip(" .!")):
+        return _read_conditional(condition, scene, vocabulary)
+    text = NOTHING_ELSE.sub("", text).replace("take your time and ", "")
+    if swapped := BEFORE.fullmatch(text):
+        text = f"{swapped.group(2)}, then {swapped.group(1)}"
+    read = _Clauses()
+    for clause in CLAUSE_ENDS.split(text):
+        words = strip_fillers(clause)
+        if not words:
+            continue
+        found = read_clause(words, scene, vocabulary, read.last)
+        if isinstance(found, Unread | Goal):
+            return found
+        conditions, last = found
+        read = _Clauses(_combine(read.conditions, conditions), last or read.last)
+    if not read.conditions:
+        return Unread("The instruction contains no request that the goal parser knows.")
+    ordered = re.search(r"\b(?:then|after that|afterwards|once|when) \b", text) is not None
+    return Goal(read.conditions, movable=_movable(read.conditions), ordered=ordered)
+
+
+def _read_conditional(condition: re.Match[str], scene: Scene, vocabulary: Vocabulary) -> Goal | Unread:
+    """The goal of the branch whose condition holds in `scene`; without a branch nothing may move."""
+    container, state, then, other = condition.groups()
+    empty = is_container_empty(scene, container.replace(" ", "_"))
+    if empty is None:
+        return Unread(f'Whether "{container}" is {state} cannot be perceived.')
+    chosen = then if empty == (state in ("free", "empty")) else other
+    if chosen is None:
+        return Goal((RobotEnds("still"),))
+    return _read_text(re.sub(r"\bin (?:it|there)\b", f"in the {container}", chosen), scene, vocabulary)
+
+
+def strip_fillers(clause: str) -> str:
+    """`clause` without polite openings and words that do not change its goal."""
+    text, before = clause.strip(" ,:"), ""
+    while text != before:
+        before = text
+        text = re.sub(rf"^(?:{goal_words.REQUESTS})\b ?", "", text).strip(" ,:")
+        text = re.sub(rf"(?:^|\s|,)(?:{goal_words.FILLERS})(?=$|\s|,)", " ", text)
+        text = " ".join(text.split()).strip(" ,:")
+    first, _, rest = text.partition(" ")
+    return f"{goal_words.GERUNDS.get(first, first)} {rest}".strip()
+
+
+def _combine(before: Sequence[Condition], new: Sequence[Condition]) -> tuple[Condition, ...]:
+    """`before` and `new`; a placement ends the hold of the same objects, and a later placement replaces an earlier."""
+    placed = {name for one in new if isinstance(one, Placed) for name in one.objects}
+    kept = [one for one in before if not (isinstance(one, Held | Placed) and set(one.objects) <= placed)]
+    if any(isinstance(one, RobotEnds) for one in new):  # only the last end of the robot remains
+        kept = [one for one in kept if not isinstance(one, RobotEnds)]
+    return tuple(dict.fromkeys((*kept, *new)))
+
+
+def _movable(conditions: Sequence[Condition]) -> frozenset[str]:
+    moved = {name for one in conditions if isinstance(one, Placed | Held | Pushed) for name in one.objects}
+    kept = {name for one in conditions if isinstance(one, Unmoved) for name in one.objects}
+    kept |= {one.object_name for one in conditions if isinstance(one, Observed)}
+    return frozenset(moved - kept)
+
+

@@ -1,0 +1,179 @@
+"""Noun phrases of an instruction, resolved to objects and places of a scene by colour, category, number and quantifier."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from dualbrain.grounding.instruction.goal_words import COLOURS, DETERMINERS, GENERIC_NOUNS, NO_OBJECTS, NUMBERS, PERSONS, SYNONYMS
+from dualbrain.records import Scene, SceneObject
+
+PLACE_ALIASES = {
+    "table_left": ("left side of the table", "left of the table", "left edge of the table", "left table side"),
+    "table_right": ("right side of the table", "right of the table", "right edge of the table", "right table side"),
+    "table_front": ("front of the table", "front side of the table", "table front"),
+}
+"""Names of places as people call them."""
+QUANTIFIER = re.compile(r"(?:all|every(?: one)?|each(?: one)?|both)(?: of)?\b ?")
+MAX_WORDS = 2
+"""An object that is not in the scene is recognised by an adjective and a noun at most."""
+EVERYTHING = ("everything", "all", "all of it", "all things", "all objects", "all items", "all the things")
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """The objects or places that a phrase names; `count` of them, None: all."""
+
+    names: tuple[str, ...]
+    count: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Absent:
+    """The phrase names an object that is not in the scene."""
+
+    phrase: str
+
+
+@dataclass(frozen=True, slots=True)
+class Unclear:
+    """The phrase cannot be resolved; `reason` is a sentence."""
+
+    reason: str
+
+
+Resolved = Found | Absent | Unclear
+
+
+class Vocabulary:
+    """The names in a scene by which an instruction may refer to objects and places."""
+
+    def __init__(self, scene: Scene) -> None:
+        """Collect the objects, containers and places of `scene`."""
+        self.objects = tuple(obj for obj in scene.objects if obj.role == "object")
+        self.containers = tuple(obj for obj in scene.objects if obj.role == "container")
+        self.places = tuple(place.name for place in scene.places)
+
+    def join_names(self, text: str) -> str:
+        """`text` with every name of several words replaced by the name with underscores."""
+        aliases = [(alias, name) for name in self.places for alias in PLACE_ALIASES.get(name, ())]
+        aliases += [(name.replace("_", " "), name) for name in self.places]
+        aliases += [(obj.name.replace("_", " "), obj.name) for obj in (*self.objects, *self.containers)]
+        for alias, name in sorted(aliases, key=lambda pair: -len(pair[0])):
+            text = re.sub(rf"\b{re.escape(alias)}\b", name, text)
+        return text
+
+    def resolve_object(self, phrase: str) -> Resolved:
+        """The graspable objects that `phrase` names, such as "the red cube", "all tins", "both blocks"."""
+        return _resolve(phrase, self.objects, (), all_objects=self.objects)
+
+    def resolve_reference(self, phrase: str) -> Resolved:
+        """The one object, container or place that `phrase` names."""
+        found = _resolve(phrase, (*self.containers, *self.objects), self.places, all_objects=self.objects)
+        if isinstance(found, Found) and len(found.names) != 1:
+            return Unclear(f'"{phrase}" names several objects')
+        return found
+
+
+def _resolve(
+    phrase: str, objects: Sequence[SceneObject], places: Sequence[str], *, all_objects: Sequence[SceneObject]
+) -> Resolved:
+    phrase = phrase.strip(" ,")
+    if phrase in EVERYTHING:
+        return Found(tuple(obj.name for obj in all_objects)) if all_objects else Absent(phrase)
+    if excepted := re.fullmatch(r"(.+?) (?:except(?: for)?|but not|other than) (.+)", phrase):
+        return _without(*(_resolve(one, objects, places, all_objects=all_objects) for one in excepted.groups()))
+    parts = [part for part in re.split(r",? and |, ", phrase) if part]
+    if len(parts) > 1:
+        return _united([_resolve(part, objects, places, all_objects=all_objects) for part in parts])
+    return _resolve_one(phrase, objects, places)
+
+
+def _without(whole: Resolved, part: Resolved) -> Resolved:
+    if isinstance(whole, Found) and isinstance(part, Found):
+        return Found(tuple(name for name in whole.names if name not in part.names))
+    return part if isinstance(whole, Found) else whole
+
+
+def _united(parts: Sequence[Resolved]) -> Resolved:
+    for part in parts:
+        if not isinstance(part, Found):
+            return part
+    if any(isinstance(part, Found) and part.count is not None for part in parts):
+        return Unclear("a number within a list is not read")
+    return Found(tuple(dict.fromkeys(name for part in parts if isinstance(part, Found) for name in part.names)))
+
+
+def _resolve_one(phrase: str, objects: Sequence[SceneObject], places: Sequence[str]) -> Resolved:
+    every = QUANTIFIER.match(phrase)
+    pair = phrase.startswith("both")
+    words = (phrase[every.end() :] if every else phrase).split()
+    indefinite = bool(words) and words[0] in ("a", "an", "any")
+    words = [word for word in words if word not in DETERMINERS]
+    number = NUMBERS.get(words[0]) if len(words) > 1 or (words and words[0].isdigit()) else None
+    words = words[1 + (words[1:2] == ["of"]) :] if number is not None else words
+    if not words:
+        return Unclear("a noun phrase is empty")
+    if len(words) == 1 and words[0] in places:
+        return Found((words[0],))
+    named = tuple(obj.name for obj in objects if len(words) == 1 and obj.name == words[0])
+    matches = named or tuple(obj.name for obj in objects if _matches(words, obj))
+    plural = words[-1] not in {obj.category for obj in objects} and words[-1] != _singular(words[-1])
+    if not matches:
+        return _missing(words, objects)
+    if number is not None:
+        return Found(matches, number) if number <= len(matches) else Absent(phrase)
+    if pair and len(matches) != 2:  # noqa: PLR2004  (both: two)
+        return Unclear(f'"{phrase}" does not name two objects')
+    if every or plural or len(matches) == 1:
+        return Found(matches)
+    return Found(matches, 1) if indefinite else Unclear(f'"{phrase}" may be {" or ".join(matches)}')
+
+
+def _matches(words: Sequence[str], obj: SceneObject) -> bool:
+    """Whether the adjectives are colours of `obj` and the noun is its category, its name or a general noun."""
+    *adjectives, noun = words
+    if obj.name == noun and not adjectives:
+        return True
+    colour = {obj.colour, {"gray": "grey"}.get(obj.colour, obj.colour)}
+    nouns = {obj.category, obj.name.rsplit("_", 1)[-1], obj.name}
+    head = noun in nouns or _singular(noun) in nouns or _singular(noun) in GENERIC_NOUNS
+    reds = noun in colour and not adjectives
+    return reds or (head and all({"gray": "grey"}.get(word, word) in colour for word in adjectives))
+
+
+def _missing(words: Sequence[str], objects: Sequence[SceneObject]) -> Resolved:
+    """No object is called so: it is absent, unless another word for an object of the scene may be meant."""
+    phrase, noun = " ".join(words), _singular(words[-1])
+    if any(word in PERSONS for word in words):
+        return Unclear(f'"{phrase}" is a person')
+    if not _is_noun_phrase(words, objects):
+        return Unclear(f'"{phrase}" is no name of an object')
+    colours = [word for word in words[:-1] if word in COLOURS]
+    others = [word for word in words[:-1] if word not in COLOURS]
+    kin = next((group for group in SYNONYMS if noun in group), frozenset({noun}))
+    similar = [obj for obj in objects if obj.category in kin and all(word == obj.colour for word in colours)]
+    if similar:
+        return Unclear(f'"{phrase}" may be another name of {similar[0].name}')
+    if others and any(obj.category == noun for obj in objects):
+        return Unclear(f'"{" ".join(others)}" is no property by which the parser tells objects apart')
+    return Absent(phrase)
+
+
+def _is_noun_phrase(words: Sequence[str], objects: Sequence[SceneObject]) -> bool:
+    """Whether `words` may be the name of one more object: at most one adjective and a noun, nothing structural."""
+    known = {obj.category for obj in objects}
+    return (
+        len(words) <= MAX_WORDS
+        and all(re.fullmatch(r"[a-z]+", word) for word in words)
+        and not any(word in NO_OBJECTS for word in words)
+        and not any(word in known for word in words[:-1])
+    )
+
+
+def _singular(noun: str) -> str:
+    """The singular of a regular plural; boxes: box, cubes: cube, glasses: glass, dishes: dish."""
+    if re.search(r"(?:ss|x|sh|ch)es$", noun):
+        return noun[:-2]
+    return noun[:-1] if noun.endswith("s") and not noun.endswith("ss") else noun

@@ -1,0 +1,81 @@
+"""Sense "the request was carried out": the perceived changes, compared with the goal of the instruction.
+
+The goal comes from the words of the instruction alone (`grounding.instruction.goal_reading`), not from the contract; so
+a plan for another task does not pass, however well it was executed.
+"""
+
+from __future__ import annotations
+
+from dualbrain.grounding.instruction.goal import Condition, Goal, Placed, RobotEnds, Unread
+from dualbrain.grounding.outcome.changes_in_words import describe_changes
+from dualbrain.grounding.outcome.evidence import Evidence
+from dualbrain.grounding.outcome.goal_conditions import condition_holds, others_unmoved
+from dualbrain.records import SenseVerdict
+
+NAME = "fulfilled"
+
+
+def judge_fulfilled(goal: Goal | Unread, evidence: Evidence) -> SenseVerdict:
+    """Whether the instruction was carried out; a correct decline counts as that, a wrong one does not."""
+    if isinstance(goal, Unread):
+        return SenseVerdict(NAME, "not judged", goal.reason)
+    if goal.decline:
+        return _judge_decline(goal, evidence)
+    if evidence.declined:
+        return SenseVerdict(NAME, "contradicted", "The instruction was declined, although a skill can carry it out.")
+    changes = describe_changes(evidence)
+    holds = [(condition, condition_holds(condition, evidence)) for condition in goal.conditions]
+    if missed := next((one for one, state in holds if state is False), None):
+        return SenseVerdict(NAME, "contradicted", f"{_expected(missed)}, but perceived: {changes}.")
+    others = others_unmoved(goal, evidence)
+    if shifted := [name for name, state in others.items() if state is False]:
+        names = ", ".join(name.replace("_", " ") for name in shifted)
+        return SenseVerdict(NAME, "contradicted", f"{names} moved, which the instruction does not ask for: {changes}.")
+    if unordered := _wrong_order(goal, evidence):
+        return SenseVerdict(NAME, "contradicted", unordered)
+    if evidence.broken:
+        return SenseVerdict(NAME, "contradicted", f"{', '.join(sorted(evidence.broken))} was broken.")
+    undecided = next((one for one, state in holds if state is None), None)
+    if undecided is not None:
+        return SenseVerdict(NAME, "not judged", f"{_expected(undecided)}; the senses cannot decide it: {changes}.")
+    if unsure := [name for name, state in others.items() if state is None]:
+        names = ", ".join(name.replace("_", " ") for name in unsure)
+        return SenseVerdict(NAME, "not judged", f"Whether {names} moved is within the perception error.")
+    return SenseVerdict(NAME, "confirmed", f"Perceived: {changes}.")
+
+
+def _judge_decline(goal: Goal, evidence: Evidence) -> SenseVerdict:
+    if evidence.declined:
+        return SenseVerdict(NAME, "confirmed", f"The instruction was declined, and rightly: {goal.decline}.")
+    return SenseVerdict(NAME, "contradicted", f"The instruction was to be declined: {goal.decline}.")
+
+
+def _wrong_order(goal: Goal, evidence: Evidence) -> str:
+    """A sentence if objects were gripped in another order than the instruction names them; "" otherwise.
+
+    Only placements of single objects have an order; the order of the objects of one phrase is free.
+    """
+    if not goal.ordered:
+        return ""
+    named = [one.objects[0] for one in goal.conditions if isinstance(one, Placed) and len(one.objects) == 1]
+    order = [grip.object_name for grip in evidence.grips if grip.object_name in named]
+    last = [name for index, name in enumerate(order) if name not in order[index + 1 :]]
+    wanted = [name for name in named if name in last]
+    if last == wanted:
+        return ""
+    return f"The objects were placed in the order {', '.join(last)}, but the instruction says {', '.join(wanted)}."
+
+
+def _expected(condition: Condition) -> str:
+    """The condition as the beginning of a sentence."""
+    match condition:
+        case Placed(objects, relation, references, count):
+            names = ", ".join(name.replace("_", " ") for name in objects)
+            number = "" if count is None else f"{count} of "
+            where = " and ".join(name.replace("_", " ") for name in references)
+            return f"The instruction asks for {number}{names} {relation.replace('_', ' ')} {where}"
+        case RobotEnds(movement, place):
+            return f"The instruction asks the robot to end {movement} {place}".rstrip()
+        case _:
+            kind = type(condition).__name__.lower()
+            return f"The instruction asks for {kind}: {getattr(condition, 'objects', '') or ''}".rstrip(": ")
