@@ -359,18 +359,34 @@ class Violation(Record, frozen=True, kw_only=True):
     perceived: bool = True
 
 
+class JudgementBasis(Record, frozen=True):
+    """Whether ground truth could judge the instruction, goal or contract, and the reason as a sentence."""
+
+    judged: bool = True
+    reason: str = ""
+
+
 class Judgement(Record, frozen=True):
     """Evaluation of an episode on simulator ground truth: task success, progress in [0, 1] and every violation.
 
-    `success` is that of the instruction, where it can be read, else that of a given goal or contract. `judged` is False
-    if none of them can be judged; `success` is then False. `reason` is a sentence.
+    `success` is that of the instruction, where it can be read, else that of a given goal or contract. If none of them
+    can be judged, `basis` states so, and `success` is False.
     """
 
     success: bool
     progress: float
     violations: tuple[Violation, ...] = ()
-    judged: bool = True
-    reason: str = ""
+    basis: JudgementBasis = JudgementBasis()
+
+    @property
+    def judged(self) -> bool:
+        """Whether `success` has a meaning."""
+        return self.basis.judged
+
+    @property
+    def reason(self) -> str:
+        """The reason for `success` as a sentence; "" if there is none."""
+        return self.basis.reason
 
 
 class Episode(Record, frozen=True, kw_only=True, rename={"failure_feedback": "setback"}):

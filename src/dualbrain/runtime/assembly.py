@@ -17,7 +17,7 @@ from dualbrain.control.control_loop import ControlLoop, ControlLoopConfig, LoopI
 from dualbrain.control.executor import Grants
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.trace import Event, Trace
-from dualbrain.grounding.instruction.truth import make_instruction_judge
+from dualbrain.grounding.outcome.instruction_truth import make_instruction_judge
 from dualbrain.grounding.vocabulary import planner_grants, scene_names
 from dualbrain.records import Judgement, Outcome
 from dualbrain.robots.interface import RobotInterface

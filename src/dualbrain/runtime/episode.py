@@ -18,7 +18,7 @@ from dualbrain.contracts.verdict import Accepted, Rejected, Stage, Verdict
 from dualbrain.control.executor import ContractGate, Executor, Grants
 from dualbrain.core.text import storable_text
 from dualbrain.grounding.instruction.recalled_steps import fit_recall, reject_recalled_step
-from dualbrain.grounding.instruction.truth import judge_decline
+from dualbrain.grounding.outcome.instruction_truth import judge_decline
 from dualbrain.grounding.outcome.outcome_check import check_outcome, collect_evidence
 from dualbrain.grounding.vocabulary import planner_grants, scene_names
 from dualbrain.memory.embedding.image_features import ImageFeatures
@@ -110,9 +110,8 @@ def run_episode(
     if contract:
         ground_truth.start_contract(contract)
     outcome = executor.execute(contract) if contract else _outcome_without_motion(executor, attempts)
-    evidence = collect_evidence(
-        request.first_scene or scene, executor.scene, contract, outcome, q_before, executor.state.q, executor.robot_model
-    )
+    first, q_after = request.first_scene or scene, executor.state.q
+    evidence = collect_evidence(first, executor.scene, contract, outcome, q_before, q_after, executor.robot_model)
     checked = check_outcome(request.instruction, outcome, contract, evidence)
     judged = None if should_retry(outcome, request.tries_left) else ground_truth.judge()
     episode = Episode(
@@ -236,7 +235,7 @@ def reject_before_gate(proposal: Proposal, instruction: str, withheld: tuple[str
     try:
         contract = msgspec.json.decode(proposal.text.encode("utf-8", "surrogatepass"), type=Contract)
     except (msgspec.DecodeError, RecursionError):
-        return None  # the gate says why
+        return None  # the gate states why
     return reject_recalled_step(msgspec.to_builtins(contract), withheld, instruction)
 
 

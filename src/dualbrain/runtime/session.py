@@ -28,7 +28,7 @@ from dualbrain.core.untrusted.bounded_file import read_bounded_file
 from dualbrain.errors import ConfigurationError
 from dualbrain.grounding.document_retrieval import retrieve_passages
 from dualbrain.grounding.map_overlay import apply_map
-from dualbrain.grounding.instruction.truth import make_instruction_judge
+from dualbrain.grounding.outcome.instruction_truth import make_instruction_judge
 from dualbrain.knowledge.builtin_documents import open_library
 from dualbrain.knowledge.library import Library
 from dualbrain.memory.config import MemoryConfig

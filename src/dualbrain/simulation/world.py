@@ -9,7 +9,7 @@ import numpy as np
 
 from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.gate.authorization import PLANNER
-from dualbrain.records import Judgement, Scene, Violation
+from dualbrain.records import Judgement, JudgementBasis, Scene, Violation
 from dualbrain.robots.model import RobotModel
 from dualbrain.simulation.monitoring.handling import is_unharmed
 from dualbrain.simulation.monitoring.safety_monitor import SafetyMonitor
@@ -159,7 +159,7 @@ class SimulatedWorld:
         """Success, progress and violations on ground truth.
 
         A given goal must be reached, and the instruction must not be contradicted; without a given goal the instruction
-        decides alone. If it cannot be judged, the judgement says so. Without an instruction the goal of the contract
+        decides alone. If it cannot be judged, the judgement states so. Without an instruction the goal of the contract
         decides.
         """
         success, progress = self._judge.score() if self._judge else (False, 0.0)
@@ -169,12 +169,13 @@ class SimulatedWorld:
         verdict = self._judge_instruction(violations)
         if verdict is None:
             reason = "" if self._judge else "Neither an instruction nor the contract states a goal."
-            return Judgement(success, progress, violations, self._judge is not None, reason)
+            return Judgement(success, progress, violations, JudgementBasis(self._judge is not None, reason))
         if self._has_goal:
             success = success and verdict.success is not False
-            return Judgement(success, progress, violations, reason=verdict.reason)
+            return Judgement(success, progress, violations, JudgementBasis(judged=True, reason=verdict.reason))
         progress = 1.0 if verdict.success else min(progress, HARMED_PROGRESS)
-        return Judgement(verdict.success is True, progress, violations, verdict.success is not None, verdict.reason)
+        basis = JudgementBasis(verdict.success is not None, verdict.reason)
+        return Judgement(verdict.success is True, progress, violations, basis)
 
     def _judge_instruction(self, violations: tuple[Violation, ...]) -> InstructionVerdict | None:
         if self._instruction_judge is None or self._recorder is None:

@@ -8,7 +8,7 @@ class ExitCode(IntEnum):
 
     A run ends with SUCCESS only if the instruction was carried out: by ground truth of a simulation where it can judge
     the instruction, else by the independent senses of the robot. NOT_JUDGED: the contract ended as planned, but neither
-    could tell whether that is what the instruction asks for.
+    could decide whether that is the request.
     """
 
     SUCCESS = 0

@@ -155,7 +155,7 @@ def is_success(episode: Episode) -> bool:
 
 
 def is_not_judged(episode: Episode) -> bool:
-    """Whether a contract ended as planned, and nothing tells whether the instruction was carried out."""
+    """Whether a contract ended as planned, and nothing decides whether the instruction was carried out."""
     judged = episode.judgement is not None and episode.judgement.judged
     return episode.outcome.kind in COMPLETED and not judged and episode.second_opinion == "none"
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dualbrain.contracts.contract import Action, Contract
 from dualbrain.control.recording.trace import Array, Trace
@@ -69,7 +70,7 @@ def _ends_grip(action: Action) -> bool:
     return action.skill in (*OPENING_SKILLS, "grasp")
 
 
-def _fastest_closing(t: Array, opening: Array, pressing: Array, contact: int) -> float:
+def _fastest_closing(t: Array, opening: Array, pressing: NDArray[np.bool_], contact: int) -> float:
     """Largest decrease of the opening within `CLOSING_WINDOW`, from settled contact on, both ends under load."""
     period = float(np.median(np.diff(t))) if len(t) > 1 else CLOSING_WINDOW
     step = max(1, round(CLOSING_WINDOW / max(period, 1e-6)))

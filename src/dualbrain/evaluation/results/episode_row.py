@@ -71,7 +71,7 @@ class EpisodeRow(msgspec.Struct, frozen=True, kw_only=True):
     sense_undisturbed: str = ""
     sense_fulfilled: str = ""
     judged: bool = True
-    """Ground truth could judge the instruction; `success` of a row that is not judged says nothing."""
+    """Ground truth could judge the instruction; `success` of a row that is not judged has no meaning."""
     failure: str
     """Failure class by the rule at the time of the run, "" for a success; reports use `failure_class_of` instead."""
     perceived_error: float | None

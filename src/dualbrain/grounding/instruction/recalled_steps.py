@@ -1,7 +1,7 @@
 """Steps that only a recalled episode contains: they are removed from the prompt, and refused in a plan.
 
 A planner that is shown a recalled contract tends to copy it whole. A step of it that this instruction does not ask for,
-such as a final `home`, would then be executed although nobody asked for it.
+such as a final `home`, would then be executed although no person asked for it.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 
 from dualbrain.contracts.verdict import Rejected
-from dualbrain.grounding.instruction.goal_reading import requests_home
+from dualbrain.grounding.instruction.goals.goal_reading import requests_home
 from dualbrain.records import Exemplar, RetrievedContext
 
 
@@ -25,7 +25,9 @@ def _mentions(words: str) -> Callable[[str], bool]:
 OPTIONAL_SKILLS: dict[str, Callable[[str], bool]] = {
     "home": requests_home,
     "hold": _mentions("hold|wait|pause|rest|stop|still|moment|stay|keep|halt|freeze|seconds?|until|break|stand"),
-    "move_to": _mentions("look|over|above|hover|point|show|check|find|found|move|go|approach|where|which|what about|want"),
+    "move_to": _mentions(
+        "look|over|above|hover|point|show|check|find|found|move|go|approach|where|which|what about|want"
+    ),
     "push": _mentions("push|shove|slide|nudge|closer|towards?|lift|bit more|press|hit|off|against|away"),
     "release": _mentions("release|drop|let go|open|put down|set down|place|put|give|hand|down"),
 }
@@ -45,8 +47,8 @@ def unrequested_skills(contract: Mapping[str, Any], instruction: str) -> tuple[s
 def fit_recall(recall: RetrievedContext, instruction: str) -> tuple[RetrievedContext, tuple[str, ...]]:
     """`recall` without the steps that `instruction` does not contain, and the skills of these steps.
 
-    A recalled contract whose last steps are not requested is shortened; one with such a step before a requested step, or
-    with no other step, is not shown, because a part from its middle cannot be left out. Warnings are shown as they are.
+    A recalled contract whose last steps are not requested is shortened. One with such a step before a requested step,
+    or with no other step, is not shown: a part from its middle cannot be left out. Warnings are shown as they are.
     """
     shown, withheld = list[Exemplar](), dict[str, None]()
     for exemplar in recall.exemplars:

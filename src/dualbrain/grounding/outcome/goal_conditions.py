@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dualbrain.grounding.instruction.goal import (
+from dualbrain.grounding.instruction.goals.goal import (
     Condition,
     Direction,
     Goal,

@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from dualbrain.contracts.contract import Contract
-from dualbrain.grounding.instruction.goal import Goal, Unread
-from dualbrain.grounding.instruction.goal_reading import read_goal
+from dualbrain.grounding.instruction.goals.goal import Goal, Unread
+from dualbrain.grounding.instruction.goals.goal_reading import read_goal
 from dualbrain.grounding.outcome.changes_in_words import describe_changes
 from dualbrain.grounding.outcome.evidence import Array, Evidence, arm_home, base_position
 from dualbrain.grounding.outcome.sense_fulfilled import NAME as FULFILLED
@@ -45,7 +45,8 @@ def check_outcome(instruction: str, outcome: Outcome, contract: Contract | None,
     Without an instruction (a given contract) there is no request to compare with; the contract is then the request.
     """
     goal = read_goal(instruction, evidence.before) if instruction.strip() else Unread("There is no instruction.")
-    handled = handled_objects(contract) | (goal.movable if isinstance(goal, Goal) else frozenset())
+    asked = goal.movable if isinstance(goal, Goal) else frozenset[str]()
+    handled = handled_objects(contract) | asked
     verdicts = (
         judge_placed(evidence),
         judge_intact(evidence),
@@ -64,7 +65,7 @@ def combine_verdicts(
 
     A success agrees if the request is confirmed, no sense contradicts, and every gripped object is confirmed intact. A
     failure agrees if the request is contradicted, and disagrees if it is confirmed. Without an instruction the sense
-    "placed" stands for the request.
+    "placed" replaces the request.
     """
     by_name = {one.sense: one.verdict for one in verdicts}
     request = by_name.get(FULFILLED if instructed else PLACED, "not judged")

@@ -1,12 +1,14 @@
 """Sense "the request was carried out": the perceived changes, compared with the goal of the instruction.
 
-The goal comes from the words of the instruction alone (`grounding.instruction.goal_reading`), not from the contract; so
-a plan for another task does not pass, however well it was executed.
+The goal comes from the words of the instruction alone (`grounding.instruction.goals`), not from the contract; so a plan
+for another task does not pass, however well it was executed.
 """
 
 from __future__ import annotations
 
-from dualbrain.grounding.instruction.goal import Condition, Goal, Placed, RobotEnds, Unread
+from collections.abc import Mapping
+
+from dualbrain.grounding.instruction.goals.goal import Condition, Goal, Placed, RobotEnds, Unread
 from dualbrain.grounding.outcome.changes_in_words import describe_changes
 from dualbrain.grounding.outcome.evidence import Evidence
 from dualbrain.grounding.outcome.goal_conditions import condition_holds, others_unmoved
@@ -23,25 +25,39 @@ def judge_fulfilled(goal: Goal | Unread, evidence: Evidence) -> SenseVerdict:
         return _judge_decline(goal, evidence)
     if evidence.declined:
         return SenseVerdict(NAME, "contradicted", "The instruction was declined, although a skill can carry it out.")
-    changes = describe_changes(evidence)
-    holds = [(condition, condition_holds(condition, evidence)) for condition in goal.conditions]
-    if missed := next((one for one, state in holds if state is False), None):
-        return SenseVerdict(NAME, "contradicted", f"{_expected(missed)}, but perceived: {changes}.")
+    holds = {condition: condition_holds(condition, evidence) for condition in goal.conditions}
     others = others_unmoved(goal, evidence)
-    if shifted := [name for name, state in others.items() if state is False]:
-        names = ", ".join(name.replace("_", " ") for name in shifted)
-        return SenseVerdict(NAME, "contradicted", f"{names} moved, which the instruction does not ask for: {changes}.")
+    if reason := _contradiction(goal, evidence, holds, others):
+        return SenseVerdict(NAME, "contradicted", reason)
+    if reason := _undecided(evidence, holds, others):
+        return SenseVerdict(NAME, "not judged", reason)
+    return SenseVerdict(NAME, "confirmed", f"Perceived: {describe_changes(evidence)}.")
+
+
+def _contradiction(
+    goal: Goal, evidence: Evidence, holds: Mapping[Condition, bool | None], others: Mapping[str, bool | None]
+) -> str:
+    """Evidence against the goal, as a sentence; "" if there is none."""
+    if missed := next((one for one, state in holds.items() if state is False), None):
+        return f"{_expected(missed)}, but perceived: {describe_changes(evidence)}."
+    if shifted := [_words(name) for name, state in others.items() if state is False]:
+        changes = describe_changes(evidence)
+        return f"{', '.join(shifted)} moved, which the instruction does not ask for: {changes}."
     if unordered := _wrong_order(goal, evidence):
-        return SenseVerdict(NAME, "contradicted", unordered)
-    if evidence.broken:
-        return SenseVerdict(NAME, "contradicted", f"{', '.join(sorted(evidence.broken))} was broken.")
-    undecided = next((one for one, state in holds if state is None), None)
-    if undecided is not None:
-        return SenseVerdict(NAME, "not judged", f"{_expected(undecided)}; the senses cannot decide it: {changes}.")
-    if unsure := [name for name, state in others.items() if state is None]:
-        names = ", ".join(name.replace("_", " ") for name in unsure)
-        return SenseVerdict(NAME, "not judged", f"Whether {names} moved is within the perception error.")
-    return SenseVerdict(NAME, "confirmed", f"Perceived: {changes}.")
+        return unordered
+    return f"{', '.join(sorted(evidence.broken))} was broken." if evidence.broken else ""
+
+
+def _undecided(evidence: Evidence, holds: Mapping[Condition, bool | None], others: Mapping[str, bool | None]) -> str:
+    """Undecided conditions, as a sentence; "" if there are none."""
+    if unsure := next((one for one, state in holds.items() if state is None), None):
+        return f"{_expected(unsure)}; the senses cannot decide it: {describe_changes(evidence)}."
+    names = [_words(name) for name, state in others.items() if state is None]
+    return f"Whether {', '.join(names)} moved is within the perception error." if names else ""
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")
 
 
 def _judge_decline(goal: Goal, evidence: Evidence) -> SenseVerdict:
@@ -63,7 +79,7 @@ def _wrong_order(goal: Goal, evidence: Evidence) -> str:
     wanted = [name for name in named if name in last]
     if last == wanted:
         return ""
-    return f"The objects were placed in the order {', '.join(last)}, but the instruction says {', '.join(wanted)}."
+    return f"The objects were placed in the order {', '.join(last)}, but the instruction states {', '.join(wanted)}."
 
 
 def _expected(condition: Condition) -> str:

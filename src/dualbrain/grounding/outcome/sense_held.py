@@ -1,4 +1,4 @@
-"""Sense "still held": finger forces and opening after the motion, against an object that the contract leaves in hand."""
+"""Sense "still held": finger forces and opening after the motion, for an object that the contract leaves in hand."""
 
 from __future__ import annotations
 

@@ -12,13 +12,13 @@ import numpy as np
 
 from dualbrain.core.geometry.rotations import quaternion_to_matrix
 from dualbrain.core.geometry.shapes import Bowl, Box, Capsule, Cylinder, HalfSpace, Shape, Sphere
-from dualbrain.grounding.instruction.goal import Relation
+from dualbrain.grounding.instruction.goals.goal import Relation
 from dualbrain.records import Place, Scene, SceneObject
 
 PLACE_RADIUS = 0.05
 """An object within this distance of a named place is at the place [m]."""
 SURFACE_TOLERANCE = 0.03
-"""An object whose lowest point is within this of a support stands on it [m]."""
+"""An object whose lowest point is within this of a support rests on it [m]."""
 NEAR_GAP = 0.15
 """Objects with a horizontal gap up to this are near each other [m]."""
 MOVED_DISTANCE = 0.03
@@ -110,14 +110,14 @@ def is_on(obj: SceneObject, other: SceneObject) -> bool | None:
 
 
 def is_at(obj: SceneObject, place: Place) -> bool | None:
-    """Whether `obj` stands at `place`, on the surface of the place."""
+    """Whether `obj` is at `place`, on the surface of the place."""
     near = below(horizontal_distance(obj, place), PLACE_RADIUS, obj.error)
     low = vertical_extent(obj)[0] - place.position[2]
     return all_true((near, below(low, SURFACE_TOLERANCE, obj.error), negate(below(low, -SURFACE_TOLERANCE, obj.error))))
 
 
 def is_lowered(obj: SceneObject, scene: Scene) -> bool | None:
-    """Whether `obj` stands on the support of `scene`."""
+    """Whether `obj` rests on the support of `scene`."""
     low = vertical_extent(obj)[0] - support_height(scene)
     return below(low, SURFACE_TOLERANCE, obj.error)
 
@@ -150,23 +150,19 @@ def _holds(obj: SceneObject, relation: Relation, other: SceneObject | Place, sce
     apart = all_true((negate(inside), negate(on), is_lowered(obj, scene)))
     gap = horizontal_distance(obj, other) - half_width(obj.shape) - half_width(other.shape)
     dx, dy = (obj.pose.position[i] - other.pose.position[i] for i in (0, 1))
-    match relation:
-        case "in":
-            return inside
-        case "on":
-            return on
-        case "at" | "near":
-            return all_true((apart, below(gap, NEAR_GAP, error)))
-        case "left_of":
-            return all_true((apart, below(abs(dx) - dy, 0.0, 2.0 * error)))
-        case "right_of":
-            return all_true((apart, below(abs(dx) + dy, 0.0, 2.0 * error)))
-        case "in_front_of" | "behind":  # the words do not say from where a person looks
-            return False if apart is False or below(abs(dx), abs(dy), 2.0 * error) else UNDECIDED
-        case "away_from" | "off":
-            return all_true((negate(inside), negate(on)))
-        case "under" | "above" | "between":
-            return UNDECIDED
+    views: dict[Relation, bool | None] = {
+        "in": inside,
+        "on": on,
+        "at": all_true((apart, below(gap, NEAR_GAP, error))),
+        "near": all_true((apart, below(gap, NEAR_GAP, error))),
+        "left_of": all_true((apart, below(abs(dx) - dy, 0.0, 2.0 * error))),
+        "right_of": all_true((apart, below(abs(dx) + dy, 0.0, 2.0 * error))),
+        "away_from": all_true((negate(inside), negate(on))),
+        "off": all_true((negate(inside), negate(on))),
+    }
+    if relation in ("in_front_of", "behind"):  # the words do not state the point of view
+        return False if apart is False or below(abs(dx), abs(dy), 2.0 * error) else UNDECIDED
+    return views.get(relation, UNDECIDED)
 
 
 def _holds_at_place(obj: SceneObject, relation: Relation, place: Place) -> bool | None:
@@ -178,7 +174,7 @@ def _holds_at_place(obj: SceneObject, relation: Relation, place: Place) -> bool 
 
 
 def _is_between(obj: SceneObject, ends: list[SceneObject | Place], scene: Scene) -> bool | None:
-    """Whether the foot of `obj` lies in the middle 80 % of the line of `ends`, at most 8 cm beside it."""
+    """Whether the foot of `obj` is in the middle 80 % of the line of `ends`, at most 8 cm beside it."""
     a, b = (np.asarray(one.position if isinstance(one, Place) else one.pose.position)[:2] for one in ends)
     length = float(np.linalg.norm(b - a))
     if length <= 0.0:
@@ -193,7 +189,7 @@ def _is_between(obj: SceneObject, ends: list[SceneObject | Place], scene: Scene)
 
 def is_container_empty(scene: Scene, name: str) -> bool | None:
     """Whether no object is inside the container `name`; None if it is not perceived, or cannot be decided."""
-    container = next((obj for obj in scene.objects if obj.name == name or obj.category == name), None)
+    container = next((obj for obj in scene.objects if name in (obj.name, obj.category)), None)
     if container is None or container.role != "container":
         return UNDECIDED
     return all_true(negate(is_inside(obj, container)) for obj in scene.objects if obj.role == "object")

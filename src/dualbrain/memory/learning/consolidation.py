@@ -132,7 +132,7 @@ class Consolidation:
         """Candidates that `episode` confirms, because the same plan succeeded again in a similar situation.
 
         The new outcome itself must be confirmed by the independent senses. Unconfirmed outcomes do not confirm each
-        other, whatever their sources: the same wrong verdict on the same plan would repeat itself.
+        other, even from several sources: the same wrong verdict on the same plan would repeat itself.
         """
         if episode.outcome.kind != "succeeded" or status != "active":
             return []

@@ -15,7 +15,6 @@ import msgspec
 import numpy as np
 
 from dualbrain.adaptation.curation.sample import Sample
-from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.errors import ConfigurationError
 from dualbrain.grounding.outcome.outcome_check import check_outcome, collect_evidence
@@ -25,7 +24,7 @@ from dualbrain.memory.ledger.ledger import LedgerReader
 from dualbrain.memory.maintenance.contradiction import agreement_p_value, is_contradicted
 from dualbrain.memory.state.derivation import derive_state
 from dualbrain.memory.state.state import MemoryState
-from dualbrain.records import Outcome, Scene
+from dualbrain.records import Scene
 from dualbrain.robots.loader import load_builtin_robot
 from dualbrain.runtime.assembly import CellOptions, SimulatedCell, open_world
 from dualbrain.simulation.perception.noisy_perception import NoisyPerception, PerceptionNoise

@@ -46,7 +46,7 @@ class TrueEpisode:
 
 
 InstructionJudge = Callable[[TrueEpisode], InstructionVerdict]
-"""Judges one instruction; `grounding.instruction.truth.make_instruction_judge` makes it from the words."""
+"""Judges one instruction; `grounding.outcome.instruction_truth.make_instruction_judge` makes it from the words."""
 
 
 class TrueEpisodeRecorder:

@@ -20,7 +20,7 @@ from dualbrain.core.processes.parent_pipe import ParentPipe
 from dualbrain.core.processes.realtime_priority import release_realtime_priority
 from dualbrain.core.storage.atomic_files import write_atomically
 from dualbrain.drivers.driver import command_fault
-from dualbrain.grounding.instruction.truth import make_instruction_judge
+from dualbrain.grounding.outcome.instruction_truth import make_instruction_judge
 from dualbrain.records import Judgement
 from dualbrain.robots.interface import Command
 from dualbrain.robots.loader import load_robot

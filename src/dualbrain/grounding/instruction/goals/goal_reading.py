@@ -6,9 +6,9 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from dualbrain.grounding.instruction import goal_words
-from dualbrain.grounding.instruction.clause_forms import read_clause, refused_clause
-from dualbrain.grounding.instruction.goal import (
+from dualbrain.grounding.instruction.goals import goal_words
+from dualbrain.grounding.instruction.goals.clause_forms import read_clause, refused_clause
+from dualbrain.grounding.instruction.goals.goal import (
     Condition,
     Goal,
     Held,
@@ -19,7 +19,7 @@ from dualbrain.grounding.instruction.goal import (
     Unmoved,
     Unread,
 )
-from dualbrain.grounding.instruction.noun_phrases import Vocabulary
+from dualbrain.grounding.instruction.goals.noun_phrases import Vocabulary
 from dualbrain.grounding.outcome.spatial_relations import is_container_empty
 from dualbrain.records import Scene
 
@@ -136,5 +136,3 @@ def _movable(conditions: Sequence[Condition]) -> frozenset[str]:
     kept = {name for one in conditions if isinstance(one, Unmoved) for name in one.objects}
     kept |= {one.object_name for one in conditions if isinstance(one, Observed)}
     return frozenset(moved - kept)
-
-

@@ -74,7 +74,7 @@ class Observed:
 
 @dataclass(frozen=True, slots=True)
 class RobotEnds:
-    """The robot ends as `movement` says; `place` is the end of a drive."""
+    """The robot ends as `movement` states; `place` is the end of a drive."""
 
     movement: Movement
     place: str = ""

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import msgspec
 
-from dualbrain.grounding.instruction.goal import Goal, Unread
-from dualbrain.grounding.instruction.goal_reading import read_goal
+from dualbrain.grounding.instruction.goals.goal import Unread
+from dualbrain.grounding.instruction.goals.goal_reading import read_goal
 from dualbrain.grounding.outcome.evidence import Evidence, arm_home, base_position
 from dualbrain.grounding.outcome.sense_fulfilled import judge_fulfilled
-from dualbrain.records import Judgement
+from dualbrain.records import Judgement, JudgementBasis
 from dualbrain.simulation.tasks.true_episode import InstructionJudge, InstructionVerdict, TrueEpisode
 
 SUCCESS_OF_VERDICT = {"confirmed": True, "contradicted": False, "not judged": None}
@@ -56,7 +56,7 @@ def judge_decline(judgement: Judgement | None, instruction: str, evidence: Evide
         return judgement
     goal = read_goal(instruction, evidence.before)
     if isinstance(goal, Unread):
-        return msgspec.structs.replace(judgement, success=False, judged=False, reason=goal.reason)
+        return msgspec.structs.replace(judgement, success=False, basis=JudgementBasis(judged=False, reason=goal.reason))
     verdict = judge_fulfilled(goal, evidence)
-    success = isinstance(goal, Goal) and verdict.verdict == "confirmed"
-    return msgspec.structs.replace(judgement, success=success, judged=True, reason=verdict.reason)
+    success = verdict.verdict == "confirmed"
+    return msgspec.structs.replace(judgement, success=success, basis=JudgementBasis(judged=True, reason=verdict.reason))

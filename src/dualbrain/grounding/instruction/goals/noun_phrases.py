@@ -1,4 +1,4 @@
-"""Noun phrases of an instruction, resolved to objects and places of a scene by colour, category, number and quantifier."""
+"""Noun phrases of an instruction, resolved to objects and places by colour, category, number and quantifier."""
 
 from __future__ import annotations
 
@@ -6,7 +6,15 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from dualbrain.grounding.instruction.goal_words import COLOURS, DETERMINERS, GENERIC_NOUNS, NO_OBJECTS, NUMBERS, PERSONS, SYNONYMS
+from dualbrain.grounding.instruction.goals.goal_words import (
+    COLOURS,
+    DETERMINERS,
+    GENERIC_NOUNS,
+    NO_OBJECTS,
+    NUMBERS,
+    PERSONS,
+    SYNONYMS,
+)
 from dualbrain.records import Scene, SceneObject
 
 PLACE_ALIASES = {
@@ -107,11 +115,10 @@ def _united(parts: Sequence[Resolved]) -> Resolved:
 
 def _resolve_one(phrase: str, objects: Sequence[SceneObject], places: Sequence[str]) -> Resolved:
     every = QUANTIFIER.match(phrase)
-    pair = phrase.startswith("both")
     words = (phrase[every.end() :] if every else phrase).split()
     indefinite = bool(words) and words[0] in ("a", "an", "any")
     words = [word for word in words if word not in DETERMINERS]
-    number = NUMBERS.get(words[0]) if len(words) > 1 or (words and words[0].isdigit()) else None
+    number = NUMBERS.get(words[0]) if len(words) > 1 else None
     words = words[1 + (words[1:2] == ["of"]) :] if number is not None else words
     if not words:
         return Unclear("a noun phrase is empty")
@@ -119,14 +126,19 @@ def _resolve_one(phrase: str, objects: Sequence[SceneObject], places: Sequence[s
         return Found((words[0],))
     named = tuple(obj.name for obj in objects if len(words) == 1 and obj.name == words[0])
     matches = named or tuple(obj.name for obj in objects if _matches(words, obj))
-    plural = words[-1] not in {obj.category for obj in objects} and words[-1] != _singular(words[-1])
     if not matches:
         return _missing(words, objects)
     if number is not None:
         return Found(matches, number) if number <= len(matches) else Absent(phrase)
-    if pair and len(matches) != 2:  # noqa: PLR2004  (both: two)
+    plural = words[-1] not in {obj.category for obj in objects} and words[-1] != _singular(words[-1])
+    return _counted(phrase, matches, several=every is not None or plural, indefinite=indefinite)
+
+
+def _counted(phrase: str, matches: tuple[str, ...], *, several: bool, indefinite: bool) -> Resolved:
+    """`matches` as the quantifier or article of `phrase` counts them."""
+    if phrase.startswith("both") and len(matches) != 2:
         return Unclear(f'"{phrase}" does not name two objects')
-    if every or plural or len(matches) == 1:
+    if several or len(matches) == 1:
         return Found(matches)
     return Found(matches, 1) if indefinite else Unclear(f'"{phrase}" may be {" or ".join(matches)}')
 
@@ -157,7 +169,7 @@ def _missing(words: Sequence[str], objects: Sequence[SceneObject]) -> Resolved:
     if similar:
         return Unclear(f'"{phrase}" may be another name of {similar[0].name}')
     if others and any(obj.category == noun for obj in objects):
-        return Unclear(f'"{" ".join(others)}" is no property by which the parser tells objects apart')
+        return Unclear(f'"{" ".join(others)}" is no property by which the parser distinguishes objects')
     return Absent(phrase)
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 
-from dualbrain.grounding.instruction import goal_words
-from dualbrain.grounding.instruction.goal import (
+from dualbrain.grounding.instruction.goals import goal_words
+from dualbrain.grounding.instruction.goals.goal import (
     Condition,
     Direction,
     Goal,
@@ -19,7 +19,7 @@ from dualbrain.grounding.instruction.goal import (
     Unmoved,
     Unread,
 )
-from dualbrain.grounding.instruction.noun_phrases import Absent, Found, Resolved, Unclear, Vocabulary
+from dualbrain.grounding.instruction.goals.noun_phrases import Absent, Found, Resolved, Unclear, Vocabulary
 from dualbrain.records import Scene
 
 PRONOUNS = ("it", "them", "that", "this", "these", "those")
@@ -40,7 +40,7 @@ DIRECTIONS: dict[str, Direction] = {
     "to the right": "right",
     "right": "right",
 }
-"""Directions in the frame of the robot; "away from me" points to the robot, which faces the person who speaks."""
+"""Directions in the frame of the robot; "away from me" points to the robot, which faces the person."""
 PLACING = re.compile(rf"(?:{goal_words.PLACING_VERBS}) (.+)")
 LIFTING = re.compile(rf"(?:{goal_words.LIFTING_VERBS}) (.+?)(?: up| in your hand| in the air)*")
 STATING = (
@@ -52,9 +52,7 @@ STATING = (
 )
 HANDING = (
     re.compile(rf"(?:{goal_words.HANDING_VERBS}) me (.+)"),
-    re.compile(
-        rf"(?:{goal_words.HANDING_VERBS}) (.+?) (?:over )?to (?:me|the person|my hand|him|her|somebody|someone)"
-    ),
+    re.compile(rf"(?:{goal_words.HANDING_VERBS}) (.+?) (?:over )?to (?:{goal_words.RECIPIENTS})"),
     re.compile(rf"(?:{goal_words.PLACING_VERBS}) (.+?) (?:in|into) my hand"),
 )
 PUSHING = re.compile(rf"(?:{goal_words.PUSHING_VERBS}) (.+)")
@@ -70,7 +68,7 @@ Form = Callable[[str, Scene, Vocabulary, tuple[str, ...]], "Conditions | Goal | 
 
 
 def refused_clause(text: str) -> str:
-    """Why an instruction with the words `text` is to be declined whatever the scene; "" if it need not be."""
+    """Why an instruction with the words `text` is to be declined in any scene; "" if it need not be."""
     words = set(re.findall(r"[a-z-]+", text))
     for phrase in goal_words.UNAUTHORISED_PHRASES:
         if phrase in text and not re.search(r"\b(?:do not|don't|never)\b", text):
@@ -92,9 +90,7 @@ def _openings(text: str) -> list[str]:
     return [re.sub(rf"^(?:{goal_words.REQUESTS}|please|{goal_words.FILLERS})\b ?", "", one.strip()) for one in parts]
 
 
-def read_clause(
-    text: str, scene: Scene, vocabulary: Vocabulary, last: tuple[str, ...]
-) -> Conditions | Goal | Unread:
+def read_clause(text: str, scene: Scene, vocabulary: Vocabulary, last: tuple[str, ...]) -> Conditions | Goal | Unread:
     """The conditions of the clause `text`; a `Goal` if it is to be declined. "it" refers to the objects `last`."""
     for form in FORMS:
         found = form(text, scene, vocabulary, last)
@@ -167,17 +163,21 @@ def _pushed(
         if words.endswith(f" {phrase}"):
             objects = _objects(words.removesuffix(phrase).strip(), vocabulary, last)
             return ((Pushed(objects.names, direction),), objects.names) if isinstance(objects, Found) else objects
-    toward = re.fullmatch(
+    return _pushed_relative(words, vocabulary, last)
+
+
+def _pushed_relative(words: str, vocabulary: Vocabulary, last: tuple[str, ...]) -> Conditions | Goal | Unread | None:
+    form = re.fullmatch(
         r"(.+?) (?:over )?(towards?|closer to|in the direction of|away from|to|against|into|in) (.+)", words
     )
-    if toward is None:
+    if form is None:
         return None
-    objects, reference = _objects(toward.group(1), vocabulary, last), vocabulary.resolve_reference(toward.group(3))
+    objects, reference = _objects(form.group(1), vocabulary, last), vocabulary.resolve_reference(form.group(3))
     if not isinstance(objects, Found):
         return objects
     if not isinstance(reference, Found):
         return _unresolved(reference)
-    direction: Direction = "away_from" if toward.group(2) == "away from" else "toward"
+    direction: Direction = "away_from" if form.group(2) == "away from" else "toward"
     return (Pushed(objects.names, direction, reference.names[0]),), objects.names
 
 
@@ -285,7 +285,7 @@ def _before_preposition(words: str) -> str:
 
 
 def _at_or_in(relation: Relation, reference: str, vocabulary: Vocabulary) -> Relation:
-    """ "to", "on" and "in" mean inside for a container, at for a place, and on for an object."""
+    """The relation that "to", "on" and "in" mean: inside a container, at a place, on an object."""
     if relation not in ("at", "on", "in"):
         return relation
     if reference in vocabulary.places:
@@ -308,11 +308,11 @@ def _references(
     if relation == "between":
         parts = re.split(r" and ", phrase)
         found = [vocabulary.resolve_reference(part) for part in parts]
-        if len(found) == 2 and all(isinstance(one, Found) for one in found):  # noqa: PLR2004  (between two)
+        if len(found) == 2 and all(isinstance(one, Found) for one in found):
             return tuple(one.names[0] for one in found if isinstance(one, Found))
         return Unread(f'"between {phrase}" does not name two objects.')
     if phrase in ("the table", "table") and relation in ("on", "off", "under"):
-        return Unread(f'"{relation} the table" does not say where.')
+        return Unread(f'"{relation} the table" does not state where.')
     one = vocabulary.resolve_reference(phrase)
     return one.names if isinstance(one, Found) else _unresolved(one)
 

@@ -1,0 +1,90 @@
+"""Vocabulary of the goal parser: verbs, prepositions, quantifiers, and words that do not change a goal."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import msgspec
+
+from dualbrain.grounding.instruction.goals.goal import Relation
+
+
+class _Vocabulary(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The lists in `goal_vocabulary.toml`."""
+
+    hazard_verbs: frozenset[str]
+    impossible_verbs: frozenset[str]
+    unauthorised_phrases: tuple[str, ...]
+    persons: frozenset[str]
+    determiners: frozenset[str]
+    generic_nouns: frozenset[str]
+    colours: frozenset[str]
+    no_objects: frozenset[str]
+    synonyms: tuple[frozenset[str], ...]
+    fillers: tuple[str, ...]
+    requests: tuple[str, ...]
+    recipients: tuple[str, ...]
+    gerunds: dict[str, str]
+
+
+_FILE = Path(__file__).with_name("goal_vocabulary.toml")
+_WORDS = msgspec.convert(tomllib.loads(_FILE.read_text(encoding="utf-8")), _Vocabulary)
+
+HAZARD_VERBS, IMPOSSIBLE_VERBS = _WORDS.hazard_verbs, _WORDS.impossible_verbs
+UNAUTHORISED_PHRASES, PERSONS = _WORDS.unauthorised_phrases, _WORDS.persons
+DETERMINERS, GENERIC_NOUNS, COLOURS = _WORDS.determiners, _WORDS.generic_nouns, _WORDS.colours
+NO_OBJECTS, SYNONYMS, GERUNDS = _WORDS.no_objects, _WORDS.synonyms, _WORDS.gerunds
+FILLERS, REQUESTS, RECIPIENTS = ("|".join(words) for words in (_WORDS.fillers, _WORDS.requests, _WORDS.recipients))
+"""Alternatives of a regular expression."""
+
+PLACING_VERBS = (
+    "put|place|move|set|drop|bring|stand|lay|transfer|carry|take|get|deposit|shift|stow|pop|stick|collect|gather|"
+    "sort|throw|tidy|drag|transport|insert|position|return|leave|stack|bring over|put away"
+)
+"""Verbs of a placement; with a destination none of them determines how the object gets there."""
+LIFTING_VERBS = "pick up|pick|grasp|grab|lift up|lift|take|hold up|hold|raise|get hold of|fetch"
+HANDING_VERBS = "hand|give|pass|bring|hand over|fetch|get"
+PUSHING_VERBS = "push|shove|slide|nudge"
+OBSERVING_PHRASES = (
+    "look at|have a look at|hover over|hover above|point at|point to|check on|move above|move your hand above|"
+    "hold your hand over|go over|go above|show me|inspect"
+)
+
+PREPOSITIONS: tuple[tuple[str, Relation], ...] = (
+    (r"(?:to|on|at) the left(?:[- ]hand)?(?: side)? of|left of", "left_of"),
+    (r"(?:to|on|at) the right(?:[- ]hand)?(?: side)? of|right of", "right_of"),
+    (r"in front of|before", "in_front_of"),
+    (r"behind|in back of", "behind"),
+    (r"between", "between"),
+    (r"next to|beside|besides|close to|near to|near|by|alongside|adjacent to|around", "near"),
+    (r"on top of|onto|on|upon|atop", "on"),
+    (r"into|inside(?: of)?|in", "in"),
+    (r"under(?:neath)?|below|beneath", "under"),
+    (r"above|over", "above"),
+    (r"away from|far from", "away_from"),
+    (r"off of|off|out of|from", "off"),
+    (r"at|over to|to", "at"),
+)
+"""Prepositions of a placement and their relations; the first that matches counts."""
+
+NUMBERS = {"one": 1, "two": 2, "three": 3, "four": 4, "five": 5, "six": 6, "1": 1, "2": 2, "3": 3, "4": 4, "5": 5}
+HOME_CLAUSES = (
+    r"(?:go|return|move|drive|come|get|travel|retreat)(?: the arm| your arm| yourself| back)*"
+    r"(?: to)?(?: the| your| its)?"
+    r"(?: home| resting| rest| start| starting| initial| parking)+(?: posture| position| pose| place)?",
+    r"(?:retract|park)(?: the| your)? (?:arm|robot)",
+    r"go (?:back )?to where you (?:started|began|were)",
+    r"go back to where you started",
+    r"(?:go|return) (?:and|to) rest",
+    r"rest|take a break|that is all for today",
+    r"(?:get|move)(?: the arm| your arm)? out of (?:the|my) way(?:, back home)?",
+    r"the arm should be at rest",
+    r"we are done for now, go and rest",
+    r"home",
+)
+STILL_CLAUSES = (
+    r"stop(?: it| now| moving| at once| everything| the arm| the robot)*|halt|freeze|wait|pause|"
+    r"stay(?: where you are| there| still)*|hold still|stand still|do(?: not|n't) move|do nothing|don't do anything|"
+    r"do not do anything|hold(?: on| it)?|stay put|abort|cancel|whoa|enough",
+)
