@@ -12,14 +12,18 @@ from hypothesis import strategies as st
 from dualbrain.contracts.contract import Action, Context, Contract
 from dualbrain.core.geometry.shapes import Capsule, Pose
 from dualbrain.grounding.offline_gate import scene_from_spec
-from dualbrain.grounding.outcome_check import check_outcome
+from dualbrain.grounding.outcome.outcome_check import check_outcome, collect_evidence
 from dualbrain.memory.maintenance.contradiction import EXPECTED_AGREEMENT, SIGNIFICANCE_LEVEL
 from dualbrain.records import Outcome, SceneObject
+from dualbrain.robots.loader import load_robot
 from dualbrain.runtime.inspection.memory_replay import ReplayTry, compare_with_memory
 from dualbrain.simulation.scenes.from_memory import scene_from_memory
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from dualbrain.simulation.scenes.scene_spec import FloorMap, KeepOutArea, check_scene
 from tests.simulation.mobile_base_cell import MobileBaseCell, drive_to_action
+
+PANDA = load_robot("panda")
+START = scene_from_spec(open_scene("sorting:0"))
 
 
 @given(st.integers(1, 12), st.integers(0, 12), st.booleans())
@@ -87,7 +91,14 @@ def check_placement(scene, name, destination, kind):
         },
         Contract,
     )
-    return check_outcome(scene, contract, Outcome(kind=kind, reason=""))
+    return check_contract(scene, contract, Outcome(kind=kind, reason=""))
+
+
+def check_contract(after, contract, outcome):
+    """The check of a given contract, without an instruction, on the scene `after`."""
+    q = np.array(PANDA.home)
+    evidence = collect_evidence(START, after, contract, outcome, q, q, PANDA)
+    return check_outcome("", outcome, contract, evidence).check
 
 
 def test_perception_agrees_or_disagrees_with_the_outcome() -> None:
@@ -105,7 +116,7 @@ def test_perception_agrees_or_disagrees_with_the_outcome() -> None:
     assert check_placement(moved, "red_cube", "blue_bowl", "failed") == "disagrees"
     assert check_placement(scene, "no_cube", "blue_bowl", "succeeded") == "none"
     assert check_placement(scene, "red_cube", "blue_bowl", "aborted") == "none"
-    assert check_outcome(scene, None, Outcome(kind="succeeded", reason="")) == "none"
+    assert check_contract(scene, None, Outcome(kind="succeeded", reason="")) == "none"
 
 
 @pytest.mark.parametrize(("second", "expected"), [("blue_bowl", "agrees"), ("table_left", "disagrees")])
@@ -122,7 +133,7 @@ def test_each_of_several_objects_must_be_at_its_last_destination(second: str, ex
     ]
     contract = Contract("c-0001", Context("panda", "x" * 8), tuple(actions))
     after = msgspec.structs.replace(scene, objects=inside)
-    assert check_outcome(after, contract, Outcome(kind="succeeded", reason="")) == expected
+    assert check_contract(after, contract, Outcome(kind="succeeded", reason="")) == expected
 
 
 def test_the_rule_gives_its_reason(tmp_path: Path) -> None:

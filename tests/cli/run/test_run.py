@@ -6,13 +6,23 @@ import msgspec
 import pytest
 
 from dualbrain.cli.common.exit_codes import ExitCode
-from dualbrain.cli.run.execution import exit_code, is_success, run_summary
+from dualbrain.cli.run.execution import describe_judgement, exit_code, is_success, run_summary
 from dualbrain.cli.run.run import run
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.errors import UsageError
 from dualbrain.planner.prompt.short_prompt import short_template_hash
 from dualbrain.planner.scripted import ScriptedPlanner
-from dualbrain.records import Attempt, Episode, Judgement, Outcome, Proposal, RetrievedContext, Scene, Violation
+from dualbrain.records import (
+    Attempt,
+    Episode,
+    Judgement,
+    JudgementBasis,
+    Outcome,
+    Proposal,
+    RetrievedContext,
+    Scene,
+    Violation,
+)
 from dualbrain.runtime import session
 from dualbrain.runtime.session import RUN_FILES
 from dualbrain.simulation.scenes.scene_spec import load_scene
@@ -103,8 +113,9 @@ def test_documents_that_a_planner_cannot_read_are_reported_once(run_command, mon
 # --- exit codes ---------------------------------------------------------------------------------------------------
 
 
-def episode(kind, *, truth=True, violations=(), judged=True):
-    judgement = Judgement(truth, float(truth), violations) if judged else None
+def episode(kind, *, truth=True, violations=(), judged=True, readable=True, check="none"):
+    basis = JudgementBasis(judged=readable, reason="The instruction could not be read.")
+    judgement = Judgement(truth and readable, float(truth), violations, basis) if judged else None
     refused = Attempt(
         Proposal(text="", finish_reason="stop", planner="t", constrained_by="t", timings={}),
         Rejected(stage="syntax", pointer="", got=0, allowed=0, hint="hint"),
@@ -124,6 +135,7 @@ def episode(kind, *, truth=True, violations=(), judged=True):
         contract=None,
         outcome=Outcome(kind=kind, reason=""),
         judgement=judgement,
+        second_opinion=check,
         timings={},
         versions={},
     )
@@ -137,7 +149,14 @@ BREACH = (Violation(kind="collision_env", start=0.0, duration=0.1, peak=5.0, bod
     [
         ("succeeded", {}, ExitCode.SUCCESS),
         ("succeeded", {"truth": False}, ExitCode.FAILED_SAFELY),
-        ("succeeded", {"judged": False}, ExitCode.SUCCESS),
+        ("succeeded", {"judged": False}, ExitCode.NOT_JUDGED),
+        ("succeeded", {"judged": False, "check": "agrees"}, ExitCode.SUCCESS),
+        ("succeeded", {"judged": False, "check": "disagrees"}, ExitCode.FAILED_SAFELY),
+        ("succeeded", {"readable": False}, ExitCode.NOT_JUDGED),
+        ("succeeded", {"readable": False, "check": "agrees"}, ExitCode.SUCCESS),
+        ("succeeded", {"truth": False, "check": "agrees"}, ExitCode.FAILED_SAFELY),
+        ("succeeded", {"check": "disagrees"}, ExitCode.SUCCESS),
+        ("failed", {"judged": False}, ExitCode.FAILED_SAFELY),
         ("succeeded", {"violations": BREACH}, ExitCode.VIOLATION),
         ("failed", {}, ExitCode.FAILED_SAFELY),
         ("failed", {"violations": BREACH}, ExitCode.VIOLATION),
@@ -155,8 +174,15 @@ def test_exit_codes(kind, facts, code):
     assert json.loads(msgspec.json.encode(run_summary(one, "out"))).keys() >= KEYS
 
 
+def test_the_output_states_that_an_instruction_was_not_judged():
+    one = episode("succeeded", readable=False)
+    assert describe_judgement(one) == "simulator ground truth: not judged (The instruction could not be read.)"
+    summary = run_summary(one, "out")
+    assert (summary["success"], summary["judged"]) == (False, False)
+
+
 def test_the_codes_are_the_published_ones():
-    assert [int(code) for code in ExitCode] == [0, 1, 2, 3, 4, 5, 130]
+    assert [int(code) for code in ExitCode] == [0, 1, 2, 3, 4, 5, 6, 130]
 
 
 @pytest.mark.parametrize("epsilon", [-1.0, float("nan"), float("inf")])

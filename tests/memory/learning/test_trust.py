@@ -66,7 +66,8 @@ def test_a_later_consistent_outcome_confirms_a_candidate_and_applies_its_updates
     ("other", "confirms"),
     [
         ({"second_opinion": "none"}, False),
-        ({"second_opinion": "none", "proposer": "another planner"}, True),
+        ({"second_opinion": "none", "proposer": "another planner"}, False),
+        ({"second_opinion": "agrees", "proposer": "another planner"}, True),
         ({"plan": grasp_contract("green_cube")}, False),
         ({"instruction": "open the far drawer slowly", "summary": "person: crossing, overhead over_path"}, False),
         ({"registry": "bbbb2222"}, False),
@@ -75,7 +76,7 @@ def test_a_later_consistent_outcome_confirms_a_candidate_and_applies_its_updates
 def test_only_an_independent_and_similar_outcome_confirms(
     tmp_path: Path, other: dict[str, str], confirms: bool
 ) -> None:
-    """Outcomes of one source do not confirm each other, which would allow planted successes."""
+    """Unconfirmed outcomes do not confirm each other, from one source or several: planted or wrong successes repeat."""
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
         memory.store(episode("unconfirmed", second_opinion="none"), REST_POSTURE, now=NOW)

@@ -38,7 +38,7 @@ STILL_TOLERANCE = 0.10
 """A robot that was to stand still has not moved a joint by more than this [rad, m]."""
 ARRIVAL_DISTANCE = 0.20
 """A base is at a place within this distance [m]."""
-MIN_PUSH = 0.01
+MIN_PUSH = 0.02
 """A pushed object has moved at least this far in the direction [m]."""
 LIFT_HEIGHT = 0.02
 """An object in the hand is held up if its lowest point is at least this far above its height before [m]."""

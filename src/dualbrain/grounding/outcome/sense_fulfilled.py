@@ -8,7 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from dualbrain.grounding.instruction.goals.goal import Condition, Goal, Placed, RobotEnds, Unread
+from dualbrain.grounding.instruction.goals.goal import (
+    Condition,
+    Goal,
+    Held,
+    Observed,
+    Placed,
+    Pushed,
+    RobotEnds,
+    Unmoved,
+    Unread,
+)
 from dualbrain.grounding.outcome.changes_in_words import describe_changes
 from dualbrain.grounding.outcome.evidence import Evidence
 from dualbrain.grounding.outcome.goal_conditions import condition_holds, others_unmoved
@@ -86,12 +96,20 @@ def _expected(condition: Condition) -> str:
     """The condition as the beginning of a sentence."""
     match condition:
         case Placed(objects, relation, references, count):
-            names = ", ".join(name.replace("_", " ") for name in objects)
             number = "" if count is None else f"{count} of "
-            where = " and ".join(name.replace("_", " ") for name in references)
-            return f"The instruction asks for {number}{names} {relation.replace('_', ' ')} {where}"
+            where = " and ".join(map(_words, references))
+            return f"The instruction asks for {number}{_list(objects)} {_words(relation)} {where}"
+        case Held(objects, handed):
+            return f"The instruction asks for {_list(objects)} {'with a person' if handed else 'in the hand'}"
+        case Pushed(objects, direction, reference):
+            return f"The instruction asks to push {_list(objects)} {_words(direction)} {_words(reference)}".rstrip()
+        case Unmoved(objects):
+            return f"The instruction asks to leave {_list(objects)} in place"
+        case Observed(name):
+            return f"The instruction asks for the empty hand above {_words(name)}"
         case RobotEnds(movement, place):
-            return f"The instruction asks the robot to end {movement} {place}".rstrip()
-        case _:
-            kind = type(condition).__name__.lower()
-            return f"The instruction asks for {kind}: {getattr(condition, 'objects', '') or ''}".rstrip(": ")
+            return f"The instruction asks the robot to end {movement} {_words(place)}".rstrip()
+
+
+def _list(names: tuple[str, ...]) -> str:
+    return ", ".join(map(_words, names))

@@ -1,0 +1,80 @@
+"""Profiles of grips from a trace: forces, openings, sudden closing, and the end of the grip."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from dualbrain.contracts.contract import Action, Context, Contract
+from dualbrain.control.recording.grip_profile import grip_profiles
+from dualbrain.control.recording.trace import Trace
+from dualbrain.robots.interface import RobotState
+
+PERIOD, N = 0.01, 7
+GRASP, PLACE = Action("grasp", {"object": "red_cube"}), Action("place", {"destination": "blue_bowl"})
+RESULT = SimpleNamespace(
+    u=np.zeros(N),
+    status=0,
+    delta=0.0,
+    delta_rows=0.0,
+    delta_box=0.0,
+    h_min=1.0,
+    certified=True,
+    iterations=1,
+    n_rows=0,
+    delta_supervisor=0.0,
+)
+
+
+def trace_of(*parts):
+    """A trace of `parts` (action, opening, force, ticks)."""
+    trace, t = Trace(N), 0.0
+    for action, opening, force, ticks in parts:
+        for _ in range(ticks):
+            state = RobotState(
+                stamp=t, sequence=0, q=np.zeros(N), v=np.zeros(N), opening=opening, finger_forces=(force, force)
+            )
+            trace.append(t, state, np.zeros(N), RESULT, action=action, phase="p")
+            t += PERIOD
+    return trace
+
+
+def profiles(trace, *actions):
+    return grip_profiles(trace, 0, Contract("c-0001", Context("panda", "x" * 8), actions))
+
+
+def test_a_grip_that_a_place_ends():
+    trace = trace_of(
+        (0, 0.04, 0.0, 20), (0, 0.02, 20.0, 40), (1, 0.02, 18.0, 40), (1, 0.04, 0.0, 20), (-1, 0.04, 0.0, 9)
+    )
+    (one,) = profiles(trace, GRASP, PLACE)
+    assert (one.object_name, one.max_force, one.first_opening, one.min_opening) == ("red_cube", 20.0, 0.02, 0.02)
+    assert one.released
+    assert not one.holds_at_end
+    assert (one.end_force, one.end_opening, one.fastest_closing) == (0.0, 0.04, 0.0)
+
+
+def test_a_grip_that_lasts():
+    (one,) = profiles(trace_of((0, 0.04, 0.0, 20), (0, 0.02, 20.0, 60), (-1, 0.02, 20.0, 9)), GRASP)
+    assert one.holds_at_end
+    assert not one.released
+
+
+def test_an_object_that_is_lost():
+    (one,) = profiles(trace_of((0, 0.02, 20.0, 60), (0, 0.0, 0.0, 20)), GRASP)
+    assert not one.holds_at_end
+    assert not one.released
+
+
+@pytest.mark.parametrize(("step", "ticks", "sudden"), [(0.005, 0, True), (0.005, 200, False)])
+def test_a_collapse_is_sudden_and_a_creep_is_not(step, ticks, sudden):
+    """The same loss of gap within one tick, or over two seconds."""
+    creep = [(0, 0.02 - step * (k + 1) / ticks, 20.0, 1) for k in range(ticks)] or [(0, 0.02 - step, 20.0, 1)]
+    (one,) = profiles(trace_of((0, 0.02, 20.0, 60), *creep, (0, 0.02 - step, 20.0, 20)), GRASP)
+    assert (one.fastest_closing > 0.003) == sudden
+
+
+def test_without_contact_there_is_no_profile():
+    assert profiles(trace_of((0, 0.0, 0.0, 50)), GRASP) == ()
+    assert profiles(trace_of((0, 0.02, 20.0, 50)), PLACE) == ()
+    assert grip_profiles(Trace(N), 0, Contract("c-0001", Context("panda", "x" * 8), (GRASP,))) == ()

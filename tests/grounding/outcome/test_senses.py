@@ -1,0 +1,214 @@
+"""Each sense by itself, and the check of an outcome that they give together."""
+
+from dataclasses import replace as replace_fields
+from types import SimpleNamespace
+
+import msgspec
+import pytest
+
+from dualbrain.contracts.contract import Action, Context, Contract
+from dualbrain.core.geometry.shapes import Box, Cylinder
+from dualbrain.grounding.outcome.outcome_check import (
+    SENSES,
+    check_outcome,
+    collect_evidence,
+    combine_verdicts,
+    expected_placements,
+)
+from dualbrain.grounding.outcome.sense_held import judge_held
+from dualbrain.grounding.outcome.sense_intact import judge_intact
+from dualbrain.grounding.outcome.sense_placed import judge_placed
+from dualbrain.grounding.outcome.sense_undisturbed import judge_undisturbed
+from dualbrain.memory.learning.trust import TrustConfig
+from dualbrain.records import Outcome, SenseVerdict
+from dualbrain.robots.loader import load_robot
+from tests.grounding.outcome.tabletop_cases import BEFORE, HOME, evidence, grip, holding, scene_after, with_placements
+
+CUBE_IN = {"red_cube": "in the bowl"}
+PANDA = load_robot("panda")
+
+
+def contract(*steps):
+    actions = tuple(Action(skill, params) for skill, params in steps)
+    return Contract("c-0001", Context("panda", "x" * 8), actions)
+
+
+def put(name, destination):
+    return ("grasp", {"object": name}), ("place", {"destination": destination})
+
+
+# --- placed -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("where", "destination", "expected"),
+    [
+        ("in the bowl", "blue_bowl", "confirmed"),
+        ("right of the bowl", "blue_bowl", "contradicted"),
+        ("on the rim", "blue_bowl", "contradicted"),
+        ("above the bowl", "blue_bowl", "contradicted"),  # right in the plane, but too high
+        ("table_left", "table_left", "confirmed"),
+        ("table_right", "table_left", "contradicted"),
+    ],
+)
+def test_placed_compares_the_perceived_pose_with_the_destination(where, destination, expected):
+    one = with_placements(evidence({"red_cube": where}), red_cube=destination)
+    assert judge_placed(one).verdict == expected
+
+
+def test_placed_does_not_judge_without_a_placement_or_a_perceived_object():
+    assert judge_placed(evidence(CUBE_IN)).verdict == "not judged"
+    vanished = with_placements(evidence(CUBE_IN, gone=("red_cube",)), red_cube="blue_bowl")
+    assert judge_placed(vanished).verdict == "not judged"
+    assert expected_placements(contract(*put("red_cube", "blue_bowl"), *put("red_cube", "table_left"))) == {
+        "red_cube": "table_left"
+    }
+    held = contract(*put("red_cube", "blue_bowl"), ("grasp", {"object": "red_cube"}))
+    assert expected_placements(held) == {}
+
+
+# --- intact -----------------------------------------------------------------------------------------------------------
+
+
+def glass_moved(*, after_shape=None, gone=(), fallen=(), **fields):
+    one = evidence({"clear_glass": "table_left"}, gone=gone, fallen=fallen, grips=(grip("clear_glass", **fields),))
+    if after_shape is None:
+        return one
+    objects = tuple(
+        msgspec.structs.replace(obj, shape=after_shape) if obj.name == "clear_glass" else obj
+        for obj in one.after.objects
+    )
+    return replace_fields(one, after=msgspec.structs.replace(one.after, objects=objects))
+
+
+@pytest.mark.parametrize(
+    ("fields", "expected"),
+    [
+        ({"force": 9.0}, "confirmed"),
+        ({"force": 60.0}, "contradicted"),  # the glass breaks at 20 N
+        ({"force": 19.5}, "contradicted"),  # the pads are sampled: the peak may be higher
+        ({"force": 9.0, "fastest_closing": 0.006}, "contradicted"),  # the gap collapsed
+        ({"force": 9.0, "after_shape": Cylinder(0.024, 0.012)}, "contradicted"),  # a heap of shards
+        ({"force": 9.0, "gone": ("clear_glass",)}, "contradicted"),
+        ({"force": 9.0, "fallen": ("clear_glass",)}, "contradicted"),
+        ({"force": 0.0}, "not judged"),  # no force sensor
+    ],
+)
+def test_intact_reads_force_profile_gap_and_the_object_afterwards(fields, expected):
+    assert judge_intact(glass_moved(**fields)).verdict == expected
+
+
+def test_a_robust_object_may_be_gripped_firmly():
+    assert judge_intact(evidence(CUBE_IN, grips=(grip("red_cube", 60.0),))).verdict == "confirmed"
+    crushed = evidence(CUBE_IN, grips=(grip("red_cube", 60.0, fastest_closing=0.004),))
+    assert judge_intact(crushed).verdict == "contradicted"
+    assert judge_intact(evidence({})).verdict == "not judged"
+
+
+# --- held, undisturbed ------------------------------------------------------------------------------------------------
+
+
+def test_held_reads_the_fingers_after_the_motion():
+    assert judge_held(evidence(hand="red_cube")).verdict == "confirmed"
+    lost = grip("red_cube", released=False, end_force=0.0, end_opening=0.0)
+    assert judge_held(evidence({"red_cube": "3 cm ahead"}, grips=(lost,))).verdict == "contradicted"
+    assert judge_held(evidence(CUBE_IN)).verdict == "not judged"
+
+
+@pytest.mark.parametrize(
+    ("moves", "fallen", "gone", "expected"),
+    [
+        ({}, (), (), "confirmed"),
+        ({"green_tin": "far away"}, (), (), "contradicted"),
+        ({}, ("green_tin",), (), "contradicted"),
+        ({}, (), ("green_tin",), "not judged"),
+    ],
+)
+def test_undisturbed_looks_at_every_other_object(moves, fallen, gone, expected):
+    one = evidence(CUBE_IN | moves, fallen=fallen, gone=gone)
+    assert judge_undisturbed(one, frozenset({"red_cube"})).verdict == expected
+
+
+# --- together ---------------------------------------------------------------------------------------------------------
+
+
+def check(instruction, kind, moves, *, steps, grips, **scene):
+    outcome = Outcome(kind=kind, reason="", grips=grips)
+    plan = contract(*steps)
+    one = collect_evidence(BEFORE, scene_after(moves, **scene), plan, outcome, HOME, HOME + 0.3, PANDA)
+    return check_outcome(instruction, outcome, plan, one)
+
+
+def test_a_confirmed_success_agrees_and_names_every_sense():
+    found = check(
+        "put the red cube in the bowl",
+        "succeeded",
+        CUBE_IN,
+        steps=put("red_cube", "blue_bowl"),
+        grips=(grip("red_cube"),),
+    )
+    assert found.check == "agrees"
+    assert tuple(one.sense for one in found.verdicts) == SENSES
+    assert found.changes == "red cube in blue bowl; nothing else moved"
+
+
+@pytest.mark.parametrize(
+    ("instruction", "moves", "steps", "grips"),
+    [
+        (
+            "put the glass on the left side of the table",  # broken with 60 N, and placed
+            {"clear_glass": "table_left"},
+            put("clear_glass", "table_left"),
+            (grip("clear_glass", 60.0),),
+        ),
+        ("put the red cube in the bowl", {"red_cube": "right of the bowl"}, put("red_cube", "blue_bowl"), ()),
+        ("put the red cube in the bowl", CUBE_IN | {"green_tin": "far away"}, put("red_cube", "blue_bowl"), ()),
+        ("put the red cube to the left of the bowl", CUBE_IN, put("red_cube", "blue_bowl"), (grip("red_cube"),)),
+    ],
+)
+def test_a_false_success_is_disputed_and_quarantined(instruction, moves, steps, grips):
+    found = check(instruction, "succeeded", moves, steps=steps, grips=grips)
+    assert found.check == "disagrees"
+    episode = SimpleNamespace(outcome=Outcome(kind="succeeded", reason=""), second_opinion=found.check)
+    assert TrustConfig().initial_status(episode) == "quarantined"
+
+
+def test_a_success_that_cannot_be_read_stays_a_candidate():
+    found = check(
+        "tidy up a little", "succeeded", CUBE_IN, steps=put("red_cube", "blue_bowl"), grips=(grip("red_cube"),)
+    )
+    assert found.check == "none"
+    episode = SimpleNamespace(outcome=Outcome(kind="succeeded", reason=""), second_opinion=found.check)
+    assert TrustConfig().initial_status(episode) == "candidate"
+
+
+def test_a_success_without_a_finger_force_stays_a_candidate():
+    grips = (grip("red_cube", 0.0),)
+    found = check("put the red cube in the bowl", "succeeded", CUBE_IN, steps=put("red_cube", "blue_bowl"), grips=grips)
+    assert found.check == "none"
+
+
+def test_a_failure_that_carried_out_the_request_is_disputed():
+    steps, grips = put("red_cube", "blue_bowl"), (grip("red_cube"),)
+    assert check("put the red cube in the bowl", "failed", CUBE_IN, steps=steps, grips=grips).check == "disagrees"
+    assert check("put the red cube in the bowl", "failed", {}, steps=steps, grips=()).check == "agrees"
+
+
+@pytest.mark.parametrize("bad", SENSES)
+def test_no_success_agrees_against_one_sense(bad):
+    verdicts = tuple(SenseVerdict(name, "contradicted" if name == bad else "confirmed", "") for name in SENSES)
+    assert combine_verdicts(Outcome(kind="succeeded", reason=""), verdicts, gripped=True) == "disagrees"
+
+
+def test_a_box_is_not_a_cylinder_afterwards():
+    """A change of the fitted shape alone is no loss of height: depth perception fits shapes anew."""
+    one = glass_moved(force=9.0, after_shape=Box((0.024, 0.024, 0.012)))
+    assert judge_intact(one).verdict == "confirmed"
+
+
+def test_the_hand_that_holds_is_part_of_the_evidence():
+    outcome = Outcome(kind="succeeded", reason="", grips=(holding("red_cube"),))
+    one = collect_evidence(
+        BEFORE, scene_after({}), contract(("grasp", {"object": "red_cube"})), outcome, HOME, HOME, PANDA
+    )
+    assert one.in_hand == "red_cube"
