@@ -263,6 +263,8 @@ MARGIN_CAUSE_TEXTS: dict[MarginCause, str] = {
     MarginCause.TRACKING: "the robot did not follow the command within its tracking error",
 }
 """Each cause as part of a sentence."""
+
+
 class SenseVerdict(Record, frozen=True):
     """Verdict of one sense of the robot on an outcome, with the reason as a sentence.
 

@@ -50,9 +50,9 @@ class EpisodeRequest:
     `max_shots` proposals and is shown at most `max_exemplars` memories (0: neither exemplars nor warnings, as for a
     given contract). `tries_left` contracts may still be executed for the instruction, this one included;
     `failure_feedback` is the feedback on the one before, `continuation` the actions that remain of it for the object in
-    the hand: if the gate rejects every proposal, it gets a contract of these actions. `first_scene` is the scene in
-    which the instruction was given, if an earlier contract may have changed it. `grants` defines which principal may
-    call which skills; by default the planner may call all of them.
+    the hand: if the gate rejects every proposal, or the planner declines, the gate gets a contract of these actions.
+    `first_scene` is the scene in which the instruction was given, if an earlier contract may have changed it. `grants`
+    defines which principal may call which skills; by default the planner may call all of them.
     """
 
     id: str
@@ -177,19 +177,29 @@ def _propose(
         return verdict
 
     verdict: Verdict | None = None
+    can_continue = bool(request.continuation) and executor.held_object is not None
     for _ in range(request.max_shots):
         requested_at = executor.state.stamp
         proposal = clock.wait_for(executor, lambda ask=plan_request: agent.planner.propose(ask))
         if proposal is None:
             return attempts, verdict
         verdict = check(proposal, requested_at)
-        if isinstance(verdict, Accepted) or not has_answer(proposal):
+        if not has_answer(proposal):
             return attempts, verdict
+        if isinstance(verdict, Accepted):
+            if not (can_continue and is_decline(verdict.contract)):
+                return attempts, verdict
+            break
         contract_id = f"c-{len(attempts) + 1:04d}"
         plan_request = msgspec.structs.replace(plan_request, rejection=verdict, contract_id=contract_id)
-    if request.continuation and executor.held_object:
+    if can_continue:
         verdict = check(_continuation(plan_request, request), executor.state.stamp)
     return attempts, verdict
+
+
+def is_decline(contract: Contract) -> bool:
+    """Whether `contract` does nothing but decline."""
+    return all(action.skill == "decline" for action in contract.action_sequence)
 
 
 def _continuation(plan_request: PlanRequest, request: EpisodeRequest) -> Proposal:

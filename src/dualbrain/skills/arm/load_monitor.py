@@ -1,7 +1,8 @@
 """Load monitor: detects within 0.2 s that a held object was lost, removed, or slips in the fingers.
 
 It uses the finger forces, the finger opening and the perceived position of the object, never the true state. A load is
-lost once a finger has not pressed for `LOSS_TIME`, or once the fingers have closed by more than `MAX_CLOSING`. A load
+lost once a finger has not pressed for `LOSS_TIME`, or once the fingers have closed by more than `MAX_CLOSING` within
+`MAX_AGE`; an object that is gripped askew turns slowly and is still held while both fingers press. A load
 slips once its perceived position in the tool frame differs from that at the grasp by more than `MAX_SLIP` beyond the
 errors of both measurements.
 """
@@ -26,11 +27,11 @@ DETECTION_TIME = 0.2
 LOSS_TIME = 0.1
 """Time [s] without force on both fingers after which a load is lost; shorter interruptions are vibration."""
 MAX_CLOSING = 0.004
-"""Closing of each finger [m] since the grasp beyond which the load is gone or has turned out of the grip."""
+"""Closing of each finger [m] within `MAX_AGE` beyond which nothing is left between the fingers."""
 MAX_SLIP = 0.010
 """Displacement [m] of the load in the tool frame, beyond the perception errors, that counts as slip."""
 MAX_AGE = 0.2
-"""Age [s] of a perceived position above which it is not compared; the tool poses of this time are stored."""
+"""Time [s] for which tool poses and openings are stored; a perceived position that is older is not compared."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +53,7 @@ class _ToolPose:
     time: float
     position: Array
     rotation: Array
+    opening: float
 
 
 class LoadMonitor:
@@ -61,14 +63,14 @@ class LoadMonitor:
         """Start without a load."""
         self.name = ""
         self._offset: Array | None = None
-        self._offset_error, self._opening = 0.0, 0.0
+        self._offset_error = 0.0
         self._pressed_at = self._compared = 0.0
         self._poses: deque[_ToolPose] = deque()
 
     def watch(self, obj: SceneObject, offset: Array | None, observation: Observation) -> None:
         """Monitor `obj` from now on; `offset` (3,) [m] is its position in the tool frame, None if it is not known."""
         self.name, self._offset, self._offset_error = obj.name, offset, obj.error
-        self._opening = observation.state.opening or 0.0
+        self._poses.clear()
         self._pressed_at, self._compared = observation.now, obj.stamp
 
     def forget(self) -> None:
@@ -82,13 +84,12 @@ class LoadMonitor:
     def update(self, observation: Observation) -> LoadEvent | None:
         """The change of the load that this observation shows, if there is one; a lost load is not monitored further."""
         if not self.name:
-            self._poses.clear()
             return None
+        self._store_pose(observation)
         if self._is_lost(observation):
             event = LoadEvent(self.name)
             self.forget()
             return event
-        self._store_pose(observation)
         slip = self._slip(observation)
         return LoadEvent(self.name, slip) if slip else None
 
@@ -96,13 +97,13 @@ class LoadMonitor:
         state, now = observation.state, observation.now
         if min(state.finger_forces) >= MIN_GRIP_FORCE:
             self._pressed_at = now
-        closed = state.opening is not None and state.opening < self._opening - MAX_CLOSING
+        closed = self._poses[0].opening - self._poses[-1].opening > MAX_CLOSING
         return closed or now - self._pressed_at > LOSS_TIME
 
     def _store_pose(self, observation: Observation) -> None:
         tool, now = observation.tool, observation.now
         if not self._poses or now > self._poses[-1].time:
-            self._poses.append(_ToolPose(now, tool.position, tool.rotation))
+            self._poses.append(_ToolPose(now, tool.position, tool.rotation, observation.state.opening or 0.0))
         while now - self._poses[0].time > MAX_AGE:
             self._poses.popleft()
 

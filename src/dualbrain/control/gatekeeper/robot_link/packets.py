@@ -93,7 +93,6 @@ class StatePacket(Packet, frozen=True, tag=7, kw_only=True):
         )
 
 
-
 class ScenePacket(Packet, frozen=True, tag=8):
     """A perceived scene."""
 
