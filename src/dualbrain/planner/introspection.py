@@ -10,6 +10,9 @@ from dualbrain.planner.protocol import Planner
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import RetrievedContext
 
+DEFAULT_LANGUAGES = ("en",)
+"""The languages of a planner that declares none: the packaged models were trained on English instructions."""
+
 
 def planner_messages(planner: Planner, request: PlanRequest) -> Sequence[ChatMessage]:
     """The messages that `planner` sends to its model for `request`."""
@@ -27,6 +30,12 @@ def unsupported_fields(template: str, recall: RetrievedContext) -> tuple[str, ..
     """Names of the non-empty fields of `recall` that the prompt with the hash `template` cannot show."""
     fields = {"warnings": recall.warnings, "passages": recall.passages}
     return tuple(name for name, entries in fields.items() if entries) if template == short_template_hash() else ()
+
+
+def planner_languages(planner: Planner) -> tuple[str, ...]:
+    """The languages that `planner` declares, as ISO 639-1 codes ("*": all); English if it declares none."""
+    own: tuple[str, ...] | None = getattr(planner, "languages", None)
+    return own or DEFAULT_LANGUAGES
 
 
 def no_documents_reason(planner: Planner) -> str:

@@ -18,8 +18,10 @@ from dualbrain.contracts.verdict import Accepted, Rejected, Stage, Verdict
 from dualbrain.control.executor import ContractGate, Executor, Grants
 from dualbrain.core.text import storable_text
 from dualbrain.grounding.instruction.recalled_steps import fit_recall, reject_recalled_step
+from dualbrain.grounding.instruction.review import Refusal, StopCommand
 from dualbrain.grounding.outcome.instruction_truth import judge_decline
 from dualbrain.grounding.outcome.outcome_check import check_outcome, collect_evidence
+from dualbrain.grounding.outcome_check import check_outcome
 from dualbrain.grounding.vocabulary import planner_grants, scene_names
 from dualbrain.memory.embedding.image_features import ImageFeatures
 from dualbrain.memory.embedding.posture_features import Posture
@@ -27,8 +29,9 @@ from dualbrain.memory.memory import StoreReport
 from dualbrain.planner.prompt.full_prompt import MAX_RECALLED
 from dualbrain.planner.protocol import STOP, describe_failure, has_answer
 from dualbrain.planner.request import PlanRequest
-from dualbrain.records import Attempt, Episode, FailureFeedback, Judgement, Outcome, Proposal, Scene
+from dualbrain.records import Attempt, Episode, FailureFeedback, Judgement, Outcome, Proposal, RetrievedContext, Scene
 from dualbrain.runtime.agent import Agent
+from dualbrain.runtime.local_answer import STOPPED, InstructionCheck, answer_locally, local_proposal, reject_mismatch
 from dualbrain.runtime.planner_request import PlanningContext, build_request, retrieve
 from dualbrain.runtime.planning_time import PlanningClock, decision_timings
 from dualbrain.runtime.replanning import should_retry
@@ -38,6 +41,8 @@ STAGES = get_args(Stage)
 """The stages of the gate, in their order."""
 CONTINUATION = "continuation of "
 """Beginning of the author of a contract whose actions remain of the contract before."""
+STOP_TIME = 0.5
+"""Time at rest after a stop command for which the gate accepts no contract [s]."""
 CONTRACT_LIFETIME = 660.0
 """Time [s] after the request at which a contract that was not accepted expires; planners time out earlier."""
 
@@ -67,6 +72,8 @@ class EpisodeRequest:
     continuation: tuple[dict[str, Any], ...] = ()
     grants: Grants | None = None
     first_scene: Scene | None = None
+    instruction_check: InstructionCheck = "all"
+    """Which checks of the words the instruction and the contract pass."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +95,8 @@ def run_episode(
 ) -> tuple[Episode, StoreReport]:
     """Run one instruction through the loop; returns the episode and what memory changed.
 
+    A stop command, and an instruction that the local layer declines, are answered without retrieval and planner.
+
     An episode that is followed by another try of the same instruction is not judged.
     """
     registry, scene = skill_registry(executor.robot_model), executor.scene
@@ -99,21 +108,30 @@ def run_episode(
         posture=posture,
         image=ground_truth.image_features(),
     )
-    recall, retrieval_s = clock.measure(
-        lambda: retrieve(request.instruction, context, agent.memory, request.max_exemplars, agent.retrieve_passages)
-    )
-    recall, withheld = fit_recall(recall, request.instruction)
     binding_before, q_before = executor.log.binding.copy(), executor.state.q.copy()
-    plan_request = build_request(request.instruction, context, recall, request.failure_feedback)
-    attempts, verdict = _propose(request, agent, executor, clock, plan_request, scene.version, withheld)
+    withheld: tuple[str, ...] = ()
+    answer = answer_locally(request.instruction, context, agent.planner, request.instruction_check)
+    if answer is None:
+        recall, retrieval_s = clock.measure(
+            lambda: retrieve(request.instruction, context, agent.memory, request.max_exemplars, agent.retrieve_passages)
+        )
+        recall, withheld = fit_recall(recall, request.instruction)
+        plan_request = build_request(request.instruction, context, recall, request.failure_feedback)
+        attempts, verdict = _propose(request, agent, executor, clock, plan_request, context, withheld)
+    else:
+        recall, retrieval_s = RetrievedContext(), 0.0
+        attempts, verdict = _propose_locally(request, answer, executor, clock, context)
     contract = verdict.contract if isinstance(verdict, Accepted) else None
     if contract:
         ground_truth.start_contract(contract)
     outcome = executor.execute(contract) if contract else _outcome_without_motion(executor, attempts)
+    outcome = outcome if answer is None else _local_outcome(answer, executor, outcome)
     first, q_after = request.first_scene or scene, executor.state.q
     evidence = collect_evidence(first, executor.scene, contract, outcome, q_before, q_after, executor.robot_model)
     checked = check_outcome(request.instruction, outcome, contract, evidence)
     judged = None if should_retry(outcome, request.tries_left) else ground_truth.judge()
+    if isinstance(answer, StopCommand):
+        judged = _judge_stop(outcome, judged)
     episode = Episode(
         id=request.id,
         started=request.started,
@@ -146,7 +164,7 @@ def _propose(
     executor: Executor,
     clock: PlanningClock,
     plan_request: PlanRequest,
-    scene_version: int,
+    context: PlanningContext,
     withheld: tuple[str, ...],
 ) -> tuple[list[Attempt], Verdict | None]:
     """Request contracts until the gate accepts one, the planner gives no answer, or all shots are used."""
@@ -157,23 +175,15 @@ def _propose(
     def check(proposal: Proposal, requested_at: float) -> Verdict:
         """The verdict on a proposal, which becomes the next attempt."""
         shot = len(attempts) + 1
-        header = ContractHeader(
-            sequence=shot,
-            issued=requested_at,
-            expires=requested_at + CONTRACT_LIFETIME,
-            principal=PLANNER,
-            scene_version=scene_version,
-        )
+        header = _header(shot, requested_at, context)
         verdict, gate_s = clock.measure(
             lambda: (
                 reject_before_gate(proposal, request.instruction, withheld)
+                or reject_mismatch(proposal, request.instruction, context, request.instruction_check)
                 or _check(gate, proposal, scene_names(executor.scene), executor.state.stamp, header)
             )
         )
-        text = storable_text(proposal.text)
-        attempts.append(Attempt(msgspec.structs.replace(proposal, text=text), verdict, gate_s))
-        executor.log.attempt(executor.state.stamp, attempts[-1])
-        executor.log.note(executor.state.stamp, "verdict", _format_attempt(shot, attempts[-1]))
+        attempts.append(_logged_attempt(executor, shot, proposal, verdict, gate_s))
         return verdict
 
     verdict: Verdict | None = None
@@ -217,6 +227,70 @@ def _continuation(plan_request: PlanRequest, request: EpisodeRequest) -> Proposa
         constrained_by="the contract before",
         timings={"total": 0.0},
     )
+
+
+def _header(shot: int, requested_at: float, context: PlanningContext) -> ContractHeader:
+    return ContractHeader(
+        sequence=shot,
+        issued=requested_at,
+        expires=requested_at + CONTRACT_LIFETIME,
+        principal=PLANNER,
+        scene_version=context.scene.version,
+    )
+
+
+def _logged_attempt(executor: Executor, shot: int, proposal: Proposal, verdict: Verdict, gate_s: float) -> Attempt:
+    """The attempt, after it was written to the log."""
+    attempt = Attempt(msgspec.structs.replace(proposal, text=storable_text(proposal.text)), verdict, gate_s)
+    executor.log.attempt(executor.state.stamp, attempt)
+    executor.log.note(executor.state.stamp, "verdict", _format_attempt(shot, attempt))
+    return attempt
+
+
+# --- answers of the local layer ---------------------------------------------------------------------------------------
+
+
+def _propose_locally(
+    request: EpisodeRequest,
+    answer: StopCommand | Refusal,
+    executor: Executor,
+    clock: PlanningClock,
+    context: PlanningContext,
+) -> tuple[list[Attempt], Verdict]:
+    """The contract of the local layer and the gate's verdict on it; no time passes for the robot."""
+    registry = context.registry
+    gate = executor.gate(planner_grants(registry) if request.grants is None else request.grants)
+    proposal, now = local_proposal(answer, registry, "c-0001"), executor.state.stamp
+    if isinstance(answer, Refusal):
+        executor.log.note(now, "planner", answer.reason)
+    verdict, gate_s = clock.measure(
+        lambda: _check(gate, proposal, scene_names(executor.scene), now, _header(1, now, context))
+    )
+    return [_logged_attempt(executor, 1, proposal, verdict, gate_s)], verdict
+
+
+def _local_outcome(answer: StopCommand | Refusal, executor: Executor, outcome: Outcome) -> Outcome:
+    """The outcome of a local answer, with its reason in words.
+
+    The site may grant neither `hold` nor `decline` to the planner; a robot without an accepted contract rests anyway.
+    """
+    if executor.interrupted() or outcome.kind not in ("succeeded", "declined", "rejected"):
+        return outcome
+    if isinstance(answer, Refusal):
+        return msgspec.structs.replace(outcome, kind="declined", reason=answer.reason)
+    if outcome.kind == "rejected":
+        executor.hold(STOP_TIME, "stop")
+    return msgspec.structs.replace(outcome, kind="succeeded", reason=STOPPED)
+
+
+def _judge_stop(outcome: Outcome, judgement: Judgement | None) -> Judgement | None:
+    """The judgement of a stop command: a robot at rest has done what was said; violations count as always."""
+    if judgement is None or outcome.kind != "succeeded":
+        return judgement
+    return msgspec.structs.replace(judgement, success=True, progress=1.0)
+
+
+# --- verdicts ---------------------------------------------------------------------------------------------------------
 
 
 def reject_incomplete(proposal: Proposal) -> Rejected | None:

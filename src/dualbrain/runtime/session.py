@@ -27,6 +27,7 @@ from dualbrain.core.text import storable_text
 from dualbrain.core.untrusted.bounded_file import read_bounded_file
 from dualbrain.errors import ConfigurationError
 from dualbrain.grounding.document_retrieval import retrieve_passages
+from dualbrain.grounding.instruction.stop_commands import is_stop_command
 from dualbrain.grounding.map_overlay import apply_map
 from dualbrain.grounding.outcome.instruction_truth import make_instruction_judge
 from dualbrain.knowledge.builtin_documents import open_library
@@ -198,6 +199,8 @@ class Session:
             return FixedContractPlanner(
                 f"file {self.config.contract.name}", read_bounded_file(self.config.contract, MAX_CONTRACT_FILE_BYTES)
             )
+        if is_stop_command(self.config.instruction):
+            return FixedContractPlanner("no planner: a stop command", b"")
         prefixes = self.config.cache / "prefixes"
         open_private_folder(prefixes)
         key = environ.get("OPENAI_API_KEY", "")
@@ -233,6 +236,16 @@ class Session:
     def interrupt(self) -> None:
         """Make the robot stop for a person: it brakes to rest, the drive goes off, and everything is recorded."""
         self._stop_requested = True
+
+    def instruct(self, words: str) -> bool:
+        """Give an instruction during the run, from any thread; returns whether it was a stop command.
+
+        A stop command interrupts the run, within one control period and without a planner. Other words change nothing.
+        """
+        if is_stop_command(words):
+            self.interrupt()
+            return True
+        return False
 
     def _context(self) -> RunContext:
         return RunContext(
@@ -284,6 +297,7 @@ class Session:
             continuation=one.continuation,
             grants=self.grants,
             first_scene=first_scene,
+            instruction_check="given_contract" if given else "all",
         )
 
     def _finish(self, results: list[TryResult], trace: Trace) -> RunResult:

@@ -21,6 +21,7 @@ from dualbrain.evaluation.protocol.baselines import BaselineGate
 from dualbrain.evaluation.protocol.case import Case
 from dualbrain.evaluation.protocol.method import Method
 from dualbrain.evaluation.results.episode_row import EpisodeRow
+from dualbrain.grounding.instruction.correspondence import INSTRUCTION_POINTER
 from dualbrain.planner.prompt.prompt_format import UNCONSTRAINED_BY
 from dualbrain.records import Episode, Proposal
 from dualbrain.runtime.episode import reject_before_gate
@@ -159,9 +160,15 @@ def _full_gate_verdicts(episode: Episode, gate: BaselineGate) -> list[Verdict]:
     return [
         attempt.verdict
         if reject_before_gate(attempt.proposal, episode.instruction, episode.withheld_skills)
+        or _is_mismatch(attempt.verdict)
         else next(judged)
         for attempt in episode.attempts
     ]
+
+
+def _is_mismatch(verdict: Verdict) -> bool:
+    """Whether the words of the instruction rejected a contract, before the gate."""
+    return isinstance(verdict, Rejected) and verdict.pointer == INSTRUCTION_POINTER
 
 
 def _is_compliant(case: Case, first: list[Verdict]) -> bool:

@@ -1,1 +1,1 @@
-"""Reading of instructions without a planner: goals, clauses, stop words, languages."""
+"""The words of an instruction, read by local rules: stop words, clauses, hostile requests, language, named objects."""

@@ -16,6 +16,7 @@ from dualbrain.contracts.gate.authorization import PLANNER
 from dualbrain.contracts.gate.gate import Gate
 from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
 from dualbrain.core.text import storable_text
+from dualbrain.grounding.instruction.review import Refusal
 from dualbrain.grounding.offline_gate import controller_at_home
 from dualbrain.grounding.scene_rules import scene_rules
 from dualbrain.grounding.vocabulary import planner_grants, scene_names
@@ -27,6 +28,7 @@ from dualbrain.records import Attempt, Proposal, RetrievedContext, Scene
 from dualbrain.robots.interface import home_state
 from dualbrain.robots.loader import load_robot
 from dualbrain.runtime.episode import reject_incomplete
+from dualbrain.runtime.local_answer import answer_locally, local_proposal, reject_mismatch
 from dualbrain.runtime.planner_request import PassageRetriever, PlanningContext, Retriever, build_request, retrieve
 from dualbrain.runtime.planning_time import Clock, decision_timings
 
@@ -53,6 +55,8 @@ class DryRunResult:
     shots: tuple[Shot, ...]
     timings: dict[str, float]
     template_hash: str
+    refusal: str = ""
+    """The reason of the local layer, which declined the instruction before the planner was asked."""
 
     @property
     def verdict(self) -> Verdict:
@@ -98,16 +102,31 @@ def plan(
     shots: int,
     clock: Clock,
 ) -> DryRunResult:
-    """Request a contract from `planner` at most `shots` times, with the gate's last rejection in the prompt."""
-    recall, retrieval = _timed(clock, lambda: _retrieve(instruction, context, memory, retrieve_passages))
+    """Request a contract from `planner` at most `shots` times, with the gate's last rejection in the prompt.
+
+    The planner is not asked for a stop command or for an instruction that the local layer declines.
+    """
+    answer = answer_locally(instruction, context, planner)
+    if answer is None:
+        recall, retrieval = _timed(clock, lambda: _retrieve(instruction, context, memory, retrieve_passages))
+    else:
+        recall, retrieval = RetrievedContext(), 0.0
     request = build_request(instruction, context, recall)
     controller = controller_at_home(context.robot_model.name, context.scene)
     gate = Gate(context.registry, planner_grants(context.registry), scene_rules(context.scene, controller))
     taken: list[Shot] = []
     while len(taken) < shots:
-        prompt, proposal = tuple(planner_messages(planner, request)), planner.propose(request)
+        if answer is None:
+            prompt, proposal = tuple(planner_messages(planner, request)), planner.propose(request)
+        else:
+            prompt, proposal = (), local_proposal(answer, context.registry, request.contract_id)
         verdict, gate_s = _timed(
-            clock, lambda answer=proposal: reject_incomplete(answer) or _check(gate, answer, context.scene)
+            clock,
+            lambda given=proposal: (
+                reject_incomplete(given)
+                or reject_mismatch(given, instruction, context, "all" if answer is None else "before_planning")
+                or _check(gate, given, context.scene)
+            ),
         )
         stored = msgspec.structs.replace(proposal, text=storable_text(proposal.text))
         taken.append(Shot(prompt, Attempt(stored, verdict, gate_s)))
@@ -120,6 +139,7 @@ def plan(
         shots=tuple(taken),
         timings=decision_timings([one.attempt for one in taken], retrieval),
         template_hash=planner_template(planner),
+        refusal=answer.reason if isinstance(answer, Refusal) else "",
     )
 
 

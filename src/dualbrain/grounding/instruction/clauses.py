@@ -1,0 +1,200 @@
+"""Clauses of an instruction that the contracts of a robot cannot express, found before a planner is asked.
+
+The check is local and deterministic. It reads English; its rules know the wordings in `clause_patterns.py`, and a
+clause in other words is not found. An instruction with a clause is declined as a whole, because a robot that does the
+rest would do something else than it was told.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from dualbrain.grounding.instruction import clause_patterns as patterns
+from dualbrain.grounding.instruction.clause_patterns import ClauseKind, ClauseRule
+from dualbrain.grounding.instruction.expressible import Capabilities
+from dualbrain.grounding.instruction.names import category_words, mask_places
+from dualbrain.grounding.instruction.words import Words, sentences
+
+_BOUNDARY = re.compile(r"[,.;:!?]|$")
+_LATER_ACTION = re.compile(
+    r"\b(?:then|and|afterwards|before) (?:\w+ ){0,2}?(?:put|place|drop|move|go|drive|release|bring|push|set)\b"
+    r"|[,;.] (?:put|place|drop|move|go|drive|release|bring|push|set)\b"
+)
+_SMALL_NUMBERS = {
+    **{"a": 1, "an": 1, "one": 1, "two": 2, "three": 3, "four": 4, "five": 5, "six": 6, "seven": 7, "eight": 8},
+    **{"nine": 9, "ten": 10, "eleven": 11, "twelve": 12, "fifteen": 15, "twenty": 20},
+    **{"few": 5, "several": 8, "some": 5, "couple": 2, "of": 2, "dozen": 12},
+}
+_SECONDS = re.compile(r"(\d+(?:[.,]\d+)?|\w+) (s|secs?|seconds?)$")
+
+
+@dataclass(frozen=True, slots=True)
+class Clause:
+    """A clause that contracts cannot express: its `kind`, and its words as the person wrote them."""
+
+    kind: ClauseKind
+    quote: str
+
+
+def find_clauses(words: Words, abilities: Capabilities, receptive: Sequence[str] = ()) -> tuple[Clause, ...]:
+    """The clauses of an instruction that contracts with `abilities` cannot express, in the order of the text.
+
+    `receptive` are the names of the containers and places of the scene: "left side of the table" is not a direction
+    where a place has this name, and only containers may be free or full. For a robot without a hand,
+    "the left" is the only place on the left.
+    """
+    text = mask_places(words.text, receptive, sides_alone="occupancy" not in abilities.names)
+    containers = category_words(receptive)
+    found: list[tuple[int, int, ClauseKind]] = []
+    for start, end in sentences(text):
+        found += _find_in_sentence(text, start, end, abilities, containers)
+    for match in patterns.QUESTION_THEN.finditer(text):
+        if not ("occupancy" in abilities.names and _is_about_occupancy(match[0], containers)):
+            found.append((match.start(), match.end(), "condition"))
+    found.sort(key=lambda clause: (clause[0], -clause[1]))
+    clauses: list[Clause] = []
+    last_end = -1
+    for start, end, kind in found:
+        if start >= last_end:
+            clauses.append(Clause(kind, words.quote(start, end).rstrip(" ,.;:!?")))
+            last_end = end
+    return tuple(clauses)
+
+
+def _find_in_sentence(
+    text: str, start: int, end: int, abilities: Capabilities, containers: frozenset[str]
+) -> Iterator[tuple[int, int, ClauseKind]]:
+    sentence = text[start:end]
+    for first, last, kind in (
+        *_conditions(sentence, text, abilities, containers),
+        *_orders(sentence),
+        *_untils(sentence, text, abilities),
+        *_negations(sentence, text, abilities),
+        *_alternatives(sentence),
+        *_by_rules(sentence, abilities),
+    ):
+        yield start + first, start + last, kind
+
+
+def _clause_end(sentence: str, after: int) -> int:
+    """The end of the clause that `after` lies in: the next punctuation mark, or the end of the sentence."""
+    found = _BOUNDARY.search(sentence, after)
+    return found.start() if found else len(sentence)
+
+
+def _conditions(
+    sentence: str, text: str, abilities: Capabilities, containers: frozenset[str]
+) -> Iterator[tuple[int, int, ClauseKind]]:
+    occupancy = "occupancy" in abilities.names and patterns.OCCUPANCY.search(text) is not None
+    excluded = [match.span() for match in patterns.NOT_A_CONDITION.finditer(sentence)]
+    for match in patterns.CONDITION_WORD.finditer(sentence):
+        if any(first <= match.start() < last for first, last in excluded):
+            continue
+        end = _clause_end(sentence, match.end())
+        clause = sentence[match.start() : end].strip()
+        if patterns.POLITE_CONDITION.match(clause):
+            continue
+        if occupancy and _is_about_occupancy(clause, containers):
+            continue
+        if _is_end_of_own_action(clause):
+            continue
+        yield match.start(), end, "condition"
+
+
+def _is_about_occupancy(clause: str, containers: frozenset[str]) -> bool:
+    """Whether a container is free or full, which the scene shows before the plan; no other subject counts."""
+    if patterns.ELLIPTIC_CONDITION.match(clause):
+        return True
+    if patterns.OCCUPANCY.search(clause) is None or patterns.OTHERS.search(clause) is not None:
+        return False
+    subjects = containers | {"it", "that", "there"}
+    return not containers or any(word in subjects or word.startswith("nn") for word in clause.split())
+
+
+def _is_end_of_own_action(clause: str) -> bool:
+    if not clause.startswith(("when", "once", "as soon as", "only when")):
+        return False
+    return patterns.DONE.search(clause) is not None and patterns.OTHERS.search(clause) is None
+
+
+def _orders(sentence: str) -> Iterator[tuple[int, int, ClauseKind]]:
+    for match in patterns.BEFORE_AFTER.finditer(sentence):
+        end = _clause_end(sentence, match.end())
+        clause = sentence[match.start() : end].strip()
+        own = patterns.ROBOT_ACTION.search(clause) or patterns.DONE.search(clause)
+        foreign = patterns.OTHERS.search(clause) and not clause.startswith(("before they come", "before we start"))
+        if foreign or not own:
+            yield match.start(), end, "time"
+
+
+def _untils(sentence: str, text: str, abilities: Capabilities) -> Iterator[tuple[int, int, ClauseKind]]:
+    for match in patterns.UNTIL.finditer(sentence):
+        end = _clause_end(sentence, match.end())
+        clause = sentence[match.start() : end].strip()
+        turning = "turn" in abilities.names and patterns.TURN_UNTIL.search(sentence)
+        waits = patterns.NEXT_WORD.match(clause) and patterns.WAIT_FOR_WORD.search(sentence[: match.start()])
+        follows = _LATER_ACTION.search(text[text.find(clause) + 6 :]) is not None
+        ordered = patterns.ORDERED.search(sentence) and patterns.DONE.search(clause)
+        if not (turning or (waits and not follows) or ordered):
+            yield match.start(), end, "loop"
+
+
+def _negations(sentence: str, text: str, abilities: Capabilities) -> Iterator[tuple[int, int, ClauseKind]]:
+    allowed = [match.span() for match in patterns.BY_CONSTRUCTION.finditer(sentence)]
+    for pattern, purpose in (
+        (patterns.UNTOUCHED, patterns.LOOKING),
+        (patterns.UNLIFTED, patterns.PUSHING),
+        (patterns.KEPT, patterns.LIFTING),
+    ):
+        if purpose.search(pattern.sub(" ", text)):
+            allowed += [match.span() for match in pattern.finditer(sentence)]
+    if "wait" in abilities.names or not {"occupancy"} & abilities.names:
+        allowed += [match.span() for match in patterns.STANDING.finditer(sentence) if match[0].count(" ") > 1]
+    allowed += [match.span() for match in patterns.ORDERED.finditer(sentence) if patterns.DONE.search(sentence)]
+    if patterns.OCCUPANCY.search(text):
+        allowed += [match.span() for match in re.finditer(r"\bis not\b", sentence) if "if it is not" in sentence]
+    for match in patterns.NOT.finditer(sentence):
+        if not any(first <= match.start() < last for first, last in allowed):
+            yield max(0, match.start() - 3), _clause_end(sentence, match.end()), "exclusion"
+    for match in patterns.WITHOUT.finditer(sentence):
+        rest = sentence[match.start() :]
+        lifted = patterns.WITHOUT_LIFTING.match(rest) and patterns.PUSHING.search(sentence)
+        touched = patterns.WITHOUT_TOUCHING.match(rest) and patterns.LOOKING.search(sentence)
+        if not (patterns.ALLOWED_WITHOUT.match(rest) or lifted or touched):
+            yield match.start(), _clause_end(sentence, match.end()), "exclusion"
+
+
+def _alternatives(sentence: str) -> Iterator[tuple[int, int, ClauseKind]]:
+    for match in patterns.EITHER.finditer(sentence):
+        yield match.start(), _clause_end(sentence, match.end()), "alternative"
+    if patterns.WHETHER.search(sentence):
+        return
+    for match in patterns.OR.finditer(sentence):
+        if not patterns.ALLOWED_OR.match(sentence[match.start() :]):
+            yield match.start(), _clause_end(sentence, match.end()), "alternative"
+
+
+def _by_rules(sentence: str, abilities: Capabilities) -> Iterator[tuple[int, int, ClauseKind]]:
+    for rule in patterns.RULES:
+        for match in rule.pattern.finditer(sentence):
+            if rule.unless is not None and rule.unless.search(sentence):
+                break
+            if not _can_express(rule, match[0], abilities):
+                yield match.start(), match.end(), rule.kind
+
+
+def _can_express(rule: ClauseRule, quote: str, abilities: Capabilities) -> bool:
+    if rule.capability not in abilities.names:
+        return False
+    return rule.capability != "wait" or _seconds(quote) <= abilities.longest_wait
+
+
+def _seconds(quote: str) -> float:
+    """The time [s] at the end of `quote`; infinite if it is not a number of seconds."""
+    match = _SECONDS.search(quote)
+    if match is None:
+        return float("inf")
+    number = match[1].replace(",", ".")
+    return float(number) if number[0].isdigit() else float(_SMALL_NUMBERS.get(number, float("inf")))

@@ -1,0 +1,125 @@
+"""Review of an instruction before a planner is asked: a stop command, a refusal, or neither."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from dualbrain.contracts.registry import SkillRegistry
+from dualbrain.contracts.skill_spec import NameParameter
+from dualbrain.grounding.instruction.clause_patterns import ClauseKind
+from dualbrain.grounding.instruction.clauses import Clause, find_clauses
+from dualbrain.grounding.instruction.expressible import capabilities
+from dualbrain.grounding.instruction.hostile import find_hostile_request
+from dualbrain.grounding.instruction.language import ENGLISH, detect_foreign_language, is_understood
+from dualbrain.grounding.instruction.stop_commands import is_stop_command
+from dualbrain.grounding.instruction.words import normalise
+
+ADVICE: dict[ClauseKind, str] = {
+    "condition": "give the instruction when the condition holds, without it",
+    "loop": "ask for one repetition at a time",
+    "time": "give the instruction when it is time",
+    "count": "name each object, or ask for all objects of one kind",
+    "exclusion": "name only what is meant",
+    "relative place": "name a container or a place instead",
+    "orientation": "leave the orientation out",
+    "handing over": "ask for the object to be picked up and held, or to be put at a place within your reach",
+    "alternative": "choose one",
+    "comparison": "name the object by its color and kind",
+}
+"""What a person can say instead, by the kind of the clause."""
+MAX_REASON = 120
+"""Longest reason of a decline in a contract [characters]."""
+
+
+@dataclass(frozen=True, slots=True)
+class StopCommand:
+    """The instruction is a stop command."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Refusal:
+    """The instruction is declined: `reason` in one or two sentences, `quote` the words that it is about."""
+
+    kind: Literal["language", "hostile", "clause"]
+    reason: str
+    quote: str
+    brief: str
+
+    @property
+    def brief_reason(self) -> str:
+        """The reason in at most `MAX_REASON` characters, for a contract that declines."""
+        return self.brief if len(self.brief) <= MAX_REASON else f"{self.brief[: MAX_REASON - 1]}\u2026"
+
+
+def review_instruction(
+    instruction: str,
+    registry: SkillRegistry,
+    receptive: Sequence[str] = (),
+    *,
+    languages: Collection[str] = (ENGLISH,),
+) -> StopCommand | Refusal | None:
+    """The answer of the local layer to `instruction`; None if a planner may be asked.
+
+    `receptive` are the containers and places of the scene, `languages` those that the planner declares. The rules read
+    English: of an instruction in another declared language only stop commands are recognised.
+    """
+    if is_stop_command(instruction):
+        return StopCommand()
+    foreign = detect_foreign_language(instruction)
+    if foreign is not None:
+        return None if is_understood(foreign, languages) else _refuse_language(foreign.name)
+    return refuse_hostile(instruction) or _refuse_clauses(instruction, registry, receptive)
+
+
+def refuse_hostile(instruction: str) -> Refusal | None:
+    """The refusal of a hostile instruction, None for all others."""
+    request = find_hostile_request(normalise(instruction))
+    if request is None:
+        return None
+    reason = f'The instruction is declined because of "{request.quote}": {request.reason}.'
+    return Refusal(kind="hostile", reason=reason, quote=request.quote, brief=request.reason)
+
+
+def _refuse_language(name: str) -> Refusal:
+    reason = f"The instruction seems to be in {name}, but this planner reads only English. Please say it in English."
+    brief = f"this planner reads only English, and this seems to be {name}"
+    return Refusal(kind="language", reason=reason, quote="", brief=brief)
+
+
+def _refuse_clauses(instruction: str, registry: SkillRegistry, receptive: Sequence[str]) -> Refusal | None:
+    clauses = find_clauses(normalise(instruction), capabilities(registry), receptive)
+    if not clauses:
+        return None
+    first = clauses[0]
+    return Refusal(
+        kind="clause", reason=_describe(clauses, registry, receptive), quote=first.quote, brief=brief_reason(first)
+    )
+
+
+def brief_reason(clause: Clause) -> str:
+    """The reason of a decline because of `clause`, as planners learn it."""
+    quote = clause.quote if len(clause.quote) <= 60 else f"{clause.quote[:59]}\u2026"
+    return f'no contract can express "{quote}" ({clause.kind})'
+
+
+def _describe(clauses: Sequence[Clause], registry: SkillRegistry, receptive: Sequence[str]) -> str:
+    quoted = " and ".join(f'"{clause.quote}" ({clause.kind})' for clause in clauses[:3])
+    advice = "; ".join(dict.fromkeys(ADVICE[clause.kind] for clause in clauses[:3]))
+    return (
+        f"The instruction is declined as a whole, because no contract can express {quoted}. Instead, {advice}. "
+        f"Skills: {_describe_skills(registry, receptive)}."
+    )
+
+
+def _describe_skills(registry: SkillRegistry, receptive: Sequence[str]) -> str:
+    """The skills that can be asked for, and the destinations of those that place something or drive somewhere."""
+    skills = ", ".join(skill.name for skill in registry.skills if skill.name != "decline")
+    takes_places = any(
+        isinstance(parameter, NameParameter) and parameter.of == "receptive"
+        for skill in registry.skills
+        for parameter in skill.parameters
+    )
+    places = ", ".join(name.replace("_", " ") for name in receptive)
+    return f"{skills} (places: {places})" if takes_places and places else skills

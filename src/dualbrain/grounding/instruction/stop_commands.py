@@ -1,0 +1,233 @@
+"""Stop commands: instructions that consist of nothing but a stop word, such as "stop", "Halt!" or "don't move".
+
+They act in the local layer, without a planner. An instruction that only contains such a word ("put the stop sign in the
+bowl", "do not stop") is no stop command.
+"""
+
+from __future__ import annotations
+
+import re
+
+from dualbrain.grounding.instruction.words import normalise
+
+_REPEATED_LETTER = re.compile(r"(\w)\1{2,}")
+_FILLERS = frozenset(
+    [
+        "please",
+        "now",
+        "robot",
+        "hey",
+        "ok",
+        "okay",
+        "immediately",
+        "instantly",
+        "just",
+        "quickly",
+        "quick",
+        "already",
+        "oh",
+        "god",
+        "no",
+        "the",
+        "arm",
+        "everything",
+        "all",
+        "motion",
+        "movement",
+        "there",
+        "here",
+        "right",
+        "away",
+        "at",
+        "once",
+        "i",
+        "said",
+        "dear",
+        "you",
+        "hand",
+        "gripper",
+        "base",
+        "machine",
+        "this",
+        "instant",
+        "bitte",
+        "sofort",
+        "jetzt",
+        "por",
+        "favor",
+        "per",
+        "favore",
+        "s'il",
+        "te",
+        "vous",
+        "plaît",
+        "plait",
+        "ya",
+        "adesso",
+        "subito",
+        "nu",
+        "tout",
+        "de",
+        "suite",
+        "maintenant",
+        "ahora",
+    ]
+)
+"""Words around a stop word that change nothing."""
+_ENGLISH = (
+    "stop",
+    "stpo",
+    "sotp",
+    "stopp",
+    "stop it",
+    "stop that",
+    "stop this",
+    "stop moving",
+    "stop working",
+    "stop going",
+    "stop driving",
+    "stop what you are doing",
+    "stop where you are",
+    "stop dead",
+    "stop now",
+    "halt",
+    "halt it",
+    "freeze",
+    "hold",
+    "hold on",
+    "hold it",
+    "hold still",
+    "hold your position",
+    "hold position",
+    "hold your horses",
+    "hang on",
+    "wait",
+    "wait a moment",
+    "wait a second",
+    "wait a minute",
+    "pause",
+    "whoa",
+    "woah",
+    "whoah",
+    "wo",
+    "abort",
+    "abort it",
+    "abort that",
+    "abort mission",
+    "abort the mission",
+    "abort the task",
+    "cancel",
+    "cancel it",
+    "cancel that",
+    "cancel the task",
+    "cease",
+    "cease moving",
+    "quit",
+    "quit it",
+    "quit that",
+    "quit moving",
+    "terminate",
+    "interrupt",
+    "enough",
+    "that is enough",
+    "do not move",
+    "do not move any further",
+    "do not move any more",
+    "do not move a muscle",
+    "do not move an inch",
+    "do not drive",
+    "do not drive any further",
+    "do not go any further",
+    "do not do that",
+    "do not do it",
+    "do not do anything",
+    "do not",
+    "no further",
+    "not another step",
+    "stand still",
+    "stay still",
+    "keep still",
+    "be still",
+    "sit still",
+    "stay",
+    "stay put",
+    "stay where you are",
+    "stand down",
+    "come to rest",
+    "come to a stop",
+    "come to a halt",
+    "brake",
+    "hit the brakes",
+    "knock it off",
+    "cut it out",
+    "emergency stop",
+    "emergency",
+    "e stop",
+    "estop",
+)
+_OTHER_LANGUAGES = (
+    *("stopp", "halt", "anhalten", "halt an", "bleib stehen", "stehenbleiben", "hör auf", "aufhören", "nicht bewegen"),
+    *("keine bewegung", "warte", "not halt", "nothalt", "notaus", "abbrechen", "abbruch", "stillhalten"),  # German
+    *("arrête", "arrete", "arrêtez", "arretez", "arrête toi", "arrêtez vous", "arrêt", "halte", "ne bouge pas"),
+    *("ne bouge plus", "ne bougez pas", "ne bougez plus", "stoppe", "attends", "arrêt d'urgence"),  # French
+    *("para", "pare", "parar", "párate", "parate", "alto", "detente", "detén", "deténte", "deténgase", "detengase"),
+    *("quieto", "no te muevas", "no se mueva", "espera", "basta"),  # Spanish
+    *("pára", "parem", "não se mexa", "nao se mexa", "não te mexas", "espere"),  # Portuguese
+    *("ferma", "fermati", "fermo", "si fermi", "non muoverti", "non ti muovere", "aspetta", "alt"),  # Italian
+    *("hou op", "ophouden", "niet bewegen", "sta stil", "stoppen", "wacht"),  # Dutch
+    *("stanna", "stoppa", "rör dig inte", "stans", "stå stille", "rør dig ikke", "ikke rør deg", "vent", "stands"),
+    *("pysähdy", "seis", "älä liiku", "seisku"),  # Swedish, Danish, Norwegian, Finnish
+    *("stój", "stop", "zatrzymaj się", "nie ruszaj się", "przestań"),  # Polish
+    *("stůj", "zastav", "zastav se", "nehýbej se", "stoj", "stani", "zaustavi se", "állj", "állj meg", "ne mozogj"),
+    *("oprește", "oprește te", "opreste", "stai", "dur", "durun", "kıpırdama", "hareket etme", "berhenti", "dừng lại"),
+    *("стоп", "стой", "остановись", "остановитесь", "не двигайся", "замри", "стій", "зупинись", "спри", "стани"),
+    *("σταμάτα", "στοπ", "σταμάτησε", "μην κινείσαι", "ακίνητος"),
+    *("停", "停止", "停下", "停下来", "住手", "别动", "不要动", "不许动", "暂停", "停車", "停下來", "別動", "不要動"),
+    *(
+        "止まれ",
+        "とまれ",
+        "止まって",
+        "とまって",
+        "止めて",
+        "やめて",
+        "やめろ",
+        "ストップ",
+        "動くな",
+        "待て",
+        "待って",
+        "停止して",
+    ),
+    *("멈춰", "멈추세요", "멈춰요", "정지", "그만", "스톱", "움직이지 마", "서"),
+    *("قف", "توقف", "لا تتحرك", "ایست", "بس کن", "עצור", "עצרי", "תעצור", "לא לזוז"),
+    *("रुको", "रुकिए", "रुक जाओ", "रोको", "ठहरो", "หยุด", "หยุดนะ"),
+)
+
+
+def is_stop_command(instruction: str) -> bool:
+    """Whether `instruction` is a stop word, alone or with words such as "please", in one of the known languages."""
+    return _core(instruction) in _STOP_COMMANDS
+
+
+def _core(instruction: str) -> str:
+    """The words of `instruction` without fillers and repetitions."""
+    words = [_REPEATED_LETTER.sub(r"\1", word) for word in normalise(instruction).text.split()]
+    spoken = [word for word in words if any(character.isalnum() for character in word)]
+    kept = " ".join(spoken)
+    if kept in _STOP_COMMANDS_BEFORE_FILLERS:
+        return kept
+    core = [word for word in spoken if word not in _FILLERS]
+    distinct = [word for index, word in enumerate(core) if index == 0 or word != core[index - 1]]
+    half = len(distinct) // 2
+    if half > 1 and len(distinct) % 2 == 0 and distinct[:half] == distinct[half:]:
+        distinct = distinct[:half]
+    return " ".join(distinct)
+
+
+def _normal(command: str) -> str:
+    return " ".join(word for word in normalise(command).text.split() if any(map(str.isalnum, word)))
+
+
+_STOP_COMMANDS_BEFORE_FILLERS = frozenset(_normal(command) for command in (*_ENGLISH, *_OTHER_LANGUAGES))
+_STOP_COMMANDS = _STOP_COMMANDS_BEFORE_FILLERS | frozenset(
+    " ".join(word for word in command.split() if word not in _FILLERS) for command in _STOP_COMMANDS_BEFORE_FILLERS
+) - {""}

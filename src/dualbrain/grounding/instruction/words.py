@@ -1,0 +1,199 @@
+"""The words of an instruction in a normal form, with their positions in the original text.
+
+Normal form: lower case, contractions and common misspellings of function words replaced, words and punctuation marks
+separated by single spaces. "Don't put it in the bowl." becomes "do not put it in the bowl .".
+"""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+_TOKEN = re.compile(r"\d+(?:[.,]\d+)?|[^\W\d_]+(?:'[^\W\d_]+)*|[^\w\s'_-]")
+_APOSTROPHES = dict.fromkeys(map(ord, "\u2018\u2019\u02bc\u00b4`\u2032"), "'")
+_CONTRACTIONS = {
+    "dont": "do not",
+    "doesnt": "does not",
+    "didnt": "did not",
+    "cant": "can not",
+    "cannot": "can not",
+    "can't": "can not",
+    "won't": "will not",
+    "wont": "will not",
+    "shan't": "shall not",
+    "isnt": "is not",
+    "arent": "are not",
+    "shouldnt": "should not",
+    "mustnt": "must not",
+    "im": "i am",
+    "i'm": "i am",
+    "i'd": "i would",
+    "i'll": "i will",
+    "lets": "let us",
+    "let's": "let us",
+    "gimme": "give me",
+    "lemme": "let me",
+    "it's": "it is",
+    "that's": "that is",
+    "there's": "there is",
+    "what's": "what is",
+    "where's": "where is",
+    "you're": "you are",
+    "you've": "you have",
+    "i've": "i have",
+    "w/o": "without",
+}
+_MISSPELLINGS = {
+    "til": "until",
+    "till": "until",
+    "untill": "until",
+    "unitl": "until",
+    "wile": "while",
+    "whlie": "while",
+    "whiel": "while",
+    "wen": "when",
+    "wehn": "when",
+    "whne": "when",
+    "hwen": "when",
+    "iff": "if",
+    "whn": "when",
+    "nex": "next",
+    "nxt": "next",
+    "nect": "next",
+    "lef": "left",
+    "letf": "left",
+    "rihgt": "right",
+    "rigth": "right",
+    "rigt": "right",
+    "bihind": "behind",
+    "behined": "behind",
+    "inbetween": "between",
+    "befor": "before",
+    "bfore": "before",
+    "evry": "every",
+    "everytime": "every time",
+    "evrytime": "every time",
+    "anytime": "any time",
+    "nto": "not",
+    "noot": "not",
+    "nver": "never",
+    "ot": "to",
+    "teh": "the",
+    "hte": "the",
+    "pls": "please",
+    "plz": "please",
+    "toward": "towards",
+    "bth": "both",
+    "boht": "both",
+    "twise": "twice",
+    "nearst": "nearest",
+    "bigest": "biggest",
+    "biger": "bigger",
+    "u": "you",
+    "exept": "except",
+    "execpt": "except",
+    "ecxept": "except",
+    "eather": "either",
+    "ether": "either",
+    "grey": "gray",
+    "colour": "color",
+    "colours": "colors",
+    "centre": "center",
+}
+_FUZZY_WORDS = (
+    "until",
+    "unless",
+    "without",
+    "between",
+    "behind",
+    "before",
+    "except",
+    "whenever",
+    "either",
+    "repeat",
+    "repeatedly",
+    "instead",
+    "beside",
+    "smallest",
+    "biggest",
+    "nearest",
+    "tallest",
+)
+"""Function words that are also recognised with one letter missing, added, replaced, or exchanged with the next."""
+_NEVER_FUZZY = frozenset({"neither", "lither", "beside", "besides", "repeats", "withouts", "excepts", "reheat"})
+
+
+@dataclass(frozen=True, slots=True)
+class Words:
+    """An instruction in normal form: `text`, and for every character of it the position in the `original`."""
+
+    original: str
+    text: str
+    _starts: tuple[int, ...]
+    _ends: tuple[int, ...]
+
+    def quote(self, start: int, end: int) -> str:
+        """The original words of `text[start:end]`."""
+        covered = range(max(0, start), min(end, len(self.text)))
+        if not covered:
+            return ""
+        first, last = self._starts[covered[0]], self._ends[covered[-1]]
+        return " ".join(self.original[first:last].split())
+
+
+def normalise(instruction: str) -> Words:
+    """The normal form of `instruction`; the time is linear in its length."""
+    original = unicodedata.normalize("NFKC", instruction).translate(_APOSTROPHES)
+    parts: list[str] = []
+    starts: list[int] = []
+    ends: list[int] = []
+    for match in _TOKEN.finditer(original):
+        for word in _expand(match[0].lower()).split():
+            parts.append(word)
+            spaced = len(word) + 1  # the space after a word belongs to it
+            starts += [match.start()] * spaced
+            ends += [match.end()] * spaced
+    text = " ".join(parts)
+    return Words(original, text, tuple(starts[: len(text)]), tuple(ends[: len(text)]))
+
+
+def _expand(word: str) -> str:
+    if word in _CONTRACTIONS:
+        return _CONTRACTIONS[word]
+    if word.endswith("n't"):
+        return f"{word[:-3]} not"
+    if word in _MISSPELLINGS:
+        return _MISSPELLINGS[word]
+    return _nearest_function_word(word)
+
+
+def _nearest_function_word(word: str) -> str:
+    if len(word) < 5 or word in _NEVER_FUZZY or word in _FUZZY_WORDS:
+        return word
+    return next((known for known in _FUZZY_WORDS if is_one_edit_away(word, known)), word)
+
+
+def is_one_edit_away(word: str, known: str) -> bool:
+    """Whether one letter is missing, added or replaced, or two neighbours are exchanged."""
+    if word[0] != known[0] or abs(len(word) - len(known)) > 1:
+        return False
+    first = next((i for i, (a, b) in enumerate(zip(word, known, strict=False)) if a != b), min(len(word), len(known)))
+    rest, other = word[first:], known[first:]
+    return (
+        rest[1:] == other[1:]
+        or rest[1:] == other
+        or rest == other[1:]
+        or (rest[:2] == other[1::-1] and rest[2:] == other[2:])
+    )
+
+
+def sentences(text: str) -> Iterator[tuple[int, int]]:
+    """Start and end of each sentence of a text in normal form."""
+    start = 0
+    for match in re.finditer(r"[.!?;]", text):
+        yield start, match.end()
+        start = match.end()
+    if start < len(text):
+        yield start, len(text)
