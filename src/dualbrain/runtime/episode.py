@@ -21,7 +21,6 @@ from dualbrain.grounding.instruction.recalled_steps import fit_recall, reject_re
 from dualbrain.grounding.instruction.review import Refusal, StopCommand
 from dualbrain.grounding.outcome.instruction_truth import judge_decline
 from dualbrain.grounding.outcome.outcome_check import check_outcome, collect_evidence
-from dualbrain.grounding.outcome_check import check_outcome
 from dualbrain.grounding.vocabulary import planner_grants, scene_names
 from dualbrain.memory.embedding.image_features import ImageFeatures
 from dualbrain.memory.embedding.posture_features import Posture

@@ -47,6 +47,9 @@ def run(
 ) -> int:
     """Run one instruction on a simulated robot, and write a run folder with recording, episode and report.
 
+    Exit code 0 only if the instruction was carried out, 1 if it was not, 3 if it was declined, 4 after a violation, 6 if
+    it could not be judged.
+
     Parameters
     ----------
     instruction
@@ -66,7 +69,7 @@ def run(
         Contract file (JSON) to run instead of asking a planner; it passes the same gate.
     goal
         Criterion of success on simulator ground truth: "put OBJECT in DESTINATION", in a room also "go to PLACE".
-        Default: the goal that the contract states.
+        Default: the instruction itself; without an instruction the goal that the contract states.
     site
         Site file (TOML): planes, keep-out boxes, tool, payload, caps and permissions; see docs/how-to/site.md.
     headless

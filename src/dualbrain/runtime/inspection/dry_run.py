@@ -16,6 +16,7 @@ from dualbrain.contracts.gate.authorization import PLANNER
 from dualbrain.contracts.gate.gate import Gate
 from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
 from dualbrain.core.text import storable_text
+from dualbrain.grounding.instruction.recalled_steps import fit_recall
 from dualbrain.grounding.instruction.review import Refusal
 from dualbrain.grounding.offline_gate import controller_at_home
 from dualbrain.grounding.scene_rules import scene_rules
@@ -27,7 +28,7 @@ from dualbrain.planner.protocol import Planner, has_answer
 from dualbrain.records import Attempt, Proposal, RetrievedContext, Scene
 from dualbrain.robots.interface import home_state
 from dualbrain.robots.loader import load_robot
-from dualbrain.runtime.episode import reject_incomplete
+from dualbrain.runtime.episode import reject_before_gate
 from dualbrain.runtime.local_answer import answer_locally, local_proposal, reject_mismatch
 from dualbrain.runtime.planner_request import PassageRetriever, PlanningContext, Retriever, build_request, retrieve
 from dualbrain.runtime.planning_time import Clock, decision_timings
@@ -107,8 +108,10 @@ def plan(
     The planner is not asked for a stop command or for an instruction that the local layer declines.
     """
     answer = answer_locally(instruction, context, planner)
+    withheld: tuple[str, ...] = ()
     if answer is None:
         recall, retrieval = _timed(clock, lambda: _retrieve(instruction, context, memory, retrieve_passages))
+        recall, withheld = fit_recall(recall, instruction)
     else:
         recall, retrieval = RetrievedContext(), 0.0
     request = build_request(instruction, context, recall)
@@ -123,7 +126,7 @@ def plan(
         verdict, gate_s = _timed(
             clock,
             lambda given=proposal: (
-                reject_incomplete(given)
+                reject_before_gate(given, instruction, withheld)
                 or reject_mismatch(given, instruction, context, "all" if answer is None else "before_planning")
                 or _check(gate, given, context.scene)
             ),

@@ -103,9 +103,11 @@ def _header(episode: Episode) -> Html:
     if episode.versions.get("filter") == "off":
         words.append(badge(FILTER_OFF_NOTICE, "bad"))
     if judgement is not None:
-        done, tone = (
-            ("task done on ground truth", "good") if judgement.success else ("task not done on ground truth", "bad")
-        )
+        done, tone = ("task not judged on ground truth", "warn")
+        if judgement.judged:
+            done, tone = (
+                ("task done on ground truth", "good") if judgement.success else ("task not done on ground truth", "bad")
+            )
         words.append(badge(done, tone))
         count = len(judgement.violations)
         violations = {0: "no safety violation", 1: "1 safety violation"}.get(count, f"{count} safety violations")
