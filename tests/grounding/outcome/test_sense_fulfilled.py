@@ -79,6 +79,8 @@ CASES = [
     ("go home", evidence(CUBE_IN, robot=HOME), NO),
     ("stop", evidence(robot=HOME), YES),
     ("stop", evidence(), NO),
+    ("rest a little more", evidence(robot=HOME + 0.01), YES),
+    ("rest", evidence(), NO),
     ("stop", evidence(CUBE_IN, robot=HOME), NO),
     ("put the red cube in the bowl, then go home", evidence(CUBE_IN, robot=HOME), YES),
     ("put the red cube in the bowl, then go home", evidence(CUBE_IN), NO),

@@ -201,7 +201,7 @@ def test_no_success_agrees_against_one_sense(bad):
 
 
 def test_a_box_is_not_a_cylinder_afterwards():
-    """A change of the fitted shape alone is no loss of height: depth perception fits shapes anew."""
+    """A change of the fitted shape alone is no loss of height: depth perception fits a shape to each image."""
     one = glass_moved(force=9.0, after_shape=Box((0.024, 0.024, 0.012)))
     assert judge_intact(one).verdict == "confirmed"
 

@@ -47,8 +47,8 @@ def run(
 ) -> int:
     """Run one instruction on a simulated robot, and write a run folder with recording, episode and report.
 
-    Exit code 0 only if the instruction was carried out, 1 if it was not, 3 if it was declined, 4 after a violation, 6 if
-    it could not be judged.
+    Exit code 0 only if the instruction was carried out, 1 if it was not, 3 if it was declined, 4 after a violation,
+    6 if it could not be judged.
 
     Parameters
     ----------

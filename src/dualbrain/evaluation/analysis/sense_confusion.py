@@ -31,8 +31,8 @@ class SenseConfusion(msgspec.Struct, frozen=True, kw_only=True):
 def sense_confusions(rows: Iterable[EpisodeRow]) -> tuple[SenseConfusion, ...]:
     """One matrix for each sense over the judged `rows`; rows of older results, without verdicts, are left out.
 
-    The fact of the sense "intact" is that no object was pressed beyond its limit. The other senses are compared with the
-    success of the instruction, of which each is one part: only the sense "fulfilled" claims the whole of it.
+    The fact of the sense "intact" is that no object was pressed beyond its limit. The other senses are compared with
+    the success of the instruction, of which each is one part: only the sense "fulfilled" claims the whole of it.
     """
     known = [row for row in rows if row.judged]
     return tuple(_confusion(column, known) for column in SENSE_COLUMNS)

@@ -150,15 +150,25 @@ def _direction(
 def _robot_ends(condition: RobotEnds, evidence: Evidence) -> bool | None:
     match condition.movement:
         case "still":
-            return bool(np.max(np.abs(evidence.q_after - evidence.q_before), initial=0.0) < STILL_TOLERANCE)
+            return _kept_still(evidence)
         case "home":
-            if not len(evidence.home):
-                return None
-            arm = evidence.q_after[-len(evidence.home) :]
-            return bool(np.max(np.abs(arm - evidence.home), initial=0.0) < HOME_TOLERANCE)
+            return _is_at_home(evidence)
+        case "rest":
+            return _kept_still(evidence) or _is_at_home(evidence)
         case "drive":
             place = next((one for one in evidence.after.places if one.name == condition.place), None)
             if place is None or evidence.base_after is None:
                 return None
             gap = np.hypot(evidence.base_after[0] - place.position[0], evidence.base_after[1] - place.position[1])
             return bool(gap < ARRIVAL_DISTANCE)
+
+
+def _kept_still(evidence: Evidence) -> bool:
+    return bool(np.max(np.abs(evidence.q_after - evidence.q_before), initial=0.0) < STILL_TOLERANCE)
+
+
+def _is_at_home(evidence: Evidence) -> bool | None:
+    if not len(evidence.home):
+        return None
+    arm = evidence.q_after[-len(evidence.home) :]
+    return bool(np.max(np.abs(arm - evidence.home), initial=0.0) < HOME_TOLERANCE)

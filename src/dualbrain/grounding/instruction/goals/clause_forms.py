@@ -105,6 +105,8 @@ def read_clause(text: str, scene: Scene, vocabulary: Vocabulary, last: tuple[str
 def _robot_ends(text: str, scene: Scene, vocabulary: Vocabulary, last: tuple[str, ...]) -> Conditions | None:
     if last and UNDIRECTED.fullmatch(text):
         return None
+    if any(re.fullmatch(form, text) for form in goal_words.REST_CLAUSES):
+        return (RobotEnds("rest"),), last
     if any(re.fullmatch(form, text) for form in goal_words.STILL_CLAUSES):
         return (RobotEnds("still"),), last
     if any(re.fullmatch(form, text) for form in goal_words.HOME_CLAUSES):

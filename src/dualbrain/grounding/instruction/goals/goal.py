@@ -27,8 +27,8 @@ Relation = Literal[
 """Relation of an object to a reference. Left and right are those of the robot, as in the names of places."""
 Direction = Literal["toward", "away_from", "left", "right", "forward", "backward"]
 """Direction of a push: relative to a reference, or in the frame of the robot (forward: away from the robot)."""
-Movement = Literal["still", "home", "drive"]
-"""How the robot ends: without any motion, at rest in its home posture, or at a place."""
+Movement = Literal["still", "home", "rest", "drive"]
+"""How the robot ends: without any motion, at rest in its home posture, either of both, or at a place."""
 
 
 @dataclass(frozen=True, slots=True)

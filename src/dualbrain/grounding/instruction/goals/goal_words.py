@@ -77,12 +77,14 @@ HOME_CLAUSES = (
     r"go (?:back )?to where you (?:started|began|were)",
     r"go back to where you started",
     r"(?:go|return) (?:and|to) rest",
-    r"rest|take a break|that is all for today",
+    r"that is all for today",
     r"(?:get|move)(?: the arm| your arm)? out of (?:the|my) way(?:, back home)?",
     r"the arm should be at rest",
     r"we are done for now, go and rest",
     r"home",
 )
+REST_CLAUSES = (r"(?:have a |take a )?(?:rest|break)", r"relax", r"stay at rest")
+"""Requests that a robot carries out by standing still as well as by going home."""
 STILL_CLAUSES = (
     r"stop(?: it| now| moving| at once| everything| the arm| the robot)*|halt|freeze|wait|pause|"
     r"stay(?: where you are| there| still)*|hold still|stand still|do(?: not|n't) move|do nothing|don't do anything|"
