@@ -151,7 +151,7 @@ class ControlLoop:
         self._phase, self._skill = "", ""
         self._contacts: tuple[PermittedContact, ...] = ()
         self._residual_contacts = ResidualContacts(safety)
-        self._contact_speed_scale = 1.0
+        self._contact_speed_scale, self._force_is_measured = 1.0, True
         self._holding: HeldObject | None = None
         self._ticks = 0
         self.state = robot.read()
@@ -345,14 +345,24 @@ class ControlLoop:
         now = self.inputs.clock() if self.inputs.clock else state.stamp
         if self.safety_controller.accept_state(state, now):
             self.state = state
-        if (contact := self.safety_controller.contact) is not None and (
-            contact.permitted_speed.scale != self._contact_speed_scale
-        ):
-            self._update_permits()
+        self._follow_contact_force()
         if self._ticks % self._perception_ticks == 0:
             self._perceive()
         self.safety_controller.report(self._scene_monitor.age_conditions(self.scene, now))
         self.controller.observe(self.observation())
+
+    def _follow_contact_force(self) -> None:
+        """Adapt the speed of permitted contacts to the measured force; report a sensor that delivers nothing, once."""
+        contact = self.safety_controller.contact
+        if contact is None:
+            return
+        measured = contact.external_torque.measures(self.state)
+        if self._force_is_measured and not measured:
+            text = "the robot delivers no force reading, although its model declares one: contact forces are not supervised"
+            self.log.note(self.state.stamp, "fault", text)
+        self._force_is_measured = measured
+        if contact.permitted_speed.scale != self._contact_speed_scale:
+            self._update_permits()
 
     def _perceive(self) -> None:
         scene = self.world.perceive()

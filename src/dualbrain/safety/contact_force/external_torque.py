@@ -73,6 +73,10 @@ class ExternalTorque:
         self._held_since = now if holding else None
         self.load = self.felt_load = 0.0
 
+    def measures(self, state: RobotState) -> bool:
+        """Whether the robot delivers the reading that its model declares."""
+        return (state.wrench if self.at_wrist else state.torques) is not None
+
     def update(self, state: RobotState) -> bool:
         """Add one state; whether `residual` is new. A state without a measurement ends the window."""
         reading = self._reading(state)

@@ -25,7 +25,9 @@ HIDDEN = "hidden_wall"
 class HiddenObstacleCell:
     """A grasp of the red cube with a thin wall between hand and cube that the robot does not perceive."""
 
-    def __init__(self, seed=0, *, robot="panda", supervised=True, share=0.5, noise=None, wall=True):
+    def __init__(
+        self, seed=0, *, robot="panda", supervised=True, share=0.5, noise=None, wall=True, recorder=None, trace=None
+    ):
         robot_model = load_robot(robot)
         sensed = robot_model if supervised else msgspec.structs.replace(robot_model, force_sensing=None)
         self._wall = wall
@@ -33,7 +35,7 @@ class HiddenObstacleCell:
         if wall:
             self.spec = self._with_wall(self.spec, robot_model, share)
         self.plant = Plant(self.spec, sensed)
-        self.trace = Trace(robot_model.n)
+        self.trace = trace or Trace(robot_model.n)
         self._world = SimulatedWorld(
             self.plant, NoisyPerception(self.spec, noise or PerceptionNoise(), np.random.default_rng(seed))
         )
@@ -42,7 +44,7 @@ class HiddenObstacleCell:
             self.plant,
             self,
             SafetyFilter(sensed),
-            FlightLog(self.trace),
+            FlightLog(self.trace, recorder),
             ControlLoopConfig(settle_time=0.1),
             LoopObserver(on_phase=self._world.set_phase),
         )

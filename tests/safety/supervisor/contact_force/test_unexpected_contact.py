@@ -1,8 +1,13 @@
 """Closed loop: an arm that hits an obstacle it does not see yields within the declared time, and only then."""
 
+import msgspec
 import numpy as np
 import pytest
 
+from dualbrain.control.recording.channels import FilterCall, read_recording, read_trace
+from dualbrain.control.recording.recorder import Recorder
+from dualbrain.control.recording.replay import replay
+from dualbrain.control.recording.trace import Trace
 from dualbrain.safety.contact_force.limits import ContactForceLimits
 from dualbrain.safety.supervisor.checks import CHECKS
 from tests.safety.supervisor.contact_force.hidden_obstacle import GRASP_AND_PLACE, HiddenObstacleCell
@@ -28,6 +33,7 @@ def test_the_arm_yields_to_an_obstacle_that_it_does_not_see(robot, seed):
     assert check == "unexpected_contact"
     assert first - cell.first_contact() <= DETECTION_TIME
     assert forces[times > REACTION_TIME].max(initial=0.0) < LIMIT
+    cell.loop.hold(0.2)
     assert not cell.loop.safety_controller.drive_wanted  # the stop ends with the drive off
     assert outcome.kind == "stopped"
     assert "a force of" in outcome.reason
@@ -54,6 +60,29 @@ def test_the_next_contract_moves_the_arm_again():
     cell.run(("home", {"speed": 0.2}))
     assert cell.loop.safety_controller.drive_wanted
     assert cell.loop.safety_controller.decision.check == ""
+
+
+def test_a_recorded_retreat_is_recomputed_bit_for_bit(tmp_path):
+    path, trace = tmp_path / "episode.mcap", Trace(7)
+    with Recorder(path, trace, when_full="wait") as recorder:
+        recorder.episode(0.0, {"robot": "panda", "guard": True, "instruction": ""})
+        HiddenObstacleCell(recorder=recorder, trace=trace).run(speed=0.4)
+    resets = [m for m in read_recording(path) if isinstance(m, FilterCall) and m.name == "reset"]
+    assert len(resets) > 1
+    assert replay(path).identical
+    back = read_trace(path)
+    assert back is not None
+    assert np.array_equal(back["torques"], trace["torques"])
+    assert np.isfinite(back["torques"]).all()
+    assert np.isnan(back["wrench"]).all()
+
+
+def test_a_declared_sensor_that_delivers_nothing_is_reported():
+    cell = HiddenObstacleCell(wall=False)
+    cell.plant.robot_model = msgspec.structs.replace(cell.plant.robot_model, force_sensing=None)
+    cell.loop.hold(0.05)
+    texts = [event.text for event in cell.trace.events]
+    assert sum("contact forces are not supervised" in text for text in texts) == 1
 
 
 def test_the_check_ends_the_contract_in_a_controlled_stop():
