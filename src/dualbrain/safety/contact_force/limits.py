@@ -14,17 +14,22 @@ class ContactForceLimits(msgspec.Struct, frozen=True, kw_only=True):
     """Limits of the estimated contact force.
 
     - `unexpected`: force without a contact permit that stops the arm.
-    - `permitted`: force of a permitted contact at which the permitted approach speed becomes zero.
-    - `stop_factor`: multiple of `permitted` that stops the arm.
+    - `permitted`: force of a permitted contact at which the permitted approach speed becomes zero, and above which the
+      arm yields until `release_share` of it is left.
+    - `stop_factor`: multiple of `permitted` that stops the arm if it lasts for `stop_time` [s].
     - `full_speed_share`: share of `permitted` below which the permitted speed is not reduced.
-    - `deceleration`: rate at which the permitted speed changes at most, so that the filter can follow it.
+    - `deceleration`: rate at which the permitted speed falls at most, so that the filter can follow it. `recovery`:
+      rate at which it rises again, so that a hand that yielded does not hit the object again at full speed.
     """
 
     unexpected: Bound = Bound(20.0, "N", "site policy; below a third of the smallest force of ISO/TS 15066")
     permitted: Bound = Bound(40.0, "N", "site policy; below the smallest force of ISO/TS 15066")
     stop_factor: Bound = Bound(1.5, "", "site policy; 60 N with the default of `permitted`")
+    stop_time: Bound = Bound(0.05, "s", "time in which a yielding arm reduces the force of a rigid contact at 5 cm/s")
+    release_share: Bound = Bound(0.5, "", "half of `permitted`, so that the arm does not alternate at one force")
     full_speed_share: Bound = Bound(0.25, "", "above the error of the estimate on the packaged robots")
     deceleration: Bound = Bound(1.0, "m/s^2", "half of the braking along a row that `SpeedAndSeparation` assumes")
+    recovery: Bound = Bound(0.02, "m/s^2", "site policy; 2.5 s from rest to 5 cm/s")
 
 
 def stop_force(limits: ContactForceLimits, *, permitted: bool) -> float:

@@ -33,6 +33,9 @@ class ContactForceMonitor:
         self.force: ContactForce | None = None
         self.joint_torque: Array | None = None
         """External torque (k,) of the arm's k joints [Nm] that belongs to `force`."""
+        self.yielding = False
+        """Whether a permitted contact is above its permitted force, so that the arm must give way."""
+        self._above_since: float | None = None
         self._exceeded = ""
 
     def set_permits(self, fastest: float | None) -> None:
@@ -56,7 +59,7 @@ class ContactForceMonitor:
         return self.force is not None and self.force.magnitude > max(self.limit, self.force.uncertainty)
 
     def update(self, state: RobotState) -> bool:
-        """Add a measured state; whether the force is above `limit`."""
+        """Add a measured state; whether the force is above `limit`, with a permit for longer than `stop_time`."""
         updated, residual = self.external_torque.update(state), self.external_torque.residual
         if residual is None:
             self.force = self.joint_torque = None
@@ -64,10 +67,23 @@ class ContactForceMonitor:
             self.force = self._estimate(state, residual)
             if self.fastest_permit is not None:
                 self.permitted_speed.update(self.force.magnitude, self.fastest_permit, WINDOW)
-        if self.force is not None and self.is_exceeded:
-            self._exceeded = self.force.explain(self.limit)
-            return True
-        return False
+        self.yielding = self._must_yield()
+        if self.force is None or not self.is_exceeded:
+            self._above_since = None
+            return False
+        if self._above_since is None:
+            self._above_since = state.stamp
+        if self.fastest_permit is not None and state.stamp - self._above_since < self.limits.stop_time.value:
+            return False
+        self._exceeded = self.force.explain(self.limit)
+        return True
+
+    def _must_yield(self) -> bool:
+        """Whether a permitted contact is above its permitted force, with hysteresis."""
+        if self.force is None or self.fastest_permit is None:
+            return False
+        share = self.limits.release_share.value if self.yielding else 1.0
+        return self.force.magnitude > max(share * self.limits.permitted.value, self.force.uncertainty)
 
     def explain(self) -> str:
         """The force that stopped the arm last, as a sentence; "" if none did."""

@@ -2,8 +2,9 @@
 
     s(F) = clip((F_max − F)/(F_max − F_0), 0, 1),      F_0 = `full_speed_share` · F_max
 
-s falls and rises by at most `deceleration`/speed per second, so that the filter can brake as fast as the contact row
-closes, and in steps of 1/`STEPS`, so that noise does not change the table of permits in every tick.
+s falls by at most `deceleration`/speed per second, so that the filter can brake as fast as the contact row closes, and
+rises by at most `recovery`/speed; above F_max it is 0 at once, because the arm yields. It changes in steps of
+1/`STEPS`, so that noise does not change the table of permits in every tick.
 """
 
 from __future__ import annotations
@@ -41,8 +42,12 @@ class PermittedSpeed:
         `fastest` is the largest permitted speed [m/s].
         """
         wanted = speed_scale(force, self._limits)
-        step = self._limits.deceleration.value * elapsed / fastest if fastest > 0.0 else 1.0
-        self._exact += min(step, max(-step, wanted - self._exact))
+        if fastest <= 0.0 or wanted == 0.0:
+            self._exact = wanted
+        elif wanted < self._exact:
+            self._exact = max(wanted, self._exact - self._limits.deceleration.value * elapsed / fastest)
+        else:
+            self._exact = min(wanted, self._exact + self._limits.recovery.value * elapsed / fastest)
         scale = floor(self._exact * STEPS + 1e-9) / STEPS
         changed, self.scale = scale != self.scale, scale
         return changed

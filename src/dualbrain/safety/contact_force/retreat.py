@@ -1,4 +1,4 @@
-"""Retreat from an unexpected contact: the arm yields to the force until it is gone, then it stops.
+"""Retreat from a contact: the arm yields to the force, of an unexpected contact until it is gone and the arm stops.
 
     u = r v_r ‖F‖/‖r‖²       r: external torque, F: contact force, v_r: `SPEED`
 

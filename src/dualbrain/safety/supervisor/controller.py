@@ -17,7 +17,7 @@ from dualbrain.safety.cbf.result import FilterResult
 from dualbrain.safety.contact_force.limits import ContactForceLimits
 from dualbrain.safety.contact_force.monitor import ContactForceMonitor
 from dualbrain.safety.contact_force.retreat import Retreat
-from dualbrain.safety.supervisor.actions import SupervisorDecision
+from dualbrain.safety.supervisor.actions import SafetyAction, SupervisorDecision
 from dualbrain.safety.supervisor.checks import ContractOutcome
 from dualbrain.safety.supervisor.conditions import Condition
 from dualbrain.safety.supervisor.enforcement import Enforcement, StandstillLimits
@@ -118,7 +118,8 @@ class SafetyController:
         decision = self.supervisor.update(now, flags)
         if self._retreat is not None:
             self._retreat.update(state, wanted=decision.check == CONTACT_CHECK)
-        self._pending = self.enforcement.apply(decision, state, retreating=self.retreating)
+        retreating = self._retreat is not None and self._retreat.active
+        self._pending = self.enforcement.apply(decision, state, retreating=retreating)
         if self.enforcement.drive_wanted and not drive_was_wanted:
             self.expect_drive_on(state, now)
         if self.enforcement.drive_wanted and self._drive_dropped(state):
@@ -133,7 +134,9 @@ class SafetyController:
     @property
     def retreating(self) -> bool:
         """Whether the arm yields to a contact force; its nominal control is then `retreat_control`."""
-        return self._retreat is not None and self._retreat.active
+        if self._retreat is None or self.contact is None:
+            return False
+        return self._retreat.active or (self.contact.yielding and self.decision.action < SafetyAction.HOVER)
 
     def retreat_control(self) -> Array:
         """The nominal control (n,) [rad/s] of a retreat, zero without one."""

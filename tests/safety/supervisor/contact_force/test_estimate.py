@@ -125,15 +125,27 @@ def test_the_permitted_speed_falls_to_zero_at_the_permitted_force():
     assert np.all(np.diff(scales) <= 0.0)
 
 
-def test_the_permitted_speed_changes_at_the_declared_rate():
+def test_the_permitted_speed_falls_and_rises_at_the_declared_rates():
     speed, period, permitted = 0.05, 0.004, PermittedSpeed(LIMITS)
-    scales = [1.0]
-    for _ in range(100):
-        permitted.update(1000.0, speed, period)
-        scales.append(permitted.scale)
-    largest = LIMITS.deceleration.value * period / speed
-    assert scales[-1] == 0.0
-    assert -np.diff(scales).min() <= largest + 1.0 / 16
+
+    def scales(force, count):
+        found = [permitted.scale]
+        for _ in range(count):
+            permitted.update(force, speed, period)
+            found.append(permitted.scale)
+        return np.diff(found)
+
+    step = 1.0 / 16  # the scale changes in steps
+    falling = scales(0.99 * LIMITS.permitted.value, 100)
+    assert -falling.min() <= LIMITS.deceleration.value * period / speed + step
+    assert permitted.scale < 0.1
+    rising = scales(0.0, 400)
+    assert rising.max() <= LIMITS.recovery.value * period / speed + step
+    assert permitted.scale < 1.0
+    scales(0.0, 400)
+    assert permitted.scale == 1.0
+    scales(2.0 * LIMITS.permitted.value, 1)
+    assert permitted.scale == 0.0
 
 
 def test_the_arm_may_press_harder_with_a_permit():
