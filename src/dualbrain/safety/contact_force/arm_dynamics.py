@@ -87,8 +87,11 @@ class ArmDynamics:
         self._rotors, self._damping = dynamics.rotor_inertia[first:], dynamics.damping[first:]
         self._load = FrameMass(mass=1.0, centre=_tool_in_last_frame(robot_model), inertia=NO_INERTIA)
 
-    def torque(self, q: Array, v: Array, acceleration: Array) -> ArmTorque:
-        """Torques at the state `q`, `v` of a `RobotState` and `acceleration`, of the length of `v` [rad/s², m/s²]."""
+    def torque(self, q: Array, v: Array, acceleration: Array, *, loaded: bool = True) -> ArmTorque:
+        """Torques at the state `q`, `v` of a `RobotState` and `acceleration`, of the length of `v` [rad/s², m/s²].
+
+        Without `loaded` those per kilogram of load are 0, which saves a quarter of the time.
+        """
         first = self.first_joint
         angles, speeds, rates = q.tolist()[len(q) - self.n :], v.tolist()[first:], acceleration.tolist()[first:]
         chain = [self._joint_frame(index, angle) for index, angle in enumerate(angles)]
@@ -103,15 +106,15 @@ class ArmDynamics:
             force, moment = _body_wrench(self._masses[index], spin, turn, linear)
             forces.append(force)
             moments.append(moment)
-        load_force, load_moment = _body_wrench(self._load, spin, turn, linear)
+        load_force, load_moment = _body_wrench(self._load, spin, turn, linear) if loaded else (ZERO, ZERO)
         wrist, wrist_per_load = (forces[-1], moments[-1]), (load_force, load_moment)
-        nothing = [ZERO] * (self.n - 1)
-        own = self._collect(chain, forces, moments)
+        own, nothing = self._collect(chain, forces, moments), [ZERO] * (self.n - 1)
+        per_load = self._collect(chain, [*nothing, load_force], [*nothing, load_moment]) if loaded else [0.0] * self.n
         for index in range(self.n):
             own[index] += self._rotors[index] * rates[index] + self._damping[index] * speeds[index]
         return ArmTorque(
             own=np.array(own),
-            per_load=np.array(self._collect(chain, [*nothing, load_force], [*nothing, load_moment])),
+            per_load=np.array(per_load),
             wrist=np.array(wrist).ravel(),
             wrist_per_load=np.array(wrist_per_load).ravel(),
         )

@@ -109,7 +109,10 @@ class ExternalTorque:
     def _finish_window(self, first: RobotState, last: RobotState, reading: Array) -> None:
         """Add the window's residual to the filtered one, and remove the load."""
         expected = self.dynamics.torque(
-            0.5 * (first.q + last.q), 0.5 * (first.v + last.v), (last.v - first.v) / self._time
+            0.5 * (first.q + last.q),
+            0.5 * (first.v + last.v),
+            (last.v - first.v) / self._time,
+            loaded=self._held_since is not None,
         )
         own, per_load = self._expectation(expected)
         new = own - reading

@@ -478,8 +478,10 @@ The categories are those of IEC 60204-1 by name only; **nothing here is certifie
 - A CONTROLLED_STOP leaves the drive off until its condition is gone and the next contract begins. If the control loop
   itself is late, the drive does not wait for the filter to brake: it is switched off at once and brakes by itself.
 - A check that ends a contract ends it with the outcome in the table. Only ESTOP and LOCKOUT need a person.
-- Thresholds are in `safety/supervisor/state_monitor.py`, `safety/supervisor/timing.py` and
-  `safety/supervisor/enforcement.py`."""
+- After an unexpected contact the arm yields to the force through the filter before it stops
+  ([Contact force](contact_force.md)).
+- Thresholds are in `safety/supervisor/state_monitor.py`, `safety/supervisor/timing.py`,
+  `safety/supervisor/enforcement.py` and `safety/contact_force/limits.py`."""
 
 
 def render_markdown() -> str:
