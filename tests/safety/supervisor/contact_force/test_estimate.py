@@ -12,6 +12,7 @@ from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.contact_force.limits import ContactForceLimits
 from dualbrain.safety.contact_force.monitor import ContactForceMonitor
 from dualbrain.safety.contact_force.permitted_speed import PermittedSpeed, speed_scale
+from dualbrain.safety.contact_force.retreat import SPEED, Retreat
 from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.scenes.generators.tabletop import make_scene
 
@@ -153,3 +154,17 @@ def test_the_arm_may_press_harder_with_a_permit():
     without = monitor.limit
     monitor.set_permits(0.05)
     assert without < LIMITS.permitted.value < monitor.limit
+
+
+def test_the_retreat_moves_the_contact_along_the_force_and_follows_the_arm():
+    arm = PushedArm("panda", amplitude=0.0)
+    arm.run(0.1)
+    found = arm.run(0.3, force=(0.0, 30.0, 0.0), point="tool")
+    state, retreat = arm.plant.read(), Retreat(arm.monitor)
+    jacobian = arm.monitor._safety.tool(state.q).jacobian[:3]
+    along = np.array(found.vector) / found.magnitude
+    assert along @ jacobian @ retreat.control(7) == pytest.approx(SPEED, rel=0.1)
+    torque = arm.monitor.joint_torque
+    pushing, yielding = -0.2 * np.sign(torque), 0.2 * np.sign(torque)
+    assert np.array_equal(retreat.yielding_control(state, pushing), state.v)
+    assert np.array_equal(retreat.yielding_control(state, yielding), yielding)
