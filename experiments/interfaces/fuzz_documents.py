@@ -36,7 +36,7 @@ TOKENS = TOKEN_TEXT.split()
 """Tokens that mean something in one of the formats."""
 
 
-def _pdf(content: str) -> bytes:
+def make_pdf(content: str) -> bytes:
     """A PDF with one page of the operators `content`; its cross-reference table is found by a search."""
     objects = (
         "<</Type/Catalog/Pages 2 0 R>>",
@@ -58,7 +58,7 @@ SAMPLES = {
     "Markdown": b"# Gripper\n\nHold a *glass* with at most **10 N**.\n\n| part | force |\n|---|---|\n| cube | 20 |\n",
     "HTML": b"<html><head><style>p.x{color:#fff}</style></head><body><h1>Manual</h1><p class='x'>a</p>"
     b"<table><tr><td style='font-size:1px'>b</td></tr></table><details><p>c</p></details></body></html>",
-    "PDF": _pdf("BT /F1 12 Tf 72 700 Td (force 10 N) Tj ET"),
+    "PDF": make_pdf("BT /F1 12 Tf 72 700 Td (force 10 N) Tj ET"),
     "URDF": b"<robot name='a'><link name='l0'/><link name='l1'><collision><geometry><box size='.1 .1 .1'/></geometry>"
     b"</collision></link><joint name='j' type='revolute'><parent link='l0'/><child link='l1'/><axis xyz='0 0 1'/>"
     b"<limit lower='-1' upper='1' velocity='1' effort='1'/></joint></robot>",

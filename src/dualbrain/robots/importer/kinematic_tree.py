@@ -118,11 +118,12 @@ class KinematicTree:
         """This tree.
 
         Raises:
-            ConfigurationError: A joint names a link that does not exist, a link has two parents, or there is not
-                exactly one root.
+            ConfigurationError: A joint names a link that does not exist, a link has two parents, there is not exactly
+                one root, or a number of a joint is not finite.
         """
         parent_joints: dict[str, str] = {}
         for joint in self.joints:
+            _require_finite(joint)
             for link in (joint.parent, joint.child):
                 if link not in self.links:
                     raise ConfigurationError(
@@ -139,6 +140,20 @@ class KinematicTree:
         if len(roots) != 1 or len(self.joints) != len(self.links) - 1:
             raise ConfigurationError(f"links of {self.source}", got=f"roots {roots}", allowed="one tree with one root")
         return self
+
+
+def _require_finite(joint: TreeJoint) -> None:
+    """Raise `ConfigurationError` if a number of `joint` is not finite; a limit that is not stated is None."""
+    mimic = (joint.mimic.multiplier, joint.mimic.offset) if joint.mimic else ()
+    limits = (joint.lower, joint.upper, joint.velocity, joint.acceleration, joint.jerk, joint.effort)
+    stated = [limit for limit in limits if limit is not None]
+    for entry, values in (("pose", joint.pose), ("axis", joint.axis), ("limit", stated), ("mimic rule", mimic)):
+        if not np.all(np.isfinite(values)):
+            raise ConfigurationError(
+                f"{entry} of joint {joint.name!r} ({joint.source_location})",
+                got=np.asarray(values).tolist(),
+                allowed="finite numbers",
+            )
 
 
 def axis_rotation(axis: Array, angle: float) -> Array:

@@ -70,7 +70,7 @@ class StateMonitor:
         self._overspeed_limits = [self.limits.overspeed_factor * joint.velocity.value for joint in joints]
         self._control_limits = [1.001 * joint.velocity.value for joint in joints]
         self._lag = max(robot_model.tracking.lag, timing.period)
-        self._n = robot_model.n
+        self._n, self._nq = robot_model.n, robot_model.nq
         self._last: RobotState | None = None
         self._last_plausible: RobotState | None = None
         self._u = [0.0] * robot_model.n
@@ -102,10 +102,17 @@ class StateMonitor:
         return C.STATE_STALE if age > self.timing.state_stale_after else 0
 
     def _plausibility_conditions(self, state: RobotState) -> int:
-        """Bits for values that are not finite, out of range or jump; plausible states are compared across sources."""
+        """Bits for values that are missing, not finite, out of range or jump.
+
+        Plausible states are compared across sources.
+        """
         q, v = state.q.tolist(), state.v.tolist()
-        finite = all(map(isfinite, (*q, *v, state.opening or 0.0, state.stamp)))
-        if not finite or not all_in_range(q[self._ranged_joints], self._ranges):
+        finite = all(map(isfinite, (*q, *v, state.opening or 0.0, state.stamp, *state.finger_forces)))
+        if (
+            not finite
+            or (len(q), len(v)) != (self._nq, self._n)
+            or not all_in_range(q[self._ranged_joints], self._ranges)
+        ):
             return C.STATE_IMPLAUSIBLE
         last, self._last_plausible = self._last_plausible, state
         if last is None:
