@@ -243,6 +243,11 @@ class MarginShortfall(Record, frozen=True, kw_only=True):
     change: float
     introduced: bool = False
 
+    @property
+    def label(self) -> str:
+        """The cause, and whether the margin was introduced."""
+        return self.cause.value + (" (introduced)" if self.introduced else "")
+
     def explain(self) -> str:
         """The interval in one sentence."""
         return (

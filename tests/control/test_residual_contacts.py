@@ -5,7 +5,7 @@ import pytest
 
 from dualbrain.contracts.contract import Action, Context, Contract
 from dualbrain.control.control_loop import LoopInputs
-from dualbrain.control.residual_contacts import CLEARANCE, ResidualContacts
+from dualbrain.control.residual_contacts import CLEARANCE, INTACT_CLEARANCE, ResidualContacts
 from dualbrain.core.geometry.shapes import Box, Pose
 from dualbrain.records import Scene, SceneObject
 from dualbrain.robots.interface import home_state
@@ -147,3 +147,34 @@ def test_a_pair_is_permitted_once():
     wanted = (PermittedContact("fingers", "cube", 0.02), PermittedContact("hand", "cube", 0.02))
     assert residual.combine(wanted) == wanted
     assert residual.combine(()) == (FINGERS,)
+
+
+@pytest.mark.parametrize(
+    ("gap", "stays"), [(-0.01, True), (0.8 * INTACT_CLEARANCE, True), (1.2 * INTACT_CLEARANCE, False)]
+)
+def test_a_permit_that_ends_with_its_phase_remains_until_the_margin_is_intact(gap, stays):
+    safety, state, scene = cube_near(gap)
+    residual = ResidualContacts(safety)
+    residual.keep_until_intact((FINGERS,), state, scene, held=None)
+    assert (residual.contacts == (FINGERS,)) == stays
+    if stays:
+        _, _, away = cube_near(1.2 * INTACT_CLEARANCE)
+        assert residual.update(state, away)
+    assert residual.contacts == ()
+
+
+def test_a_permit_for_the_held_object_ends_with_its_phase():
+    safety, state, scene = cube_near(0.0)
+    residual = ResidualContacts(safety)
+    residual.keep_until_intact((FINGERS,), state, scene, held="cube")
+    assert residual.contacts == ()
+
+
+def test_a_stop_keeps_a_permit_that_was_ending_until_the_pair_is_clear():
+    safety, state, scene = cube_near(0.0)
+    residual = ResidualContacts(safety)
+    residual.keep_until_intact((FINGERS,), state, scene, held=None)
+    residual.retain("descend", residual.combine(()), state, scene)
+    _, _, near = cube_near(0.8 * CLEARANCE)
+    assert not residual.update(state, near)
+    assert residual.contacts == (FINGERS,)

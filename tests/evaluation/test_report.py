@@ -22,6 +22,7 @@ from dualbrain.evaluation.report.all_tables import all_tables
 from dualbrain.evaluation.report.captions import VIOLATION_LABELS, caption, headline, truncate
 from dualbrain.evaluation.report.decision_latency import decision_latency_table, unbatched_latencies
 from dualbrain.evaluation.report.example_selection import select_examples
+from dualbrain.evaluation.report.margins_table import margins_table
 from dualbrain.evaluation.report.method_contrasts import contrasts_table, method_pairs
 from dualbrain.evaluation.report.not_measured import list_not_measured
 from dualbrain.evaluation.report.tables import (
@@ -469,3 +470,21 @@ def test_batched_requests_have_no_latency(tmp_path):
     assert sorted(unbatched_latencies(answers)) == [2.0, 3.0]
     assert decision_latency_table(answers).rows == (("it", "2", "2.5", "2.95", "1", "1.12"),)
     assert decision_latency_table([]).rows == ()
+
+
+def test_the_margins_table_counts_filtered_episodes_by_cause():
+    rows = [
+        episode_row("B3", seed=0, guarded=True, h_min=-4e-4, margin_causes=["perception_jump", "perception_jump"]),
+        episode_row("B3", seed=1, guarded=True, h_min=1e-3, margin_causes=["attach_detach (introduced)"]),
+        episode_row("B3", seed=2, guarded=True, h_min=-2e-3),
+        episode_row("B3", seed=3, guarded=True, h_min=2e-3),
+        episode_row("B1", seed=0, guarded=False, h_min=-0.1),
+    ]
+    table = margins_table(rows)
+    assert table.header == ("episodes with", "B3")
+    lines = dict(table.rows)
+    assert lines["least h [mm]"] == "-2.00"
+    assert len(lines) == 5
+    shares = [lines[name] for name in lines if name != "least h [mm]"]
+    assert shares == [format_number(share, "share") for share in (0.5, 0.25, 0.25, 0.25)]
+    assert margins_table(rows[-1:]).rows == ()

@@ -114,7 +114,7 @@ def score_episode(case: Case, method: Method, run: EpisodeRun, context: EpisodeC
         h_min=outcome.h_min,
         recovery_s=max(below, default=0.0),
         below_s=sum(below),
-        margin_causes=[one.cause.value for one in outcome.margin_shortfalls],
+        margin_causes=[one.label for one in outcome.margin_shortfalls],
         time_limit=case.time_limit,
         simulated_s=run.plant.now,
         motion_s=outcome.duration,

@@ -9,6 +9,7 @@ from dualbrain.evaluation.analysis.hypotheses import evaluate_hypotheses, second
 from dualbrain.evaluation.planners.answer_cache import CachedAnswer
 from dualbrain.evaluation.report.adaptation_cost import cost_table
 from dualbrain.evaluation.report.decision_latency import decision_latency_table
+from dualbrain.evaluation.report.margins_table import margins_table
 from dualbrain.evaluation.report.method_contrasts import contrasts_table
 from dualbrain.evaluation.report.tables import (
     Table,
@@ -35,6 +36,7 @@ def all_tables(
         secondary_claims_table(secondary_claims(rows)),
         overview_table(rows),
         violations_table(rows),
+        margins_table(rows),
         families_table(rows),
         failures_table(rows),
         contrasts_table(rows),

@@ -93,7 +93,7 @@ class EpisodeRow(msgspec.Struct, frozen=True, kw_only=True):
     below_s: float
     """Total time with h < 0."""
     margin_causes: list[str] = []
-    """Cause of each interval with h < 0 (`MarginCause`), in the order of their starts."""
+    """Cause of each interval with h < 0 (`MarginShortfall.label`)."""
 
     # time
     time_limit: float
