@@ -11,7 +11,7 @@ from dualbrain.control.obstacle_estimates import (
     RESERVE,
     ObstacleEstimates,
     RobotCover,
-    robot_cover,
+    RobotSpheres,
     with_acceleration,
 )
 from dualbrain.core.geometry.shapes import Box, Pose, Sphere
@@ -211,7 +211,7 @@ def test_the_cover_of_a_robot_gives_the_barrier_value_of_the_filter():
     cup = Obstacle(name="cup", shape=Sphere(0.03), pose=Pose((x, y + 0.105, z - 0.03)), margin=0.009)
     safety.observe([cup])
     result = safety(state.q, state.v, np.zeros(model.n), 0.0, state.opening)
-    assert abs(robot_cover(safety, state).clearance(cup) - result.h_min) < 5e-5
+    assert abs(RobotSpheres(safety).at(state).clearance(cup) - result.h_min) < 5e-5
     safety.permit([Contact("held", "cup", 0.05)])
     result = safety(state.q, state.v, np.zeros(model.n), 0.0, state.opening)
-    assert abs(robot_cover(safety, state).clearance(cup) - result.h_min) < 5e-5
+    assert abs(RobotSpheres(safety).at(state).clearance(cup) - result.h_min) < 5e-5

@@ -12,7 +12,7 @@ from math import inf
 from typing import Protocol
 
 from dualbrain.control.margin_causes import MarginMonitor
-from dualbrain.control.obstacle_estimates import INTRODUCTION_RATE, ObstacleEstimates, robot_cover, with_acceleration
+from dualbrain.control.obstacle_estimates import INTRODUCTION_RATE, ObstacleEstimates, RobotSpheres, with_acceleration
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.residual_contacts import ResidualContacts
 from dualbrain.control.scene_monitor import SceneMonitor, effective_stamp
@@ -157,7 +157,8 @@ class ControlLoop:
         self.state = robot.read()
         self._tool_state, self._tool = self.state, safety.tool(self.state.q)
         self._scene_smoother, self._scene_monitor = SceneSmoother(), SceneMonitor()
-        self._estimates, self._last_h_min = ObstacleEstimates(), -inf
+        self._estimates, self._robot_spheres = ObstacleEstimates(), RobotSpheres(safety)
+        self._last_h_min = -inf
         self._released: tuple[str, float] = ("", -RELEASE_SETTLING_TIME)
         self.scene = self._scene_smoother.update(world.perceive())
         self._scene_monitor.update(self.scene)
@@ -467,7 +468,7 @@ class ControlLoop:
             self.scene.stamp,
             moved=self._moving_objects(),
             h_min=self._last_h_min,
-            cover=lambda: robot_cover(self.safety, self.state),
+            cover=lambda: self._robot_spheres.at(self.state),
             grasped=grasped,
         )
         for name, shortage in self._estimates.begun.items():

@@ -56,36 +56,52 @@ class RobotCover:
 
     centres: Array
     radii: Array
-    parts: tuple[Collection[str], ...]
+    parts: tuple[tuple[str, ...], ...]
     permits: frozenset[tuple[str, str]] = frozenset()
 
     def clearance(self, obstacle: Obstacle) -> float:
         """Least h [m] of `obstacle` and all spheres without a permit; infinite if there are none."""
-        chosen = [
-            i
-            for i, parts in enumerate(self.parts)
-            if not (self.permits and any((part, obstacle.name) in self.permits for part in parts))
-        ]
-        if not chosen:
-            return inf
-        distances = signed_distance(obstacle.shape, obstacle.pose, self.centres[chosen]) - self.radii[chosen]
-        return float(distances.min()) - obstacle.margin
+        centres, radii = self.centres, self.radii
+        permitted = {part for part, name in self.permits if name == obstacle.name}
+        if permitted:
+            kept = [i for i, parts in enumerate(self.parts) if permitted.isdisjoint(parts)]
+            centres, radii = centres[kept], radii[kept]
+        distances = signed_distance(obstacle.shape, obstacle.pose, centres) - radii
+        return float(distances.min(initial=inf)) - obstacle.margin
+
+    def is_clear(self, obstacle: Obstacle) -> bool:
+        """Whether h of all spheres is at least `RESERVE`, by the bounding sphere of `obstacle`: sufficient and fast."""
+        offsets = self.centres - np.asarray(obstacle.pose.position)
+        nearest = float((np.sqrt(np.einsum("ij,ij->i", offsets, offsets)) - self.radii).min(initial=inf))
+        return nearest - _extent(obstacle) - obstacle.margin >= RESERVE
 
 
-def robot_cover(safety: SafetyFilter, state: RobotState) -> RobotCover:
-    """The spheres of the robot at `state`, as the filter places them, without those of a base that is bolted down."""
-    model = safety.robot_model
-    q = np.asarray(state.q, np.float64)
-    if not model.is_mobile and safety.config.lag_compensation:
-        q = q + model.tracking.lag * np.asarray(state.v, np.float64)
-    centres, radii, groups = safety.spheres(q, state.opening)
-    links = [link for link in model.links for sphere in model.spheres if sphere.link == link.name]
-    parts = [(link.name, link.group) for link in links] + [(group,) for group in groups[len(links) :]]
-    moved = [i for i in range(len(parts)) if i >= len(links) or links[i].frame > 0]
-    tables = safety.tables
-    permits = frozenset((one.robot_part, one.obstacle) for one in tables.permits)
-    radii = np.concatenate([radii[: len(links)], radii[len(links) :] + tables.held_error])
-    return RobotCover(centres[moved], radii[moved], tuple(parts[i] for i in moved), permits)
+class RobotSpheres:
+    """The spheres of the robot of one filter, without those of a base that is bolted down."""
+
+    def __init__(self, safety: SafetyFilter) -> None:
+        """Find the parts of all spheres of the robot model."""
+        self._safety = safety
+        model = safety.robot_model
+        links = [link for link in model.links for sphere in model.spheres if sphere.link == link.name]
+        self._count = len(links)
+        self._first = np.array([i for i, link in enumerate(links) if link.frame > 0], np.intp)
+        self._parts: tuple[tuple[str, ...], ...] = tuple((link.name, link.group) for link in links if link.frame > 0)
+        compensated = not model.is_mobile and safety.config.lag_compensation
+        self._lag = model.tracking.lag if compensated else 0.0
+
+    def at(self, state: RobotState) -> RobotCover:
+        """The spheres at `state`, as the filter places them, and its permits."""
+        q = np.asarray(state.q, np.float64)
+        if self._lag:
+            q = q + self._lag * np.asarray(state.v, np.float64)
+        centres, radii, groups = self._safety.spheres(q, state.opening)
+        tables, held = self._safety.tables, np.arange(self._count, len(radii))
+        chosen = np.concatenate([self._first, held])
+        errors = np.where(chosen >= self._count, tables.held_error, 0.0)
+        parts = (*self._parts, *((group,) for group in groups[self._count :]))
+        permits = frozenset((one.robot_part, one.obstacle) for one in tables.permits)
+        return RobotCover(centres[chosen], radii[chosen] + errors, parts, permits)
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,6 +161,8 @@ class ObstacleEstimates:
         self, new: Obstacle, stamp: float, prior: _Estimate | None, is_new: bool, robot: RobotCover
     ) -> _Estimate:
         """The estimate for the observation `new`, which replaces the former one if it `is_new`."""
+        if robot.is_clear(new):
+            return _Estimate(stamp, new, introduced=False)
         if is_new:
             shortage = min(new.margin, RESERVE - robot.clearance(new))
             if shortage <= RESERVE:
@@ -193,7 +211,10 @@ def _introduce(new: Obstacle, margin: float) -> Obstacle:
 
 def _choose(new: Obstacle, prior: Obstacle, robot: RobotCover) -> Obstacle:
     """The combination of two valid estimates with the largest share of `new` that leaves the margin intact."""
-    needed = min(robot.clearance(prior), RESERVE)
+    clearance = robot.clearance(prior)
+    if clearance - _change(new, prior) >= RESERVE:
+        return new
+    needed = min(clearance, RESERVE)
     for share in SHARES:
         mixed = _combine(prior, new, share)
         if robot.clearance(mixed) >= needed:
@@ -227,11 +248,18 @@ def _turn(a: Obstacle, b: Obstacle) -> float:
     angle = 4.0 * float(np.arcsin(min(1.0, 0.5 * chord)))
     if angle == 0.0 or isinstance(a.shape, Sphere):
         return 0.0
-    match a.shape:
+    return angle * _extent(a)
+
+
+def _extent(obstacle: Obstacle) -> float:
+    """Radius [m] of the sphere around the centre of `obstacle` that contains its shape."""
+    match obstacle.shape:
+        case Sphere(radius=radius):
+            return radius
         case Capsule(radius=radius, half_length=half_length):
-            return angle * (radius + half_length)
+            return radius + half_length
         case Box(half_extents=half_extents):
-            return angle * float(np.linalg.norm(half_extents))
+            return float(np.linalg.norm(half_extents))
         case _:
             return inf
 
