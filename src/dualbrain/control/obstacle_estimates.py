@@ -36,7 +36,7 @@ RESERVE = 5e-4
 """Barrier value h [m] down to which a new observation is taken over completely."""
 SHARES = (1.0, 0.5, 0.25)
 """Shares s of the new observation that are tried, largest first; then the former estimate stays."""
-PERSON_ACCELERATION = 1.0
+PERSON_ACCELERATION = 2.0
 """Declared bound of the acceleration of a moving obstacle [m/s²]; the simulated person accelerates with 0.5."""
 INTRODUCTION_RATE = 0.02
 """Rate [m/s] at which the margin of an obstacle that moved or appeared grows; every arm here can retreat that fast."""
@@ -187,16 +187,22 @@ class ObstacleEstimates:
         if turn > MAX_TURN or not 0.0 <= age <= MAX_HELD_TIME:
             return None
         x, y, z = (p + v * age for p, v in zip(obstacle.pose.position, obstacle.velocity, strict=True))
-        margin = obstacle.margin + obstacle.velocity_error * age + turn
+        margin = obstacle.margin + obstacle.velocity_error * age + _acceleration_error(new, age) + turn
         moved = msgspec.structs.replace(new, pose=Pose((x, y, z), new.pose.quaternion), margin=margin)
         return _Estimate(stamp, moved, former.introduced)
 
 
 def with_acceleration(obstacle: Obstacle, interval: float) -> Obstacle:
-    """A moving `obstacle` whose velocity error covers its acceleration until the next observation, `interval` [s]."""
-    if not obstacle.moves:
-        return obstacle
-    return msgspec.structs.replace(obstacle, velocity_error=obstacle.velocity_error + PERSON_ACCELERATION * interval)
+    """A moving `obstacle` whose margin covers its acceleration until the next observation, `interval` [s] later.
+
+    The position differs from the prediction by at most velocity_error t + a t²/2, so that a t²/2 belongs to the margin.
+    """
+    return msgspec.structs.replace(obstacle, margin=obstacle.margin + _acceleration_error(obstacle, interval))
+
+
+def _acceleration_error(obstacle: Obstacle, interval: float) -> float:
+    """Error of the predicted position [m] after `interval` [s] by the acceleration; 0 for an obstacle at rest."""
+    return 0.5 * PERSON_ACCELERATION * interval * interval if obstacle.moves else 0.0
 
 
 def _is_new(new: Obstacle, prior: _Estimate | None, moved: Collection[str]) -> bool:
