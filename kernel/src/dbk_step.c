@@ -102,7 +102,7 @@ static int32_t nominal_is_safe(const dbk_model *model, const dbk_scene *scene, d
  * the result is a flag. A solution that is still too fast after DBK_SPEED_ROUNDS moves toward braking. */
 static int32_t optimise(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_real *u_nom,
                         const dbk_real *brake, dbk_real *u, dbk_out *out) {
-  int32_t ids[DBK_QP_DIM], result = 0;
+  int32_t ids[DBK_QP_DIM], result = 0, cut = 0;
   out->iterations = 0;
   for (int32_t tries = 0; tries < DBK_SPEED_ROUNDS; ++tries) {
     const int32_t warm = dbk_warm_start_load(model, ctx, ids);
@@ -113,9 +113,10 @@ static int32_t optimise(const dbk_model *model, const dbk_scene *scene, dbk_ctx 
     for (int32_t k = 0; k < model->n; ++k) {
       u[k] = dbk_clamp(result == 0 ? ctx->solution.u[k] : brake[k], ctx->lower[k], ctx->upper[k]);
     }
-    if (result != 0 || dbk_cut_speed(model, scene, ctx, u) <= 0) { break; }
+    cut = result == 0 ? dbk_cut_speed(model, scene, ctx, u) : 0;
+    if (cut <= 0) { break; }
   }
-  if (result == 0) { dbk_slow_down(model, scene, ctx, brake, u); }
+  if (cut != 0) { dbk_slow_down(model, scene, ctx, brake, u); }
   return result == 0 ? 0 : (result == 1 ? DBK_INFEASIBLE : DBK_QP_ITERATIONS);
 }
 

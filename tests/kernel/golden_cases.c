@@ -635,15 +635,16 @@ static void mobile_base(golden_result *g) {
 }
 
 /* speed limits: alone, with obstacles, an object in the hand, jerk limits, sliding joints, and a person who comes nearer;
- * a state that is too fast, and the projection */
+ * a state that is too fast, the projection, and control bounds so wide that the cuts do not suffice */
 static void speed_limits(golden_result *g) {
-  for (int run = 0; run < 12; ++run) {
+  for (int run = 0; run < 13; ++run) {
     uint64_t state = (uint64_t)run + 300;
     start();
-    model.speed_limit = (dbk_real)(run == 11 ? 0.0 : run % 3 == 2 ? 0.05 : 0.3);
+    model.speed_limit = (dbk_real)(run == 11 ? 0.0 : run == 12 ? 0.03 : run % 3 == 2 ? 0.05 : 0.3);
     model.lag = (dbk_real)(run == 2 ? 0.02 : 0.0);
     model.speed_first_joint = run == 5 ? 2 : 0;
     for (int k = 0; k < model.n; ++k) {
+      if (run == 12) { model.a_max[k] = (dbk_real)1e4; }
       model.j_max[k] = (dbk_real)(run == 3 || run == 4 ? 4000.0 : 0.0);
       if (run == 6 && k < 3) {
         model.joint_kind[k] = DBK_PRISMATIC;
@@ -656,7 +657,7 @@ static void speed_limits(golden_result *g) {
     dbk_prepare(&model);
     if (run % 2 || run == 6) { arm_scene(&scene, &state, 6); }
     if (run == 4 || run == 8) { hold_two_spheres(); }
-    if (run >= 8) {
+    if (run >= 8 && run < 12) {
       dbk_obstacle *o = near_tool(0.7, 0.1, 0.0, 0.1);
       o->flags = run == 10 ? DBK_KNOWN : 0;
       o->rank = DBK_RANK_BODY;

@@ -134,7 +134,7 @@ static dbk_real minimise_violation(const dbk_model *model, const dbk_scene *scen
     }
   }
   for (int32_t k = 0; k < n; ++k) { u[k] = dbk_clamp(ctx->solution.u[k], ctx->lower[k], ctx->upper[k]); }
-  dbk_slow_down(model, scene, ctx, brake, u);
+  if (cut != 0) { dbk_slow_down(model, scene, ctx, brake, u); }
   return slack * SLACK_WEIGHT;
 }
 

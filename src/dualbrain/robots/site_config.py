@@ -38,7 +38,7 @@ class SiteEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Base class of the entries of a site file: an unknown field is an error, never ignored."""
 
 
-class RobotSettings(SiteEntry, frozen=True):
+class RobotSettings(SiteEntry, frozen=True, kw_only=True):
     """[robot]: control period [s], tool speed [m/s], mass of the moving parts and of the load [kg].
 
     For a base also turn rate [rad/s], turn acceleration [rad/s²]. The masses serve the power and force limiting of

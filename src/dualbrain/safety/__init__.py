@@ -11,9 +11,9 @@ if TYPE_CHECKING:
     from dualbrain.robots.site_config import SiteFile, read_site
     from dualbrain.safety.barriers.scenarios import EXACT_TRACKING
     from dualbrain.safety.cbf.batch import BatchResult
-    from dualbrain.safety.cbf.config import FilterConfig
+    from dualbrain.safety.cbf.config import FilterConfig, operating_config
     from dualbrain.safety.cbf.filter import SafetyFilter, ToolState
-    from dualbrain.safety.cbf.obstacles import Contact, Obstacle, SpeedAndSeparation
+    from dualbrain.safety.cbf.obstacles import Contact, NearSpeed, Obstacle, PersonLimits, SpeedAndSeparation
     from dualbrain.safety.cbf.result import FilterResult, FilterStatus
     from dualbrain.safety.cbf.rows import BarrierRow, ConstraintRow, PythonBarrier, Rank
     from dualbrain.safety.integration.derating import derate
@@ -22,6 +22,13 @@ if TYPE_CHECKING:
         InterventionInterval,
         InterventionLog,
         read_intervention_log,
+    )
+    from dualbrain.safety.integration.power_and_force import (
+        BODY_REGIONS,
+        BodyRegion,
+        contact_speed,
+        effective_mass,
+        transfer_energy,
     )
     from dualbrain.safety.integration.scene_fusion import (
         FrameMount,
@@ -32,7 +39,7 @@ if TYPE_CHECKING:
         SourceRefused,
     )
     from dualbrain.safety.integration.shadow_mode import ShadowFilter, ShadowSummary
-    from dualbrain.safety.integration.site import site_filter
+    from dualbrain.safety.integration.site import site_filter, site_persons
     from dualbrain.safety.stop_cause import Evidence, Reason, StopCause
     from dualbrain.safety.supervisor.actions import SafetyAction, SupervisorDecision
     from dualbrain.safety.supervisor.controller import SafetyController
@@ -45,14 +52,19 @@ _MODULES = {
     ),
     "safety.barriers.scenarios": ("EXACT_TRACKING",),
     "safety.cbf.batch": ("BatchResult",),
-    "safety.cbf.config": ("FilterConfig",),
+    "safety.cbf.config": (
+        "FilterConfig",
+        "operating_config",
+    ),
     "safety.cbf.filter": (
         "SafetyFilter",
         "ToolState",
     ),
     "safety.cbf.obstacles": (
         "Contact",
+        "NearSpeed",
         "Obstacle",
+        "PersonLimits",
         "SpeedAndSeparation",
     ),
     "safety.cbf.result": (
@@ -75,6 +87,13 @@ _MODULES = {
         "InterventionLog",
         "read_intervention_log",
     ),
+    "safety.integration.power_and_force": (
+        "BODY_REGIONS",
+        "BodyRegion",
+        "contact_speed",
+        "effective_mass",
+        "transfer_energy",
+    ),
     "safety.integration.scene_fusion": (
         "FrameMount",
         "PerceivedShape",
@@ -87,7 +106,10 @@ _MODULES = {
         "ShadowFilter",
         "ShadowSummary",
     ),
-    "safety.integration.site": ("site_filter",),
+    "safety.integration.site": (
+        "site_filter",
+        "site_persons",
+    ),
     "safety.stop_cause": (
         "Evidence",
         "Reason",
@@ -102,9 +124,11 @@ _MODULES = {
 """Public names by the module that defines them."""
 
 __all__ = [
+    "BODY_REGIONS",
     "EXACT_TRACKING",
     "BarrierRow",
     "BatchResult",
+    "BodyRegion",
     "ConstraintRow",
     "Contact",
     "Evidence",
@@ -115,8 +139,10 @@ __all__ = [
     "FrameMount",
     "InterventionInterval",
     "InterventionLog",
+    "NearSpeed",
     "Obstacle",
     "PerceivedShape",
+    "PersonLimits",
     "PythonBarrier",
     "Rank",
     "Reason",
@@ -135,11 +161,16 @@ __all__ = [
     "SupervisorDecision",
     "ToolState",
     "TorqueDrive",
+    "contact_speed",
     "derate",
+    "effective_mass",
+    "operating_config",
     "read_intervention_log",
     "read_site",
     "signed_distance",
     "site_filter",
+    "site_persons",
+    "transfer_energy",
 ]
 
 __getattr__, __dir__ = lazy_exports(__name__, _MODULES)

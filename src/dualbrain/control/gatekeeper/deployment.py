@@ -23,7 +23,7 @@ from dualbrain.safety.supervisor.timing import Timing, simulated_timing
 from dualbrain.skills.registry import skill_registry
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Deployment:
     """A checked configuration, before anything is connected. Without a `driver` the robot is simulated."""
 
@@ -61,7 +61,13 @@ class Deployment:
         if config.capability is not None:
             capability = capability.intersect(config.capability)
         persons = site_persons(site) if site else None
-        return cls(robot_model, site_obstacles(robot_model, site) if site else (), capability, kind, persons)
+        return cls(
+            robot_model=robot_model,
+            fixed_obstacles=site_obstacles(robot_model, site) if site else (),
+            capability=capability,
+            driver=kind,
+            persons=persons,
+        )
 
     @property
     def timing(self) -> Timing:

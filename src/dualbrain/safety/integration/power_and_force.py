@@ -29,7 +29,7 @@ MAX_FORCE = 1e5
 """Largest force [N]."""
 
 
-class BodyRegion(msgspec.Struct, frozen=True):
+class BodyRegion(msgspec.Struct, frozen=True, kw_only=True):
     """A body region: effective `mass` [kg], `stiffness` [N/m], and the largest `force` [N] of a quasi-static contact.
 
     `transient` is the factor by which the force of a transient contact may be larger; None if no transient contact is
@@ -54,19 +54,25 @@ class BodyRegion(msgspec.Struct, frozen=True):
 
 
 TABLE_SOURCE = "ISO/TS 15066:2016, tables A.2 and A.3, as cited in the literature; compare with your edition"
+
+
+def _region(mass: float, stiffness: float, force: float, transient: float | None) -> BodyRegion:
+    return BodyRegion(mass=mass, stiffness=stiffness, force=force, transient=transient, source=TABLE_SOURCE)
+
+
 BODY_REGIONS: dict[str, BodyRegion] = {
-    "skull": BodyRegion(4.4, 150e3, 130.0, None, TABLE_SOURCE),
-    "face": BodyRegion(4.4, 75e3, 65.0, None, TABLE_SOURCE),
-    "neck": BodyRegion(1.2, 50e3, 150.0, 2.0, TABLE_SOURCE),
-    "back": BodyRegion(40.0, 35e3, 210.0, 2.0, TABLE_SOURCE),
-    "chest": BodyRegion(40.0, 25e3, 140.0, 2.0, TABLE_SOURCE),
-    "abdomen": BodyRegion(40.0, 10e3, 110.0, 2.0, TABLE_SOURCE),
-    "pelvis": BodyRegion(40.0, 25e3, 180.0, 2.0, TABLE_SOURCE),
-    "upper_arm": BodyRegion(3.0, 30e3, 150.0, 2.0, TABLE_SOURCE),
-    "lower_arm": BodyRegion(2.0, 40e3, 160.0, 2.0, TABLE_SOURCE),
-    "hand": BodyRegion(0.6, 75e3, 140.0, 2.0, TABLE_SOURCE),
-    "thigh": BodyRegion(75.0, 50e3, 220.0, 2.0, TABLE_SOURCE),
-    "lower_leg": BodyRegion(75.0, 60e3, 130.0, 2.0, TABLE_SOURCE),
+    "skull": _region(4.4, 150e3, 130.0, None),
+    "face": _region(4.4, 75e3, 65.0, None),
+    "neck": _region(1.2, 50e3, 150.0, 2.0),
+    "back": _region(40.0, 35e3, 210.0, 2.0),
+    "chest": _region(40.0, 25e3, 140.0, 2.0),
+    "abdomen": _region(40.0, 10e3, 110.0, 2.0),
+    "pelvis": _region(40.0, 25e3, 180.0, 2.0),
+    "upper_arm": _region(3.0, 30e3, 150.0, 2.0),
+    "lower_arm": _region(2.0, 40e3, 160.0, 2.0),
+    "hand": _region(0.6, 75e3, 140.0, 2.0),
+    "thigh": _region(75.0, 50e3, 220.0, 2.0),
+    "lower_leg": _region(75.0, 60e3, 130.0, 2.0),
 }
 """Body regions by name; "back" includes the shoulders, "upper_arm" the elbow, "lower_arm" the wrist, "hand" the
 fingers, "thigh" the knee. A site can state its own numbers with their source."""

@@ -136,7 +136,7 @@ def _own_region(entry: PersonEntry, file: SiteFile, path: str) -> BodyRegion:
     if mass is None or stiffness is None or force is None or not source:
         got = f"mass {mass}, stiffness {stiffness}, force {force}, source {source!r}"
         raise file.make_error(path, got=got, allowed="mass, stiffness, force and their source")
-    return BodyRegion(mass, stiffness, force, entry.transient, source)
+    return BodyRegion(mass=mass, stiffness=stiffness, force=force, transient=entry.transient, source=source)
 
 
 def site_skill_grants(file: SiteFile, skills: frozenset[str]) -> dict[str, frozenset[str]] | None:

@@ -1,4 +1,4 @@
-"""Closed loops with a hostile nominal control, for the Cartesian speed limit: ẏ = u exactly, and an independent oracle."""
+"""Closed loops with a hostile nominal control, for the Cartesian speed limit, with ẏ = u and an independent oracle."""
 
 from dataclasses import dataclass, field
 
@@ -8,7 +8,7 @@ from dualbrain.core.geometry.shapes import Pose, Sphere
 from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import FilterConfig, Obstacle, Rank, SafetyFilter
 from dualbrain.safety.cbf.result import SPEED
-from tests.safety.cartesian_speed.speed_oracle import SpeedOracle
+from tests.safety.kernel.cartesian_speed.speed_oracle import SpeedOracle
 
 HELD = np.array([[0.0, 0.0, 0.1, 0.03], [0.0, 0.06, 0.2, 0.03]])
 

@@ -1,4 +1,4 @@
-"""An independent oracle of Cartesian speeds: float64 forward kinematics from the robot model, and finite differences."""
+"""An independent oracle of Cartesian speeds: float64 kinematics from the robot model, and finite differences."""
 
 import numpy as np
 

@@ -13,8 +13,8 @@ from dualbrain.safety.cbf.config import operating_config
 from dualbrain.safety.cbf.filter import FilterConfig, FilterStatus, Obstacle, Rank, SafetyFilter
 from dualbrain.safety.cbf.result import SPEED
 from dualbrain.safety.stop_cause import Reason
-from tests.safety.cartesian_speed.closed_loop import run_loop
-from tests.safety.cartesian_speed.speed_oracle import SpeedOracle
+from tests.safety.kernel.cartesian_speed.closed_loop import run_loop
+from tests.safety.kernel.cartesian_speed.speed_oracle import SpeedOracle
 
 CASES = {
     "panda": ("panda", 0.4, {}),
