@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dualbrain.core.geometry.rotations import matrix_to_quaternion, quaternion_to_matrix
 from dualbrain.core.geometry.shapes import Box, Pose
-from dualbrain.errors import ConfigurationError
+from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.robots.model import Bound, CollisionSphere, Joint, Link, RobotModel, SelfCollisionPairs, Tool
 from dualbrain.robots.site_config import PersonEntry, SiteError, SiteFile, ToolEntry, ToolSphere
 from dualbrain.safety.barriers.workspace import plane
@@ -112,7 +112,7 @@ def site_persons(file: SiteFile) -> PersonLimits | None:
                 near[name] = _near_speed(entry, file, path)
         except SiteError:
             raise
-        except ConfigurationError as error:
+        except (ConfigurationError, UnknownNameError) as error:
             raise file.make_error(path, got=entry.body_region or entry.monitoring, allowed=str(error)) from error
     names = frozenset(file.site.person)
     return PersonLimits(separation=separation, near=near, named=names) if names else None

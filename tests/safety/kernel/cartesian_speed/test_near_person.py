@@ -144,7 +144,9 @@ def test_limits_of_persons_by_name():
     limits = PersonLimits(
         separation={"others": SpeedAndSeparation()}, near={"Ada": NEAR}, named=frozenset({"others", "Ada", "Bo"})
     )
-    scene = Scene(stamp=0.0, objects=(entry("Ada"), entry("Bo"), entry("Cy"), entry("box", "obstacle")))
+    scene = Scene(
+        robot="panda", stamp=0.0, version=1, objects=(entry("Ada"), entry("Bo"), entry("Cy"), entry("box", "obstacle"))
+    )
     found = {one.name: one for one in obstacles_from_scene(scene, known=(), held=None, persons=limits)}
     assert found["Ada"].near == NEAR
     assert found["Ada"].separation is None
