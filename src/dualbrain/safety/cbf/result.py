@@ -195,10 +195,11 @@ class FilterResult(msgspec.Struct, frozen=True, eq=False, gc=False):  # numbers 
 
         For STOPPED and FAULT it states the cause; with `remedy` also its numbers, and what to do.
         """
+        fast = f"; {REASON_TEXTS['OVERSPEED']}" if self.flags & Reason.OVERSPEED else ""
         if self.status is FilterStatus.SAFE:
-            return f"passed unchanged; nearest pair at {self.h_min * 1e3:.0f} mm"
+            return f"passed unchanged; nearest pair at {self.h_min * 1e3:.0f} mm{fast}"
         if self.status is FilterStatus.MODIFIED:
-            return f"{self._describe_rows()}: {self._describe_change()}"
+            return f"{self._describe_rows()}: {self._describe_change()}{fast}"
         why = (
             "; ".join(REASON_TEXTS[flag.name] for flag in self.reason if flag.name in REASON_TEXTS)
             or "a limit of the box"

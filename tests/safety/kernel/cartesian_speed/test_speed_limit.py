@@ -213,6 +213,7 @@ def test_a_state_that_is_too_fast_is_braked_and_reported():
         now = oracle.speeds(q, result.u).max()
         assert now <= max(before + 1e-3, 0.1)
         reported += bool(result.flags & Reason.OVERSPEED)
+        assert ("keeps the speed limits" in result.explain()) == bool(result.flags & Reason.OVERSPEED)
         u, before = result.u, now
         q = q + model.period * u
     assert before <= 0.1
