@@ -200,14 +200,13 @@ def test_a_load_that_is_held_causes_no_event(reading):
 
 
 def remove_at(cell, name, when):
-    """Take the object `name` out of the hand at `when` [s] after it begins to hold; returns the list of these times."""
+    """Take the object `name` down out of the fingers once `when(loop)` is true; returns the list of these times [s]."""
     advance, address, taken = cell.world.advance, cell.plant.model.joint(name).qposadr[0], []
-    cell.executor.loop.world = cell.world
 
     def step():
         loop = cell.executor.loop
         if not taken and loop.held_object and when(loop):
-            cell.plant.data.qpos[address : address + 3] = (0.3, -0.45, 0.03)
+            cell.plant.data.qpos[address + 2] -= 0.06
             taken.append(loop.state.stamp)
         advance()
 

@@ -86,16 +86,16 @@ class LoadMonitor:
         if not self.name:
             return None
         self._store_pose(observation)
-        if self._is_lost(observation):
+        lost, slip = self._is_lost(observation), self._slip(observation)
+        if lost or (slip and not _presses(observation)):
             event = LoadEvent(self.name)
             self.forget()
             return event
-        slip = self._slip(observation)
         return LoadEvent(self.name, slip) if slip else None
 
     def _is_lost(self, observation: Observation) -> bool:
-        state, now = observation.state, observation.now
-        if min(state.finger_forces) >= MIN_GRIP_FORCE:
+        now = observation.now
+        if _presses(observation):
             self._pressed_at = now
         closed = self._poses[0].opening - self._poses[-1].opening > MAX_CLOSING
         return closed or now - self._pressed_at > LOSS_TIME
@@ -120,6 +120,11 @@ class LoadMonitor:
             return 0.0
         self._offset, self._offset_error = offset, obj.error
         return distance
+
+
+def _presses(observation: Observation) -> bool:
+    """Whether both fingers press."""
+    return min(observation.state.finger_forces) >= MIN_GRIP_FORCE
 
 
 def offset_in_tool(obj: SceneObject, position: Array, rotation: Array) -> Array:
