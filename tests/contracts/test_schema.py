@@ -11,7 +11,13 @@ from hypothesis import strategies as st
 
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.scene_names import SceneNames
-from dualbrain.contracts.schema import decoding_schema, describe_skills, syntax_schema, validation_schema
+from dualbrain.contracts.schema import (
+    decoding_schema,
+    describe_skills,
+    first_skills,
+    syntax_schema,
+    validation_schema,
+)
 from dualbrain.contracts.skill_spec import NameParameter, NumberParameter
 from tests.contracts.contract_strategies import NAMES, REGISTRY, contract_strategy
 from tests.contracts.mutations import MUTATIONS
@@ -100,6 +106,15 @@ def test_a_skill_without_a_possible_target_cannot_be_decoded() -> None:
 
     assert skills(SceneNames((), ("bowl",))) == ["move_to", "place", "release", "hold", "home", "turn_wrist", "decline"]
     assert skills(SceneNames()) == ["release", "hold", "home", "turn_wrist", "decline"]
+
+
+def test_skills_that_the_state_refuses_are_left_out_of_the_first_action_only() -> None:
+    free, full = decoding_schema(REGISTRY, NAMES), decoding_schema(REGISTRY, NAMES, not_first=("grasp", "push"))
+    assert first_skills(free) == tuple(skill.name for skill in REGISTRY.skills)
+    assert first_skills(full) == tuple(name for name in first_skills(free) if name not in ("grasp", "push"))
+    actions = full["properties"]["action_sequence"]
+    assert actions["items"] == free["properties"]["action_sequence"]["items"]
+    assert decoding_schema(REGISTRY, NAMES, not_first=("no such skill",)) == free
 
 
 def test_a_registry_without_a_callable_skill_admits_no_contract() -> None:

@@ -5,6 +5,7 @@ from functools import cache
 
 import pytest
 
+from dualbrain.contracts.schema import decoding_schema
 from dualbrain.planner.decoding.llguidance_grammar import (
     NO_FORCING,
     actions_grammar,
@@ -12,7 +13,7 @@ from dualbrain.planner.decoding.llguidance_grammar import (
     strip_annotations,
     tail_grammar,
 )
-from tests.planner.sample_requests import REGISTRY, plan_request
+from tests.planner.sample_requests import NAMES, REGISTRY, plan_request
 
 
 def test_texts_for_people_are_removed_and_names_of_parameters_are_not() -> None:
@@ -79,3 +80,16 @@ def test_each_grammar_accepts_its_part_of_a_contract_and_enforces_the_bounds() -
         assert accepts(make(plan_request().schema), rest)
         assert not accepts(make(plan_request().schema), rest.replace("0.1", "9.1"))
         assert not accepts(make(plan_request().schema), rest + " ")
+
+
+def test_the_first_action_is_restricted_where_the_engine_permits_it() -> None:
+    schema = decoding_schema(REGISTRY, NAMES, not_first=("grasp",))
+    place = '{"skill":"place","params":{"destination":"blue_bowl","speed":0.2,"wait":"none"}}'
+    grasp = '{"skill":"grasp","params":{"object":"red_cube","speed":0.2}}'
+    grammar = actions_grammar(schema)
+    assert accepts(grammar, f"[{place}]}}")
+    assert accepts(grammar, f"[{place},{grasp},{place}]}}")
+    assert not accepts(grammar, f"[{grasp},{place}]}}")
+    assert accepts(actions_grammar(plan_request().schema), f"[{grasp},{place}]}}")
+    assert "prefixItems" in strip_annotations(schema, prefix_items=True)["properties"]["action_sequence"]
+    assert "prefixItems" not in strip_annotations(schema)["properties"]["action_sequence"]
