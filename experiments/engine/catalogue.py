@@ -8,6 +8,7 @@ from experiments.adaptation.rounds import Rounds
 from experiments.adaptation.starter import Starter
 from experiments.adaptation.suite_adapters import SuiteAdapters
 from experiments.engine.experiment import Experiment
+from experiments.evaluation.free_instructions import FreeInstructionsExperiment
 from experiments.gatekeeper.commander_failure import CommanderFailure
 from experiments.gatekeeper.faults import Faults
 from experiments.gatekeeper.tick import TickTiming
@@ -70,6 +71,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         Starter(),
         RobosuiteTasks(),
         FrankaLimits(),
+        FreeInstructionsExperiment(),
     )
 }
 """`filter_ablation` follows `end_to_end`, whose contracts it carries out."""

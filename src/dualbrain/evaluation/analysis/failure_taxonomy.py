@@ -4,7 +4,7 @@ The first class whose rule holds is that of the episode. The order is that of th
 
 1. everything outside the decisions of the robot: simulator, operator, communication, perception;
 2. the plan: refused, not readable, declined, misread;
-3. harm: force, rough handling, collisions, a lost load. It precedes the end of the motion, because a glass that broke is
+3. harm: force, rough handling, collisions, a lost load. Harm precedes the end of the motion: a glass that broke is
    the failure, also if the robot reports success;
 4. the ways in which the motion can end;
 5. failures that only the ground truth shows.
