@@ -48,7 +48,8 @@ def near_destination(folder, **changes):
     cube, *others = spec.objects
     cube = msgspec.structs.replace(cube, position=(0.42, -0.36, 0.025))
     save_scene(msgspec.structs.replace(spec, objects=(cube, *others)), folder / "scene.json")
-    return run_config(folder, scene=str(folder / "scene.json"), **changes)
+    instruction = "push the red cube toward the right side of the table"
+    return run_config(folder, scene=str(folder / "scene.json"), instruction=instruction, **changes)
 
 
 def result(skill, status="done", reason=""):

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from dualbrain.contracts.gate.authorization import PLANNER
 from dualbrain.contracts.gate.gate import Gate
-from dualbrain.contracts.verdict import Verdict
+from dualbrain.contracts.registry import SkillRegistry
+from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
 from dualbrain.core.geometry.shapes import HalfSpace, Pose
+from dualbrain.grounding.instruction.correspondence import INSTRUCTION_POINTER, SceneVocabulary, find_mismatch
+from dualbrain.grounding.instruction.review import Refusal, review_instruction
 from dualbrain.grounding.scene_rules import scene_rules
 from dualbrain.grounding.vocabulary import load_skill_registry, planner_grants, scene_names
 from dualbrain.records import Scene, SceneObject
@@ -21,16 +24,32 @@ from dualbrain.skills.registry import make_controller
 from dualbrain.skills.skill import Observation
 
 
-def check_contract(data: bytes, *, robot: str, scene: str) -> Verdict:
+def check_contract(data: bytes, *, robot: str, scene: str, instruction: str = "") -> Verdict:
     """The verdict of all gate stages, including the scene rules, on the contract `data` for `robot` at home in `scene`.
 
+    With an `instruction`, a contract that the gate accepts must also be about these words.
     Raises `UnknownNameError` for an unknown robot or scene, and `ConfigurationError` for an invalid scene file.
     """
     registry = load_skill_registry(robot)
     perceived = scene_from_spec(open_scene(scene, robot))
     controller = controller_at_home(robot, perceived)
     gate = Gate(registry, planner_grants(registry), scene_rules(perceived, controller))
-    return gate.check(data, names=scene_names(perceived), principal=PLANNER, now=0.0)
+    verdict = gate.check(data, names=scene_names(perceived), principal=PLANNER, now=0.0)
+    if not instruction or isinstance(verdict, Rejected):
+        return verdict
+    return _check_words(verdict, instruction, registry, perceived) or verdict
+
+
+def _check_words(verdict: Accepted, instruction: str, registry: SkillRegistry, scene: Scene) -> Rejected | None:
+    """The rejection of an accepted contract whose instruction is declined, or is about something else."""
+    review = review_instruction(instruction, registry, scene.receptive)
+    if all(action.skill == "decline" for action in verdict.contract.action_sequence):
+        return None
+    if isinstance(review, Refusal):
+        return Rejected(
+            stage="envelope", pointer=INSTRUCTION_POINTER, got=instruction, allowed=["decline"], hint=review.reason
+        )
+    return find_mismatch(verdict.contract, instruction, SceneVocabulary(scene.graspable, scene.receptive))
 
 
 def controller_at_home(robot: str, scene: Scene) -> ArmController | BaseController | MobileManipulatorController:

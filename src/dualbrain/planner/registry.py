@@ -27,6 +27,10 @@ OTHER_FORMS_HINT = "a GGUF file or URL also works"
 """Parts of the error for an unknown name, here and in callers that know more names."""
 
 
+LANGUAGES_MARK = "&languages="
+"""In the fragment of an address: the languages that the model reads, such as `#model-name&languages=en,de`."""
+
+
 def planner_names() -> tuple[str, ...]:
     """Names of the language models in the manifest."""
     return tuple(name for name, file in MANIFEST.items() if file.filename.endswith(".gguf"))
@@ -45,7 +49,8 @@ def open_planner(
     """The planner with the name or address `name_or_url`, ready to propose.
 
     `name_or_url` is a name in the manifest (its verified file is in `cache`), the path of a GGUF file, or an address
-    such as `http://localhost:8000/v1#model-name`, which is used with `dialect` and `key`; `vllm+http://...` names the
+    such as `http://localhost:8000/v1#model-name` (with languages: `#model-name&languages=en,de`), which is used with
+    `dialect` and `key`; `vllm+http://...` names the
     dialect itself. `prompt_cache` is described in `LlamaConfig`; `timeout_s` [s] limits one proposal. Raises
     `UnknownNameError`, `MissingDependencyError`, `ChecksumError` and `ConfigurationError`.
     """
@@ -53,9 +58,17 @@ def open_planner(
         prefix, separator, rest = name_or_url.partition("+http")
         has_dialect = separator and "://" not in prefix
         dialect, address = (prefix, f"http{rest}") if has_dialect else (dialect, name_or_url)
-        url, model = urldefrag(address)
+        url, fragment = urldefrag(address)
+        model, _, languages = fragment.partition(LANGUAGES_MARK)
         return ServerPlanner(
-            ServerConfig(url=url, model=model or "default", key=key, dialect=dialect, timeout_s=timeout_s)
+            ServerConfig(
+                url=url,
+                model=model or "default",
+                key=key,
+                dialect=dialect,
+                timeout_s=timeout_s,
+                languages=tuple(one.strip() for one in languages.split(",") if one.strip()),
+            )
         )
     config = LlamaConfig(threads=threads, timeout_s=timeout_s, prompt_cache=prompt_cache)
     if name_or_url.endswith(".gguf"):

@@ -21,6 +21,7 @@ def check(
     *,
     robot: str = "panda",
     scene: str = "0",
+    instruction: str = "",
 ) -> int:
     """Check a contract file against a robot's skills and a scene, and print the verdict as one JSON object.
 
@@ -35,6 +36,9 @@ def check(
         The robot: panda, fr3, ur5e, base, mobile_panda, or the folder of a robot model.
     scene
         The scene: a number, FAMILY:SEED or a scene file.
+    instruction
+        The words that the contract is to carry out: they must not be declined, and they must mention every object and
+        place of the contract, as for the contract of a planner.
     """
     from dualbrain.contracts.verdict import Accepted
     from dualbrain.grounding.offline_gate import check_contract
@@ -43,7 +47,7 @@ def check(
         data = read_bounded_stream(sys.stdin.buffer, MAX_CONTRACT_FILE_BYTES, "standard input")
     else:
         data = read_bounded_file(contract, MAX_CONTRACT_FILE_BYTES)
-    verdict = check_contract(data, robot=robot, scene=scene)
+    verdict = check_contract(data, robot=robot, scene=scene, instruction=instruction)
     accepted = isinstance(verdict, Accepted)
     body = {} if accepted else {key: value for key, value in msgspec.to_builtins(verdict).items() if key != "verdict"}
     print_result(msgspec.json.encode({"accepted": accepted, **body}).decode())

@@ -27,6 +27,7 @@ from dualbrain.cli.common.signals import interrupt_handler
 from dualbrain.cli.common.spinner import Spinner
 from dualbrain.cli.run.live_feed import LiveFeed
 from dualbrain.cli.run.snapshots import PhaseCamera
+from dualbrain.cli.run.spoken_stop import listen_for_stop
 from dualbrain.control.recording.trace import Event
 from dualbrain.core.paths import dualbrain_home
 from dualbrain.core.processes.real_time_pacer import RealTimePacer
@@ -92,6 +93,7 @@ def execute_run(config: RunConfig, view: RunView) -> ExitCode:
         camera = PhaseCamera(session.plant, console, NO_GRAPHICS_REASON)
         spinner = Spinner(console, f"planning ({session.planner.name})")
         with interrupt_handler(session.interrupt):
+            listen_for_stop(session.instruct, lambda words: console.print(f"[yellow]{escape(words)}[/]"))
             spinner.start()
             try:
                 result = session.run(_make_observer(console, camera, feed, spinner))

@@ -114,6 +114,7 @@ def plan_summary(instruction: str, planned: DryRunResult) -> dict[str, Any]:
         "summary": planned.summary,
         "accepted": _is_accepted(planned),
         "declined": planned.is_declined,
+        "refusal": planned.refusal,
         "contract": _accepted_contract(planned),
         "verdict": last.verdict,
         "retrieved": planned.recall,
@@ -156,6 +157,9 @@ def _print_plan(planned: DryRunResult) -> None:
 
     for number, shot in enumerate(planned.shots, start=1):
         head = "prompt" if number == 1 else f"prompt of attempt {number}: last message"
+        if not shot.prompt:
+            print_result("The planner is not asked: the local layer answers this instruction.")
+            print_result(sanitize_line(planned.refusal) or "It is a stop command.")
         print_result(f"── {head} " + "─" * 60)
         for message in shot.prompt if number == 1 else shot.prompt[-1:]:
             print_result(f"[{message['role']}]")

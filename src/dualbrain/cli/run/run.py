@@ -53,7 +53,10 @@ def run(
     Parameters
     ----------
     instruction
-        The task in words (English). Optional with --contract.
+        The task in words (English). Optional with --contract. An instruction with a clause that no contract can express
+        (a condition, a loop, a time, a count, an exclusion, a direction) is declined and the clause is named. "stop"
+        and its like need no planner, and stop every running gatekeeper of this user; during a run, type them and press
+        Enter.
     robot
         panda, fr3, ur5e, base or mobile_panda.
     scene
@@ -66,7 +69,8 @@ def run(
     filter
         "off" sends the nominal control unfiltered, for comparison in simulation only.
     contract
-        Contract file (JSON) to run instead of asking a planner; it passes the same gate.
+        Contract file (JSON) to run instead of asking a planner; it passes the same gate. The instruction is then a
+        label: its clauses are not checked, and the contract is not compared with it.
     goal
         Criterion of success on simulator ground truth: "put OBJECT in DESTINATION", in a room also "go to PLACE".
         Default: the instruction itself; without an instruction the goal that the contract states.
@@ -127,6 +131,8 @@ def run(
         raise UsageError.stating(
             "--speed scales only a run in real time behind a gatekeeper.", fix="Add --live, or leave out --speed."
         )
+    if contract is None and (code := _stop_running_robots(instruction)) is not None:
+        return code
     from dualbrain.cli.run.execution import RunView, execute_run
     from dualbrain.runtime.config import default_config
 
@@ -158,3 +164,21 @@ def run(
         speed_scale=speed_scale,
     )
     return execute_run(config, view)
+
+
+def _stop_running_robots(instruction: str) -> int | None:
+    """Stop every running gatekeeper if `instruction` is a stop command; None without one, and without a gatekeeper."""
+    from dualbrain.grounding.instruction.stop_commands import is_stop_command
+
+    if not is_stop_command(instruction):
+        return None
+    from dualbrain.cli.common.exit_codes import ExitCode
+    from dualbrain.cli.run.spoken_stop import stop_running_robots
+    from dualbrain.core.paths import dualbrain_home
+
+    lines = stop_running_robots(dualbrain_home())
+    for line in lines:
+        print(line, file=sys.stderr)
+    if not lines:
+        return None
+    return ExitCode.SETUP if any("not stopped" in line for line in lines) else ExitCode.SUCCESS

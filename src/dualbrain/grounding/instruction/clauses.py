@@ -22,6 +22,11 @@ _LATER_ACTION = re.compile(
     r"\b(?:then|and|afterwards|before) (?:\w+ ){0,2}?(?:put|place|drop|move|go|drive|release|bring|push|set)\b"
     r"|[,;.] (?:put|place|drop|move|go|drive|release|bring|push|set)\b"
 )
+_COMPLEMENT = re.compile(
+    r"(?: (?!(?:and|then|or|but|if|unless|when|while|please|before|after|until|so|because|with|without|in|into|on|to)\b)"
+    r"[^\s,.;:!?]+){0,5}"
+)
+"""The words that complete a clause, so that the quote is "to the left of the bowl"; it matches every text."""
 _SMALL_NUMBERS = {
     **{"a": 1, "an": 1, "one": 1, "two": 2, "three": 3, "four": 4, "five": 5, "six": 6, "seven": 7, "eight": 8},
     **{"nine": 9, "ten": 10, "eleven": 11, "twelve": 12, "fifteen": 15, "twenty": 20},
@@ -53,6 +58,7 @@ def find_clauses(words: Words, abilities: Capabilities, receptive: Sequence[str]
     for match in patterns.QUESTION_THEN.finditer(text):
         if not ("occupancy" in abilities.names and _is_about_occupancy(match[0], containers)):
             found.append((match.start(), match.end(), "condition"))
+    found = [one for one in found if not any(_is_inside(other, one) for other in found)]
     found.sort(key=lambda clause: (clause[0], -clause[1]))
     clauses: list[Clause] = []
     last_end = -1
@@ -61,6 +67,11 @@ def find_clauses(words: Words, abilities: Capabilities, receptive: Sequence[str]
             clauses.append(Clause(kind, words.quote(start, end).rstrip(" ,.;:!?")))
             last_end = end
     return tuple(clauses)
+
+
+def _is_inside(one: tuple[int, int, ClauseKind], other: tuple[int, int, ClauseKind]) -> bool:
+    """Whether `one` is a clause of another kind within the words of `other`, which it then explains better."""
+    return other[0] < one[0] and one[1] <= other[1] and one[2] != other[2]
 
 
 def _find_in_sentence(
@@ -182,7 +193,8 @@ def _by_rules(sentence: str, abilities: Capabilities) -> Iterator[tuple[int, int
             if rule.unless is not None and rule.unless.search(sentence):
                 break
             if not _can_express(rule, match[0], abilities):
-                yield match.start(), match.end(), rule.kind
+                complement = _COMPLEMENT.match(sentence, match.end())
+                yield match.start(), complement.end() if complement else match.end(), rule.kind
 
 
 def _can_express(rule: ClauseRule, quote: str, abilities: Capabilities) -> bool:

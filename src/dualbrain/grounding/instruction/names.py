@@ -166,8 +166,8 @@ def side_alone_pattern(place: str, places: tuple[str, ...]) -> re.Pattern[str] |
     if side is None or sum(side in name_words(other) for other in places) > 1:
         return None
     return re.compile(
-        rf"(?:(?<=\bthe )|(?<=, )|(?<=: )|^){side}(?= ?(?:$|[,.;!?:]))"
-        rf"|(?<=\bthe ){side}(?= (?:now|right|and|then|first|is|comes|please|before|with|to|after|you|where)\b)"
+        rf"(?:(?<=\bthe )|(?<=, )|(?<=: )|(?<=\bthen )|(?<=\band )|^){side}"
+        r"(?! (?:side|part|half|hand|end|corner|edge|area|section|portion|of|one|the|it|my|most)\b)(?=\W|$)"
     )
 
 

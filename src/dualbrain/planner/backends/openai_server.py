@@ -74,6 +74,8 @@ class ServerConfig:
     dialect: str = "openai"
     max_tokens: int = 800
     timeout_s: float = 120.0
+    languages: tuple[str, ...] = ()
+    """Languages of instructions that the model reads, as ISO 639-1 codes ("*": all); English if none is declared."""
 
 
 class ServerPlanner:
@@ -95,6 +97,11 @@ class ServerPlanner:
     def name(self) -> str:
         """Model and host; never the key."""
         return f"{self._config.model}@{urlsplit(self._config.url).hostname}"
+
+    @property
+    def languages(self) -> tuple[str, ...]:
+        """The declared languages of instructions; empty: English."""
+        return self._config.languages
 
     @property
     def dialect(self) -> str:

@@ -1,0 +1,144 @@
+"""Clauses that contracts cannot express are found and quoted, and instructions without them pass."""
+
+import time
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from dualbrain.adaptation.synthetic.templates import load_templates
+from dualbrain.grounding.instruction.clauses import find_clauses
+from dualbrain.grounding.instruction.expressible import capabilities
+from dualbrain.grounding.instruction.review import Refusal, review_instruction
+from dualbrain.grounding.instruction.words import normalise
+from dualbrain.grounding.vocabulary import load_skill_registry
+from dualbrain.simulation.tasks.instructions import find_task_kind, instruction_templates, task_kinds
+
+SENTENCES = tomllib.loads(Path(__file__).with_name("sentences.toml").read_text(encoding="utf-8"))
+PLACES = ("blue_bowl", "table_left", "table_right", "table_front", "aisle_left", "aisle_right", "shelf", "charger")
+REGISTRIES = {name: load_skill_registry(name) for name in ("panda", "ur5e", "base", "mobile_panda")}
+ABILITIES = {name: capabilities(registry) for name, registry in REGISTRIES.items()}
+SLOTS = {
+    "object": "red cube",
+    "target": "blue bowl",
+    "second": "green tin",
+    "second_target": "left side of the table",
+    "group": "red things",
+    "number": "5",
+}
+BASE_SLOTS = SLOTS | {"target": "shelf", "second_target": "charger"}
+
+
+def clauses(text, robot="mobile_panda"):
+    return find_clauses(normalise(text), ABILITIES[robot], PLACES)
+
+
+@pytest.mark.parametrize("text", SENTENCES["clauses"])
+def test_a_clause_is_found_and_quoted_from_the_words(text):
+    found = clauses(text)
+    assert found, text
+    assert found[0].quote in " ".join(text.split()).replace("\u2019", "'")
+
+
+@pytest.mark.parametrize("text", SENTENCES["plain"])
+def test_an_instruction_without_a_clause_passes(text):
+    assert clauses(text) == ()
+
+
+def packaged_sentences():
+    """Every packaged sentence that a robot can carry out, with the robots that it suits."""
+    for name in task_kinds(label="possible"):
+        kind = find_task_kind(name)
+        robots = ("base", "mobile_panda") if kind.bodies == "base" else ("panda", "ur5e", "mobile_panda")
+        for template in instruction_templates(name):
+            for robot in robots:
+                yield robot, name, template.text
+    mobile = set(task_kinds(mobile=True)) - set(task_kinds(mobile=False))
+    for name, kind in load_templates().kinds.items():
+        robots = ("base",) if kind.robots == "base" or name in mobile else ("panda", "ur5e")
+        if kind.contract:
+            for sentence in (*kind.train_sentences, *kind.held_out):
+                for robot in robots:
+                    yield robot, name, sentence
+
+
+def test_every_packaged_sentence_reaches_the_planner():
+    refused = []
+    for robot, kind, sentence in packaged_sentences():
+        text = sentence.format(**(BASE_SLOTS if robot == "base" else SLOTS))
+        answer = review_instruction(text, REGISTRIES[robot], PLACES)
+        if isinstance(answer, Refusal) or (answer is not None and kind != "stop"):
+            refused.append((robot, kind, text, answer))
+    assert refused == []
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "quote"),
+    [
+        ("place the red cube to the left of the bowl", "relative place", "to the left of the bowl"),
+        ("Hand me the red cube!", "handing over", "Hand me the red cube"),
+        ("push it away from you", "relative place", "push it away from you"),
+        ("put the cube in the bowl if nobody is near", "condition", "if nobody is near"),
+        ("keep pushing the cube", "loop", "keep pushing the cube"),
+        ("in five minutes, go home", "time", "in five minutes"),
+        ("put two of the blocks in the bowl", "count", "two of the blocks"),
+        ("put everything in the bowl except the tin", "exclusion", "except the tin"),
+        ("Don\u2019t put the cube in the bowl", "exclusion", "Don't put the cube in the bowl"),
+        ("put either the cube or the tin in the bowl", "alternative", "either the cube or the tin in the bowl"),
+        ("put the biggest block in the bowl", "comparison", "biggest block"),
+        ("turn the bottle over", "orientation", "turn the bottle over"),
+        ("put the cube in the bowl untill it is ful", "loop", "untill it is ful"),
+    ],
+)
+def test_the_refusal_names_kind_and_words(text, kind, quote):
+    answer = review_instruction(text, REGISTRIES["panda"], PLACES)
+    assert isinstance(answer, Refusal)
+    assert f'"{quote}" ({kind})' in answer.reason
+    assert "grasp" in answer.reason  # the skills that can be asked for instead
+    assert len(answer.brief_reason) <= 120
+
+
+@pytest.mark.parametrize(
+    ("text", "able", "unable"),
+    [
+        ("wait for 5 seconds", "panda", "base"),
+        ("push the cube 5 cm toward the bowl", "panda", "base"),
+        ("if the bowl is empty, put the cube in it", "panda", "base"),
+        ("turn until you face 1.5 rad", "base", "panda"),
+    ],
+)
+def test_the_skills_of_the_robot_decide_which_clauses_can_be_expressed(text, able, unable):
+    assert clauses(text, able) == ()
+    assert clauses(text, unable)
+
+
+def test_a_wait_beyond_the_bound_of_the_skill_is_a_clause():
+    assert clauses("wait for 20 seconds", "panda") == ()
+    assert [one.kind for one in clauses("wait for 21 seconds", "panda")] == ["time"]
+
+
+def test_capital_letters_and_punctuation_change_nothing():
+    for text in SENTENCES["clauses"][::7]:
+        assert clauses(text.upper()), text
+        assert clauses(f"  {text} !!"), text
+    for text in SENTENCES["plain"][::7]:
+        assert clauses(text.upper()) == (), text
+
+
+def test_the_check_takes_less_than_5_ms():
+    texts = [*SENTENCES["clauses"], *SENTENCES["plain"]]
+    started = time.process_time()
+    for text in texts:
+        review_instruction(text, REGISTRIES["mobile_panda"], PLACES)
+    assert (time.process_time() - started) / len(texts) < 5e-3
+
+
+def test_the_time_is_linear_in_the_length_of_the_text():
+    def seconds(text):
+        started = time.process_time()
+        review_instruction(text, REGISTRIES["panda"], PLACES)
+        return time.process_time() - started
+
+    for unit in ("put the red cube in the bowl and ", "a", "not ", "to the ", "push the cube ", "if "):
+        short, long = (min(seconds(unit * n) for _ in range(2)) for n in (400, 1600))
+        assert long < 12 * max(short, 0.01), unit
