@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain, islice
 
 from dualbrain.grounding.instruction import clause_patterns as patterns
 from dualbrain.grounding.instruction.clause_patterns import ClauseKind, ClauseRule
@@ -18,12 +19,15 @@ from dualbrain.grounding.instruction.names import category_words, mask_places
 from dualbrain.grounding.instruction.words import Words, sentences
 
 _BOUNDARY = re.compile(r"[,.;:!?]|$")
+MAX_CLAUSE, MAX_FOUND = 200, 30
+"""Longest quote of a clause [characters], and number of clauses of a sentence after which the search ends."""
 _LATER_ACTION = re.compile(
     r"\b(?:then|and|afterwards|before) (?:\w+ ){0,2}?(?:put|place|drop|move|go|drive|release|bring|push|set)\b"
     r"|[,;.] (?:put|place|drop|move|go|drive|release|bring|push|set)\b"
 )
 _COMPLEMENT = re.compile(
-    r"(?: (?!(?:and|then|or|but|if|unless|when|while|please|before|after|until|so|because|with|without|in|into|on|to)\b)"
+    r"(?: (?!(?:and|then|or|but|if|unless|when|while|please|before|after|until|so|because|with|without|in|into|on|to)"
+    r"\b)"
     r"[^\s,.;:!?]+){0,5}"
 )
 """The words that complete a clause, so that the quote is "to the left of the bowl"; it matches every text."""
@@ -78,21 +82,22 @@ def _find_in_sentence(
     text: str, start: int, end: int, abilities: Capabilities, containers: frozenset[str]
 ) -> Iterator[tuple[int, int, ClauseKind]]:
     sentence = text[start:end]
-    for first, last, kind in (
-        *_conditions(sentence, text, abilities, containers),
-        *_orders(sentence),
-        *_untils(sentence, text, abilities),
-        *_negations(sentence, text, abilities),
-        *_alternatives(sentence),
-        *_by_rules(sentence, abilities),
-    ):
+    searches = (
+        _conditions(sentence, text, abilities, containers),
+        _orders(sentence),
+        _untils(sentence, text, abilities),
+        _negations(sentence, text, abilities),
+        _alternatives(sentence),
+        _by_rules(sentence, abilities),
+    )
+    for first, last, kind in chain.from_iterable(islice(search, MAX_FOUND) for search in searches):
         yield start + first, start + last, kind
 
 
 def _clause_end(sentence: str, after: int) -> int:
     """The end of the clause that `after` lies in: the next punctuation mark, or the end of the sentence."""
-    found = _BOUNDARY.search(sentence, after)
-    return found.start() if found else len(sentence)
+    found = _BOUNDARY.search(sentence, after, after + MAX_CLAUSE)
+    return found.start() if found else min(after + MAX_CLAUSE, len(sentence))
 
 
 def _conditions(

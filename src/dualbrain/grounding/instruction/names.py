@@ -54,6 +54,7 @@ GENERIC = frozenset(
 )
 """Words for an object that name no category."""
 
+_SOURCE = re.compile(r"\b(?:from|out of|off|inside of)(?: (?:the|that|this|my|your))?(?: \w+)?\s*$")
 COMMON_WORDS = frozenset(
     [
         "bow",
@@ -239,7 +240,7 @@ def _mention(
     text: str, start: int, end: int, nouns: frozenset[str], names: Sequence[str], *, plural: bool = False
 ) -> list[Mention]:
     """The mention of `nouns` (() for any category) at `text[start:end]`, with the color in front of it."""
-    before = text[:start].split()[-6:]
+    before = text[max(0, start - 80) : start].split()[-6:]
     colors = _colors(before)
     if not nouns and not colors:
         return []
@@ -275,4 +276,4 @@ def _color(word: str) -> str:
 
 
 def _is_source(before: str) -> bool:
-    return re.search(r"\b(?:from|out of|off|inside of)(?: (?:the|that|this|my|your))?(?: \w+)?\s*$", before) is not None
+    return _SOURCE.search(before[-60:]) is not None
