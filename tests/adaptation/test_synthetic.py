@@ -11,12 +11,17 @@ import pytest
 from dualbrain.adaptation.synthetic import templates
 from dualbrain.adaptation.synthetic.dataset import build_synthetic_dataset, make_language_judge
 from dualbrain.adaptation.synthetic.example import FOLLOW_SHARE, free_parameters
+from dualbrain.adaptation.synthetic.instruction import split_clause
 from dualbrain.adaptation.synthetic.random_parameters import draw_number
 from dualbrain.adaptation.synthetic.scoring import score_answer
 from dualbrain.adaptation.synthetic.split import HELD_OUT_CATEGORIES, HELD_OUT_FAMILY, SCENE_SEEDS
 from dualbrain.contracts.contract import Action, Contract
 from dualbrain.contracts.skill_spec import ChoiceParameter, NumberParameter
 from dualbrain.errors import ChecksumError
+from dualbrain.grounding.instruction.clauses import Clause, find_clauses
+from dualbrain.grounding.instruction.expressible import capabilities
+from dualbrain.grounding.instruction.review import brief_reason
+from dualbrain.grounding.instruction.words import normalise
 from dualbrain.grounding.vocabulary import load_skill_registry
 from dualbrain.planner.prompt.short_prompt import STEPS_LIMIT, exemplar_steps
 from dualbrain.runtime.data_collection.synthetic_scenes import (
@@ -79,6 +84,7 @@ def test_the_training_part_contains_no_held_out_scene_or_object(train, test_part
 
 
 def pattern(sentence):
+    sentence = re.sub(r"\[\[[^:]*: (.*?)\]\]", r"\1", sentence)
     return re.compile(re.sub(r"\\{\w+\\}", ".+", re.escape(sentence)) + r"\.?", re.IGNORECASE)
 
 
@@ -206,3 +212,39 @@ def test_an_answer_is_scored_against_the_instruction(train):
     judge = make_language_judge(REGISTRIES)
     assert judge(sample.contract, sample)
     assert not judge(decline, sample)
+
+
+CLAUSE_KINDS = {"clause_arm": "panda", "clause_base": "base"}
+
+
+def clause_sentences():
+    """Every sentence with a clause: the robot, the clause's kind and words, and the sentence without the mark."""
+    slots = dict.fromkeys(("object", "second"), "red cube") | {"group": "red things", "number": "5"}
+    for name, robot in CLAUSE_KINDS.items():
+        places = {"target": "blue bowl", "second_target": "front of the table"}
+        if robot == "base":
+            places = {"target": "shelf", "second_target": "charger"}
+        kind = templates.load_templates().kinds[name]
+        for marked in (*kind.train_sentences, *kind.held_out):
+            before, clause, words, after = split_clause(marked.format(**slots, **places))
+            yield robot, clause, words, before + words + after
+
+
+@pytest.mark.parametrize(("robot", "clause", "words", "sentence"), tuple(clause_sentences()))
+def test_the_local_check_declines_every_clause_that_the_examples_decline(robot, clause, words, sentence):
+    """What a planner learns to quote is the clause that the local check names, or a part of it."""
+    found = find_clauses(normalise(sentence), capabilities(REGISTRIES[robot]), ("blue_bowl", "table_front", "shelf"))
+    assert clause in [one.kind for one in found]
+    assert any(one.quote in words or words in one.quote for one in found)
+
+
+def test_a_decline_of_a_clause_quotes_the_instruction_in_the_words_of_the_local_check():
+    shares = {"panda": 0.5, "base": 0.5}
+    samples = [one for one in generate_examples(400, "teach", 6, shares) if "no contract can express" in one.contract]
+    assert len(samples) > 15
+    for sample in samples:
+        (action,) = contract(sample).action_sequence
+        quote, kind = re.fullmatch(r'no contract can express "(.+)" \((.+)\)', action.params["reason"]).groups()
+        assert quote in instruction_text(sample)
+        assert action.params["reason"] == brief_reason(Clause(kind, quote))
+        assert scene_context_by_name(sample.scene).accepts(sample.contract.encode())

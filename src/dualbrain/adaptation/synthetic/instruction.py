@@ -49,6 +49,8 @@ def draw_instruction(
         return InstructionSample(
             name, vary_punctuation(sentence.format(**words | {slot: absent_name}), rng), (("decline", refusal),), False
         )
+    if kind.clause:
+        return _draw_clause(name, sentence.format(**words), book, rng)
     sentence = vary_punctuation(sentence.format(**words), rng)
     if label != POSSIBLE:
         return InstructionSample(name, sentence, (("decline", {"reason": book.reasons[label]}),), False)
@@ -62,6 +64,23 @@ def draw_instruction(
         for step in kind.contract
     )
     return InstructionSample(name, sentence, steps, True)
+
+
+def _draw_clause(kind: str, marked: str, book: TemplateBook, rng: np.random.Generator) -> InstructionSample:
+    """An instruction with a clause, and the decline that quotes its words as they are in the sentence."""
+    before, clause_kind, words, after = split_clause(marked)
+    varied = vary_punctuation(before + words + after, rng)
+    quote = varied[len(before) : len(before) + len(words)]
+    reason = book.reasons["clause"].format(what=quote, kind=clause_kind)
+    return InstructionSample(kind, varied, (("decline", {"reason": reason}),), False)
+
+
+def split_clause(marked: str) -> tuple[str, str, str, str]:
+    """The text before the clause of a sentence with [[KIND: words]], the kind, the words, and the text after it."""
+    before, _, rest = marked.partition("[[")
+    clause, _, after = rest.partition("]]")
+    kind, _, words = clause.partition(": ")
+    return before, kind, words, after
 
 
 def vary_punctuation(sentence: str, rng: np.random.Generator) -> str:

@@ -34,7 +34,7 @@ HELD_OUT_CATEGORIES = frozenset({"carton", "bottle"})
 """Object categories that only scenes of the part "test" contain."""
 TEMPLATES_HASH = "2cf50b750cdf7214"
 """Hash of the instruction templates of the simulation; only the part "test" uses their held-out sentences."""
-TEMPLATE_FILE_SHA256 = "7fd54b7f0c868fc2140426182d5349847059aa4e2c706e2526e05d927196de42"
+TEMPLATE_FILE_SHA256 = "41dc18e431a5e40ded5a027621cdaeac9537c1d964f4706d0b23d189b7899415"
 """SHA-256 of `templates.toml`: contract skeletons, words for absent objects, and sentences with held-out ones."""
 
 

@@ -26,7 +26,8 @@ class TaskTemplate(
     A step of the skeleton has its skill and, by parameter, the slot of the sentence that decides it. `each` repeats the
     skeleton for every object of a group. `target` restricts the kind of the target. `train_sentences` are added to the
     instruction templates of the simulation; a kind without such templates has its own `held_out` sentences and the type
-    of its `robots`.
+    of its `robots`. A sentence of a kind with `clause` marks a clause that no contract can express as [[KIND: words]],
+    and its answer declines and quotes the clause.
     """
 
     share: float
@@ -36,6 +37,7 @@ class TaskTemplate(
     robots: str = ""
     train_sentences: tuple[str, ...] = ()
     held_out: tuple[str, ...] = ()
+    clause: bool = False
 
 
 class AbsentWords(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
