@@ -93,6 +93,7 @@ def test_r_is_the_robots_own_verdict_even_if_ground_truth_differs(runs):
 def test_a_given_contract_does_not_update_memories_that_were_not_shown(tmp_path):
     run_session(run_config(tmp_path, "one"), BAD)
     (tmp_path / "pause.json").write_text(hold_contract())
-    story = run_session(run_config(tmp_path, "two", contract=tmp_path / "pause.json"), hold_contract())
+    config = run_config(tmp_path, "two", instruction="rest", contract=tmp_path / "pause.json")
+    story = run_session(config, hold_contract())
     assert story.episode.recall == RetrievedContext()
     assert [change.memory for change in story.result.store_report.weight_updates] == ["two"]

@@ -106,6 +106,8 @@ CASES = [
     # conditions on the scene before
     ("if the bowl is empty, put the red cube in it", evidence(CUBE_IN), YES),
     ("if the bowl is full, put the red cube in it, otherwise put it on table_left", evidence(CUBE_IN), OPEN),
+    ("if the bowl is full, put the cube in it, otherwise on table_left", evidence({"red_cube": "table_left"}), YES),
+    ("if the bowl is full, put the cube in it, otherwise on table_left", evidence(CUBE_IN), NO),
     # declines
     ("put the banana in the bowl", evidence(declined=True), YES),
     ("put the banana in the bowl", evidence(CUBE_IN), NO),

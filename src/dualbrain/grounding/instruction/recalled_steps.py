@@ -48,11 +48,12 @@ def fit_recall(recall: RetrievedContext, instruction: str) -> tuple[RetrievedCon
     """`recall` without the steps that `instruction` does not contain, and the skills of these steps.
 
     A recalled contract whose last steps are not requested is shortened. One with such a step before a requested step,
-    or with no other step, is not shown: a part from its middle cannot be left out. Warnings are shown as they are.
+    or with no other step, is not shown: a part from its middle cannot be left out. Warnings, and contracts that only
+    wait, are shown as they are.
     """
     shown, withheld = list[Exemplar](), dict[str, None]()
     for exemplar in recall.exemplars:
-        extra = unrequested_skills(exemplar.contract, instruction)
+        extra = () if _only_waits(exemplar.contract) else unrequested_skills(exemplar.contract, instruction)
         withheld.update(dict.fromkeys(extra))
         if not extra:
             shown.append(exemplar)
@@ -60,6 +61,10 @@ def fit_recall(recall: RetrievedContext, instruction: str) -> tuple[RetrievedCon
             shown.append(msgspec.structs.replace(exemplar, contract=contract))
     ranked = [msgspec.structs.replace(one, rank=rank) for rank, one in enumerate(shown, start=1)]
     return msgspec.structs.replace(recall, exemplars=tuple(ranked)), tuple(withheld)
+
+
+def _only_waits(contract: Mapping[str, Any]) -> bool:
+    return all(action.get("skill") == "hold" for action in contract.get("action_sequence", ()))
 
 
 def _without_last(contract: Mapping[str, Any], extra: tuple[str, ...]) -> dict[str, Any] | None:

@@ -104,6 +104,9 @@ def _read_conditional(condition: re.Match[str], scene: Scene, vocabulary: Vocabu
     empty = is_container_empty(scene, container.replace(" ", "_"))
     if empty is None:
         return Unread(f'Whether "{container}" is {state} cannot be perceived.')
+    verb = re.match(r"(.+?) (?:in|into|on|onto|at|to)\b", then)
+    if other and verb and re.match(r"(?:in|into|on|onto|at|to)\b", other):  # "otherwise on Y": the same object
+        other = f"{verb.group(1)} {other}"
     chosen = then if empty == (state in ("free", "empty")) else other
     if chosen is None:
         return Goal((RobotEnds("still"),))

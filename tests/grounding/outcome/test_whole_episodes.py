@@ -1,0 +1,83 @@
+"""Whole simulated episodes: false successes are not confirmed, and a recalled step is not repeated."""
+
+import pytest
+
+from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.cli.run.execution import exit_code
+from tests.stories.story_session import (
+    GRASP,
+    PLACE,
+    contract_text,
+    decline_contract,
+    ledger_episodes,
+    run_config,
+    run_session,
+)
+
+HOME = {"speed": 0.25}
+CUBE = GRASP | {"object": "red_cube"}
+
+
+def run(folder, instruction, *steps, name="run", scene="bare:0", text=""):
+    config = run_config(folder, name, instruction=instruction, scene=scene, tries=1)
+    return run_session(config, text or contract_text(*steps))
+
+
+def verdicts(story):
+    return {one.sense: one.verdict for one in story.episode.senses}
+
+
+@pytest.mark.parametrize(("force", "check"), [(60.0, "disagrees"), (9.0, "agrees")])
+def test_a_glass_is_a_confirmed_success_only_if_it_was_not_broken(tmp_path, force, check):
+    """The broken glass is at its place, and the skills report success."""
+    grasp = ("grasp", GRASP | {"object": "clear_glass", "force": force})
+    place = ("place", PLACE | {"destination": "table_left"})
+    story = run(tmp_path, "put the glass on the left side of the table", grasp, place, scene="fragile:74000")
+    assert story.episode.outcome.kind == "succeeded"
+    assert verdicts(story)["placed"] == "confirmed"
+    assert verdicts(story)["intact"] == ("confirmed" if check == "agrees" else "contradicted")
+    assert story.episode.second_opinion == check
+    assert story.episode.judgement.success == (check == "agrees")
+    assert story.result.store_report.status == ("active" if check == "agrees" else "quarantined")
+    assert bool(story.result.store_report.weight_updates) == (check == "agrees")
+
+
+def test_a_cube_in_the_bowl_is_not_left_of_it(tmp_path):
+    story = run(tmp_path, "place the red cube to the left of the bowl", ("grasp", CUBE), ("place", PLACE))
+    assert story.episode.changes == "red cube in blue bowl; nothing else moved"
+    assert story.episode.second_opinion == "disagrees"
+    assert (story.episode.judgement.judged, story.episode.judgement.success) == (True, False)
+    assert exit_code(story.episode) == ExitCode.FAILED_SAFELY
+    assert story.result.store_report.status == "quarantined"
+
+
+@pytest.mark.parametrize(
+    ("instruction", "text", "success", "code"),
+    [
+        ("go home", contract_text(("home", HOME)), True, ExitCode.SUCCESS),
+        ("stop", contract_text(("hold", {"duration": 0.5})), True, ExitCode.SUCCESS),
+        ("put the banana in the bowl", decline_contract(), True, ExitCode.REJECTED),
+        ("put the red cube in the bowl", decline_contract(), False, ExitCode.REJECTED),
+        ("do something nice", contract_text(("hold", {"duration": 0.5})), False, ExitCode.NOT_JUDGED),
+    ],
+)
+def test_ground_truth_judges_the_words(tmp_path, instruction, text, success, code):
+    story = run(tmp_path, instruction, text=text)
+    assert story.episode.judgement.success == success
+    assert exit_code(story.episode) == code
+
+
+def test_a_recalled_final_step_is_neither_shown_nor_executed(tmp_path):
+    """The memory holds "then go home"; a planner that copies it is refused with a hint, and then leaves it out."""
+    put = ("grasp", CUBE), ("place", PLACE)
+    first = run(tmp_path, "put the red cube in the bowl, then go home", *put, ("home", HOME), name="one")
+    assert first.result.store_report.status == "active"
+    config = run_config(tmp_path, "two", instruction="put the red cube in the bowl", tries=1)
+    story = run_session(config, contract_text(*put, ("home", HOME)), contract_text(*put, id="c-0002"))
+    (shown,) = story.planner.requests[0].recall.exemplars
+    assert [one["skill"] for one in shown.contract["action_sequence"]] == ["grasp", "place"]
+    assert story.episode.withheld_skills == ("home",)
+    assert "the instruction does not ask for home" in story.planner.requests[1].rejection.hint
+    assert [one["skill"] for one in story.episode.contract["action_sequence"]] == ["grasp", "place"]
+    assert story.episode.second_opinion == "agrees"
+    assert len(ledger_episodes(config.ledger)) == 2
