@@ -36,6 +36,8 @@ LOAD_FILTER_TIME = 0.2
 """Time constant [s] of the identified load."""
 LOAD_TIME = 2.0
 """Time [s] after a grasp in which the load is identified."""
+MAX_VELOCITY_GAP = 0.05
+"""Largest difference [rad/s] of the velocity from positions and the measured one, beyond half of its change."""
 MAX_GAP_WINDOWS = 3.0
 """A longer gap between two states [windows] begins a new window."""
 
@@ -63,10 +65,10 @@ class ExternalTorque:
         """Forget the window and the residual; the load in the hand remains."""
         self.residual = None
         self._raw: Array | None = None
+        self._previous: RobotState | None = None
         self._first: RobotState | None = None
-        self._last_stamp = 0.0
         self._sum: Array | None = None
-        self._time = 0.0
+        self._complete: tuple[RobotState, RobotState, Array] | None = None
 
     def set_holding(self, holding: bool, now: float) -> None:
         """Begin to identify a load at `now` [s] (state stamps), or assume an empty hand."""
@@ -78,23 +80,44 @@ class ExternalTorque:
         return (state.wrench if self.at_wrist else state.torques) is not None
 
     def update(self, state: RobotState) -> bool:
-        """Add one state; whether `residual` is new. A state without a measurement ends the window."""
-        reading = self._reading(state)
+        """Add one state; whether `residual` is new. A state without a measurement ends the window.
+
+        A window is evaluated one state after its end, when that state has shown that the last velocity was none of a
+        failed sensor.
+        """
+        reading, previous = self._reading(state), self._previous
         if reading is None:
             self.reset()
             return False
-        first, gap = self._first, state.stamp - self._last_stamp
-        self._last_stamp = state.stamp
-        if first is None or not 0.0 < gap <= MAX_GAP_WINDOWS * WINDOW:
-            self._begin_window(state)
+        self._previous = state
+        if previous is None or not self._continues(previous, state):
+            self.reset()
+            self._previous = self._first = state
             return False
+        finished, self._complete = self._complete, None
+        if finished is not None:
+            self._evaluate(finished)
+        gap = state.stamp - previous.stamp
         self._sum = gap * reading if self._sum is None else self._sum + gap * reading
-        self._time += gap
-        if self._time < WINDOW * (1.0 - 1e-6):
+        first = self._first or previous
+        if state.stamp - first.stamp >= WINDOW * (1.0 - 1e-6):
+            self._complete = (first, state, self._sum / (state.stamp - first.stamp))
+            self._first, self._sum = state, None
+        return finished is not None
+
+    def _continues(self, previous: RobotState, state: RobotState) -> bool:
+        """Whether `state` follows `previous`: in time, and with positions and velocities of one motion.
+
+        A sensor that fails must not look like a contact, in which the velocity changes as fast.
+        """
+        gap = state.stamp - previous.stamp
+        if not 0.0 < gap <= MAX_GAP_WINDOWS * WINDOW:
             return False
-        self._finish_window(first, state, self._sum / self._time)
-        self._begin_window(state)
-        return True
+        first, n = self.dynamics.first_joint, self.dynamics.n
+        before, after = previous.v[first:], state.v[first:]
+        moved = (state.q[len(state.q) - n :] - previous.q[len(previous.q) - n :]) / gap
+        error = np.abs(moved - 0.5 * (before + after)) - 0.5 * np.abs(after - before)
+        return bool(error.max() <= MAX_VELOCITY_GAP)
 
     def _reading(self, state: RobotState) -> Array | None:
         """The arm's torques, or the wrench at the wrist; None without a usable one."""
@@ -103,22 +126,21 @@ class ExternalTorque:
             return None
         return reading if self.at_wrist else reading[self.dynamics.first_joint :]
 
-    def _begin_window(self, state: RobotState) -> None:
-        self._first, self._sum, self._time = state, None, 0.0
-
-    def _finish_window(self, first: RobotState, last: RobotState, reading: Array) -> None:
-        """Add the window's residual to the filtered one, and remove the load."""
+    def _evaluate(self, window: tuple[RobotState, RobotState, Array]) -> None:
+        """Add the residual of a window to the filtered one, and remove the load."""
+        first, last, reading = window
+        time = last.stamp - first.stamp
         expected = self.dynamics.torque(
             0.5 * (first.q + last.q),
             0.5 * (first.v + last.v),
-            (last.v - first.v) / self._time,
+            (last.v - first.v) / time,
             loaded=self._held_since is not None,
         )
         own, per_load = self._expectation(expected)
         new = own - reading
-        share = 1.0 - exp(-self._time / FILTER_TIME)
+        share = 1.0 - exp(-time / FILTER_TIME)
         self._raw = share * new if self._raw is None else self._raw + share * (new - self._raw)
-        self._identify_load(self._raw, per_load, last.stamp)
+        self._identify_load(self._raw, per_load, last.stamp, time)
         self.residual = self._raw + self.load * per_load
 
     def _expectation(self, expected: ArmTorque) -> tuple[Array, Array]:
@@ -126,12 +148,12 @@ class ExternalTorque:
             return expected.wrist, expected.wrist_per_load
         return expected.own, expected.per_load
 
-    def _identify_load(self, raw: Array, per_load: Array, now: float) -> None:
+    def _identify_load(self, raw: Array, per_load: Array, now: float, time: float) -> None:
         if self._held_since is None:
             return
         size = float(per_load @ per_load)
         felt = -float(per_load @ raw) / size if size > 1e-9 else 0.0
-        share = 1.0 - exp(-self._time / LOAD_FILTER_TIME)
+        share = 1.0 - exp(-time / LOAD_FILTER_TIME)
         self.felt_load += share * (min(max(felt, 0.0), self._payload) - self.felt_load)
         if now - self._held_since <= LOAD_TIME:
             self.load = self.felt_load
