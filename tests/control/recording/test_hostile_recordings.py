@@ -1,5 +1,6 @@
 """Recordings that are damaged or hostile: every one is a configuration error in one sentence, within bounds."""
 
+import json
 import os
 import time
 
@@ -57,6 +58,10 @@ DAMAGED = {
     "no episode": [("/tick", ticks())],
     "empty": [],
     "huge width": [("/episode", EPISODE), ("/tick", ticks(width=10**9))],
+    "integer beyond doubles": [
+        ("/episode", EPISODE),
+        ("/tick", json.dumps(ticks(columns={"t": [10**400] * 3})).encode()),
+    ],
     "huge n": [("/episode", EPISODE), ("/tick", ticks() | {"n": 10**9})],
     "negative n": [("/episode", EPISODE), ("/tick", ticks() | {"n": -1})],
     "n of another robot": [("/episode", EPISODE), ("/tick", ticks(n=3))],

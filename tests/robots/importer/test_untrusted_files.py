@@ -2,13 +2,16 @@
 
 import time
 
+import numpy as np
 import pytest
 
 from dualbrain.cli.robot.read_description import read_description
 from dualbrain.errors import ConfigurationError, MissingDependencyError
 from dualbrain.robots.assets import safe_xml
 from dualbrain.robots.assets.mesh_paths import allowed_folders
+from dualbrain.robots.importer.kinematic_tree import KinematicTree, Mimic, TreeJoint, TreeLink
 from dualbrain.robots.importer.urdf import read_urdf
+from dualbrain.simulation.models.mjcf_reader import read_mjcf
 from tests.robots.importer.urdf_builder import joint_xml, link_xml, urdf_xml, write_file
 
 MESH = '<link name="a"><collision><geometry><mesh filename="{}"/></geometry></collision></link>'
@@ -193,3 +196,45 @@ def test_mjcf_reads_no_file_outside_the_folder_and_loads_no_plugin(tmp_path, tex
     (file.parent / "a.stl").write_text("solid")
     with pytest.raises(ConfigurationError, match=message):
         read_description(file)
+
+
+NAN = float("nan")
+
+
+@pytest.mark.parametrize("attribute", ["pos='0 nan 0.3'", "quat='1 0 nan 0'", "pos='0 0 0' axisangle='0 0 1 nan'"])
+def test_an_mjcf_with_a_pose_that_is_not_finite_is_refused(tmp_path, attribute):
+    path = tmp_path / "robot.xml"
+    path.write_text(
+        f"<mujoco><worldbody><body name='a'><geom size='0.1'/><body name='b' {attribute}>"
+        "<joint name='j' axis='0 0 1'/><geom size='0.1'/></body></body></worldbody></mujoco>"
+    )
+    with pytest.raises(ConfigurationError):
+        read_mjcf(path)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"pose": np.full((4, 4), NAN)},
+        {"axis": np.array([0.0, np.inf, 1.0])},
+        {"lower": NAN},
+        {"upper": float("inf")},
+        {"velocity": NAN},
+        {"acceleration": NAN},
+        {"jerk": NAN},
+        {"effort": NAN},
+        {"mimic": Mimic("k", NAN, 0.0)},
+        {"mimic": Mimic("k", 1.0, NAN)},
+    ],
+)
+def test_a_joint_with_a_number_that_is_not_finite_is_refused_by_every_reader(changes):
+    valid = {"pose": np.eye(4), "axis": np.array([0.0, 0.0, 1.0]), "lower": -1.0, "upper": 1.0}
+    for given, finite in ((valid, True), (valid | changes, False)):
+        joint = TreeJoint(name="j", kind="revolute", parent="a", child="b", source_location="f:1", **given)
+        links = {name: TreeLink(name) for name in "ab"}
+        tree = KinematicTree(name="r", source="f", licence="", links=links, joints=(joint,))
+        if finite:
+            assert tree.validate() is tree
+        else:
+            with pytest.raises(ConfigurationError, match=r"joint 'j' \(f:1\)"):
+                tree.validate()

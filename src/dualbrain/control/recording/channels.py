@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 FORMAT = "dualbrain-1"
 METADATA = "dualbrain"
 MAX_JOINTS, MAX_WIDTH = 64, 256
+MAX_INTEGER = 2**63
 """Largest number of joints, and largest length of a configuration, of a robot in a recording."""
 OWN_RECORDING_LIMITS = ProcessLimits(memory_bytes=4 << 30, seconds=600.0, output_bytes=16 << 30)
 """Limits for a recording that this program has just written itself, which may be of a long run."""
@@ -215,7 +216,7 @@ def _decode_checked(path: Path, topic: str, data: bytes) -> Message:
 
 
 def _ticks_problem(ticks: Ticks) -> str:
-    """What is wrong with the sizes of `ticks`; "" if they are consistent."""
+    """The inconsistency of the sizes or the wrong number of `ticks`; "" if there is none."""
     if not 1 <= ticks.n <= MAX_JOINTS or not 1 <= (ticks.width or ticks.n) <= MAX_WIDTH:
         return f"ticks of {ticks.n} joints and width {ticks.width}"
     where = columns(ticks.n, ticks.width)
@@ -234,14 +235,17 @@ def _is_column(values: list[Any], count: int, width: int) -> bool:
     """Whether `values` are `count` numbers, or lists of `width` numbers."""
     if len(values) != count:
         return False
-    if width == 1 and all(isinstance(value, (int, float)) for value in values):
+    if width == 1 and all(map(_is_number, values)):
         return True
     return all(
-        isinstance(row, list)
-        and len(cast("list[Any]", row)) == width
-        and all(isinstance(value, (int, float)) for value in cast("list[Any]", row))
+        isinstance(row, list) and len(cast("list[Any]", row)) == width and all(map(_is_number, cast("list[Any]", row)))
         for row in values
     )
+
+
+def _is_number(value: Any) -> bool:
+    """Whether `value` is a number that a double can represent; JSON integers may have any number of digits."""
+    return isinstance(value, float) or (isinstance(value, int) and -MAX_INTEGER <= value <= MAX_INTEGER)
 
 
 def _read_records(path: Path, limits: ProcessLimits) -> Iterator[tuple[str, bytes]]:
