@@ -17,6 +17,7 @@ from experiments.interfaces.contract_delay import ContractDelay
 from experiments.interfaces.fuzz_documents import FuzzDocuments
 from experiments.interfaces.fuzz_observations import FuzzObservations
 from experiments.interfaces.fuzz_socket import FuzzSocket
+from experiments.interfaces.untrusted_bytes.bad_bytes import BadBytes
 from experiments.memory.crash_recovery import CrashRecovery
 from experiments.memory.learning import Learning
 from experiments.memory.poisoning import Poisoning
@@ -49,6 +50,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         MarginCauses(),
         SlowTests(),
         BadInput(),
+        BadBytes(),
         Adversary(),
         PlantAdversary(),
         CrossEmbodiment(),

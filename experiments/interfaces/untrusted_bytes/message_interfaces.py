@@ -11,6 +11,7 @@ from dualbrain.contracts.contract import ContractHeader
 from dualbrain.contracts.gate.authorization import PLANNER, check_header
 from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.control.gatekeeper.gate.exchange import GateRequest
+from dualbrain.control.gatekeeper.gatekeeper import MAX_CONTRACT_LIFETIME
 from dualbrain.control.gatekeeper.operator_commands import OperatorCommands
 from dualbrain.control.gatekeeper.protocol.frames import BrokenStream, FrameDecoder
 from dualbrain.control.gatekeeper.protocol.frames import encode as encode_frame
@@ -75,7 +76,7 @@ def _frames() -> dict[str, ByteInterface]:
         found[f"frame of {type(message).__name__}"] = ByteInterface(
             mutate=mutator_of_value(encoding, lambda body, kind=kind: encode_frame(kind, 1, body)),
             read=read,
-            refuses=TYPED,
+            refuses=TYPED - {"infinite"} if isinstance(message, Propose) else TYPED,  # a lifetime is cut to its limit
         )
     return found
 
@@ -86,17 +87,19 @@ def _obey(message: Message) -> None:
         header = ContractHeader(
             sequence=1,
             issued=message.issued,
-            expires=message.expires,
+            expires=min(message.expires, message.issued + MAX_CONTRACT_LIFETIME),
             principal=PLANNER,
             scene_version=message.scene_version,
         )
         names = SceneNames(version=1)
         refuse_if(check_header(header, principal=PLANNER, now=1.0, names=names, last_sequence=None))
-    if isinstance(message, OperatorCommand):
+        require_usable(header)
+    elif isinstance(message, OperatorCommand):
         commands = OperatorCommands()
         refuse_if(commands.apply(message))
         require_usable(commands.speed_scale)
-    require_usable(message)
+    else:
+        require_usable(message)
 
 
 def _packets(request: GateRequest) -> dict[str, ByteInterface]:

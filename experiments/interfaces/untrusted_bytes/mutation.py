@@ -56,7 +56,7 @@ _JSON_WRITTEN = {
     "empty": ('""', "[]", "{}", ""),
     "wrong type": ("true", "null", '"0.1"', "0.1", "{}", '{"a": 1}', "b'1'", "7"),
     "wrong shape": ("[0.1]", "[0.1, 0.2]", "[[0.1, 0.2, 0.3]]", "[0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8]"),
-    "deep": tuple("[" * depth + "]" * depth for depth in DEPTHS) + ('{"a":' * 600 + "1" + "}" * 600,),
+    "deep": (*("[" * depth + "]" * depth for depth in DEPTHS), '{"a":' * 600 + "1" + "}" * 600),
     "long": tuple('"' + "x" * length + '"' for length in LENGTHS) + tuple("[" + "0," * n + "0]" for n in LENGTHS),
     "unicode": (*(f'"{text}"' for text in HIDDEN_TEXTS), '"\\ud800"', '"\\u0000"', "\u0661", "\uff11"),
 }
@@ -99,7 +99,7 @@ PLAIN = Syntax(
         **{kind: tuple(one.strip('"') for one in texts) for kind, texts in _JSON_WRITTEN.items()},
         "deep": tuple(mark * depth for depth in DEPTHS for mark in ("> ", "[", "<div>", "* ", "(")),
         "unicode": HIDDEN_TEXTS,
-        "long": tuple("word " * length for length in LENGTHS) + ("x" * 100_000,),
+        "long": (*("word " * length for length in LENGTHS), "x" * 100_000),
     },
 )
 

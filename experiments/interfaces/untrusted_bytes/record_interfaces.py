@@ -31,7 +31,7 @@ from experiments.interfaces.untrusted_bytes.interface import ByteInterface, refu
 from experiments.interfaces.untrusted_bytes.mutation import BYTE_KINDS, JSON, VALID, mutate_bytes, mutate_text
 
 N_JOINTS, NOW = 7, 1.8e9
-DAMAGED = frozenset({"deep", "compressed", "no bytes"})
+DAMAGED = frozenset({"compressed", "no bytes"})
 LEDGER_SHARE = 0.05
 STATE = '{"complete": true, "dropped": 0, "problem": ""}'
 
@@ -233,5 +233,5 @@ def _anchor(path: Path) -> ByteInterface:
 
     mutate: Callable[..., bytes | None] = lambda kind, rng: mutate_text(kind, content, JSON, rng)  # noqa: E731
     return ByteInterface(
-        mutate=mutate, read=read, refuses=DAMAGED | {"nan", "infinite", "truncated"}, share=LEDGER_SHARE
+        mutate=mutate, read=read, refuses=DAMAGED | {"nan", "infinite", "deep", "truncated"}, share=LEDGER_SHARE
     )

@@ -15,7 +15,7 @@ from dualbrain.knowledge.readers import reader
 from dualbrain.knowledge.readers.reader import DocumentText, read_document
 from dualbrain.knowledge.structured.kinds import check_structure, default_kind
 from dualbrain.planner.prompt.sanitize import compact_json, format_block, sanitize
-from experiments.interfaces.fuzz_documents import SAMPLES, make_pdf
+from experiments.interfaces.fuzz_documents import MAX_BYTES, SAMPLES, make_pdf
 from experiments.interfaces.untrusted_bytes.interface import ByteInterface, Surprise, refuse_if
 from experiments.interfaces.untrusted_bytes.mutation import PLAIN, TOML, VALID, mutate_bytes, mutate_text
 
@@ -40,8 +40,8 @@ LIMIT = 300
 DOCUMENT_SHARE = 0.05
 KEPT_CONTROLS = "\n\t\f"
 DOCUMENTS = SAMPLES | {
-    "HTML": b"<html><head><style>p.x{color:#333}</style></head><body><h1>Manual of the gripper</h1><p class='x'>Hold a glass "
-    b"with at most 10 N.</p><table><tr><td style='font-size:11px'>cube</td></tr></table></body></html>",
+    "HTML": b"<html><head><style>p.x{color:#333}</style></head><body><h1>Manual of the gripper</h1><p class='x'>Hold a "
+    b"glass with at most 10 N.</p><table><tr><td style='font-size:11px'>cube</td></tr></table></body></html>",
     "PDF": make_pdf("BT /F1 12 Tf 72 700 Td (Hold a glass with a force of at most 10 N) Tj ET"),
 }
 SUFFIXES = {"Markdown": ".md", "HTML": ".html", "PDF": ".pdf"}
@@ -79,7 +79,7 @@ def text_interfaces() -> dict[str, ByteInterface]:
             share=DOCUMENT_SHARE,
         )
     map_mutator = lambda kind, rng: mutate_text(kind, MAP, TOML, rng)  # noqa: E731
-    return found | {"map": ByteInterface(mutate=map_mutator, read=_structured, refuses=_NOTHING | {"deep"}, share=0.5)}
+    return found | {"map": ByteInterface(mutate=map_mutator, read=_structured, refuses=_NOTHING, share=0.1)}
 
 
 _NOTHING = frozenset({"no bytes", "compressed"})
@@ -93,7 +93,7 @@ def _plain(data: bytes):
 
 
 def _instruction(data: bytes) -> None:
-    text = data.decode("utf-8", "surrogatepass") if b"\xed" in data else data.decode("latin-1")
+    text = data.decode("utf-8", "surrogateescape")
     block = format_block("instruction", text, limit=LIMIT)
     inner = block.removeprefix("<instruction>\n").removesuffix("\n</instruction>")
     _check_line(inner, LIMIT)
@@ -116,7 +116,7 @@ def _prompt_json(data: bytes) -> None:
 
 def _document(suffix: str, *, in_process: bool = True):
     def read(data: bytes) -> None:
-        if in_process:
+        if in_process and len(data) <= MAX_BYTES:
             with patch.object(reader, "run_bounded", run_in_process):
                 found = read_document(data, f"a{suffix}")
         else:
