@@ -47,7 +47,7 @@ def draw_case(rng: np.random.Generator) -> tuple[str, str, str]:
 
 
 def run_case(name: str, field: str, kind: str, rng: np.random.Generator) -> str:
-    """What is wrong with the outcome of one case, or ""."""
+    """The problem with the outcome of one case, or ""."""
     interface = all_interfaces()[name]
     given = {key: one.valid for key, one in interface.fields.items()}
     tested = interface.fields[field]

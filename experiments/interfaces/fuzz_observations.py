@@ -156,7 +156,7 @@ def _number(rng: np.random.Generator, plausible: float) -> float:
 
 
 def _problem(outcome: str, status: FilterStatus, u: np.ndarray[Any, Any], limits: list[float]) -> str:
-    """What is wrong with a step after an observation, or ""."""
+    """The problem with a step after an observation, or ""."""
     if outcome.startswith("raised"):
         return outcome
     if outcome.startswith("refused") and status is not FilterStatus.STOPPED:

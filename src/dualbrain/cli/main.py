@@ -254,7 +254,7 @@ def _print_usage_error(error: CycloptsError) -> ExitCode:
 
 
 def _print_error(error: Exception) -> ExitCode:
-    """Print what is wrong; an unexpected exception is printed with its traceback."""
+    """Print the error; an unexpected exception is printed with its traceback."""
     match error:
         case DualbrainError():
             print_message(f"dualbrain: {error}")

@@ -41,7 +41,7 @@ class Driver(RobotInterface, Protocol):
 
 
 def command_fault(command: Command, n_joints: int) -> str:
-    """What is wrong with `command` for an arm with `n_joints`, "" for a valid one.
+    """The fault of `command` for an arm with `n_joints`, "" for a valid one.
 
     A driver sends no other command to the arm, and no other command may feed a watchdog: an invalid one shows that the
     sender runs, but not that it controls the arm.

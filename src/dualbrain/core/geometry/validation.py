@@ -274,7 +274,7 @@ def _numbers(name: str, values: object, count: int, least: float, most: float, f
 
 
 def _with_problem(fix: str, *numbers: float | None, least: float = -inf) -> str:
-    """The remedy `fix`, after what is wrong with the numbers."""
+    """The remedy `fix`, after the fault of the numbers."""
     problem = ""
     if any(number is not None and not isfinite(number) for number in numbers):
         problem = "A number is not finite."

@@ -145,7 +145,7 @@ _BOXES = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TextStyle:
-    """What an element inherits: size and colour of its text, what is behind it, and what its ancestors did to it."""
+    """What an element inherits: size and colour of its text, the colours behind it, and the effects of its ancestors."""
 
     font_px: float = ROOT_FONT_PX
     text: Colour = BLACK
@@ -588,4 +588,4 @@ RELEVANT = frozenset(
         *("overflow", "overflow-x", "overflow-y", "overflow-block", "overflow-inline"),
     )
 )
-"""The properties that matter for what is seen; all others are ignored."""
+"""The properties that can hide text; all others are ignored."""

@@ -24,7 +24,7 @@ _PACKAGES = {
 
 
 class Extraction(msgspec.Struct, frozen=True, kw_only=True):
-    """Text, the offset of the start of each page, the blocks of the text, and what was hidden; or a rejection.
+    """Text, the offset of the start of each page, the blocks of the text, and the hidden texts; or a rejection.
 
     The text is complete except for invisible characters and chat tokens, which `hidden_text` blanks with the same
     offsets.

@@ -177,7 +177,7 @@ def _match(tree: Any, rules: list[Rule]) -> tuple[dict[int, list[tuple[Rule, int
     return matched, tuple(HiddenText(kind, 0, sample) for kind, sample in unclear.items())
 
 
-# --- what is left out -----------------------------------------------------------------------------------------------
+# --- text left out --------------------------------------------------------------------------------------------------
 
 
 def _exclude(tree: Any, matched: Mapping[int, list[tuple[Rule, int]]], *, has_conditions: bool) -> _Excluded:
@@ -211,7 +211,7 @@ def _exclude(tree: Any, matched: Mapping[int, list[tuple[Rule, int]]], *, has_co
 def _shown_children(
     node: Any, tag: str, attributes: Mapping[str, str | None], views: list[View], excluded: _Excluded
 ) -> Iterator[Any]:
-    """The elements in `node`; excludes its own text where that is not seen, and what a closed details hides."""
+    """The elements in `node`; excludes its own text where that is not seen, and the content of a closed details."""
     closed = tag == "details" and "open" not in attributes
     unseen = any(style.reason for style, _ in views)
     has_summary = False

@@ -1,7 +1,7 @@
 """Style sheets of a page: the declarations in effect for each element, as a browser resolves them.
 
 Each page is judged twice: with the rules that always apply, and with those of conditional rules (@media, @supports,
-@container) as well; what is hidden in one of them is hidden. Rules for print and speech are ignored. External sheets
+@container) as well; text that is hidden in one of them is hidden. Rules for print and speech are ignored. External sheets
 are not read.
 """
 
@@ -61,7 +61,7 @@ class Rule(NamedTuple):
 
 
 def parse_declarations(style: str) -> tuple[Declaration, ...]:
-    """The declarations of a `style` attribute that matter for what is seen, and custom properties."""
+    """The declarations of a `style` attribute that can hide text, and custom properties."""
     return _cached_declarations(style)
 
 
@@ -72,7 +72,7 @@ def _cached_declarations(style: str) -> tuple[Declaration, ...]:
 
 
 def parse_sheet(text: str) -> Iterator[Rule]:
-    """The rules of a style sheet whose declarations matter for what is seen."""
+    """The rules of a style sheet whose declarations can hide text."""
     yield from _rules(css_parser().parse_stylesheet(text, skip_comments=True, skip_whitespace=True), "", False, 0)
 
 

@@ -50,7 +50,7 @@ def parse_fields(document_text: DocumentText) -> dict[str, Any] | DocumentReject
 
 
 def _parse_json(text: str) -> Any:
-    """The value of a JSON text (a string in a list), or what is wrong with it, as a string."""
+    """The value of a JSON text (a string in a list), or its fault, as a string."""
     try:
         found: Any = json.loads(text)
     except (ValueError, RecursionError) as error:
