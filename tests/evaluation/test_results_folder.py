@@ -274,3 +274,11 @@ def test_a_file_that_is_not_parquet_is_rejected(tmp_path):
     (tmp_path / "results.parquet").write_bytes(b"PAR1 no")
     with pytest.raises(ConfigurationError, match="no complete Parquet file"):
         read_results(tmp_path / "results.parquet")
+
+
+def test_results_of_an_earlier_version_are_read_without_the_newest_columns():
+    folder = Path(__file__).parents[2] / "docs" / "results" / "scenes"
+    rows, config = read_results(folder / RESULTS_FILE)
+    assert len(rows) > 100
+    assert config
+    assert all(row.margin_causes == [] for row in rows)
