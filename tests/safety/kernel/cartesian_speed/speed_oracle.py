@@ -12,20 +12,20 @@ class SpeedOracle:
         """`held` are centres (k, 3) in the tool frame."""
         self.model = robot_model
         links = {link.name: link for link in robot_model.links}
-        self._spheres = []
+        self.local_points = []
         for link in robot_model.links:
             turn, shift = quaternion_to_matrix(link.quaternion), np.array(link.translation)
             for sphere in robot_model.spheres:
                 if sphere.link == link.name:
-                    self._spheres.append((link.frame, shift + turn @ np.array(sphere.centre), np.array(link.slide)))
-                    self._spheres[-1] = (link.frame, self._spheres[-1][1], turn @ self._spheres[-1][2])
+                    centre, slide = shift + turn @ np.array(sphere.centre), turn @ np.array(link.slide)
+                    self.local_points.append((link.frame, centre, slide))
         tool, link = robot_model.tool, links[robot_model.tool.link]
         turn = quaternion_to_matrix(link.quaternion)
         origin = np.array(link.translation) + turn @ np.array(tool.translation)
         axes = turn @ quaternion_to_matrix(tool.quaternion)
         for centre in held:
-            self._spheres.append((link.frame, origin + axes @ np.asarray(centre, float), np.zeros(3)))
-        self._spheres.append((link.frame, origin, np.zeros(3)))
+            self.local_points.append((link.frame, origin + axes @ np.asarray(centre, float), np.zeros(3)))
+        self.local_points.append((link.frame, origin, np.zeros(3)))
 
     def frames(self, q):
         """Rotation and origin of every frame; frame 0 is the base."""
@@ -44,7 +44,7 @@ class SpeedOracle:
     def points(self, q, opening=0.0):
         """Positions (k, 3) of all points; the tool is the last one."""
         frames = self.frames(q)
-        return np.array([frames[f][1] + frames[f][0] @ (p + opening * slide) for f, p, slide in self._spheres])
+        return np.array([frames[f][1] + frames[f][0] @ (p + opening * slide) for f, p, slide in self.local_points])
 
     def jacobian(self, q, opening=0.0):
         """Jacobian (k, 3, n) of all points by central differences, exact to about 1e-9 m/rad."""
