@@ -1,10 +1,11 @@
 """One step of the safety filter: time from Python and in C, warm and cold, by the number of obstacle rows.
 
-Run: python -m benchmarks.filter_step [--json]
+Run: python -m benchmarks.filter_step [--json] [--figure FILE]
 
 Rows are pairs of a robot sphere and an obstacle sphere. Setting `rows`: no acceleration limits, and obstacles so near
 that most pairs are rows of the QP. Setting `shipped`: the default configuration, in which the acceleration limits
-exclude rows that cannot bind in this step. C times are processor time, Python times medians of wall time over blocks.
+exclude rows that cannot bind in this step. Setting `speed`: as `shipped`, with the Cartesian speed limit of the robot
+model. C times are processor time, Python times medians of wall time over blocks.
 """
 
 from __future__ import annotations
@@ -38,10 +39,10 @@ def thin_body():
     return msgspec.structs.replace(robot_model, spheres=tuple(chosen[:N_SPHERES]), self_pairs=pairs)
 
 
-def make_filter(robot_model, n_obstacles, *, limits):
+def make_filter(robot_model, n_obstacles, *, limits, speed=None):
     """Return a filter with `n_obstacles` random spheres around the arm (fixed seed)."""
     rng = np.random.default_rng(0)
-    config = FilterConfig(lag_compensation=False, tracking_error=0.0, acceleration_limits=limits)
+    config = FilterConfig(lag_compensation=False, tracking_error=0.0, acceleration_limits=limits, cartesian_speed=speed)
     safety = SafetyFilter(robot_model, config)
     obstacles = []
     while len(obstacles) < n_obstacles:
@@ -52,12 +53,12 @@ def make_filter(robot_model, n_obstacles, *, limits):
     return safety
 
 
-def record_episode(robot_model, n_obstacles, *, limits, steps=1500):
+def record_episode(robot_model, n_obstacles, *, limits, speed=None, steps=1500):
     """Run a closed loop driven by sine waves.
 
     Returns joint positions (steps, n), nominal controls (steps, n), and the mean numbers of rows and QP iterations.
     """
-    safety = make_filter(robot_model, n_obstacles, limits=limits)
+    safety = make_filter(robot_model, n_obstacles, limits=limits, speed=speed)
     t = np.arange(steps)[:, None] * 1e-3
     rates = np.array([0.7, 1.1, 0.9, 1.3, 1.7, 1.9, 2.3])
     u_nom = np.ascontiguousarray(1.5 * np.sin(2 * np.pi * rates * t + np.arange(robot_model.n)))
@@ -105,9 +106,11 @@ def measure():
     settings = [("rows", thin_body(), n, n // N_SPHERES, False) for n in (10, 50, 100, 400)]
     panda = load_robot("panda")
     settings += [("shipped", panda, 100 * k, k, True) for k in (1, 4, 10, 40)]
+    settings += [("speed", panda, 100 * k, k, True) for k in (1, 4, 10, 40)]
     for name, robot_model, pairs, obstacles, limits in settings:
-        log, u_nom, rows, iterations = record_episode(robot_model, obstacles, limits=limits)
-        safety = make_filter(robot_model, obstacles, limits=limits)
+        speed = robot_model.tool_speed.value if name == "speed" else None
+        log, u_nom, rows, iterations = record_episode(robot_model, obstacles, limits=limits, speed=speed)
+        safety = make_filter(robot_model, obstacles, limits=limits, speed=speed)
         records.append(
             {
                 "setting": name,
@@ -123,12 +126,30 @@ def measure():
     return records
 
 
+def draw_ratio(records, path):
+    """Draw the ratio of the step time with the Cartesian speed limit to that without it, by the number of obstacles."""
+    import matplotlib.pyplot as plt  # noqa: PLC0415  (only for the figure)
+
+    plain, limited = ([r for r in records if r["setting"] == name] for name in ("shipped", "speed"))
+    figure, axes = plt.subplots(figsize=(5.0, 2.6))
+    for key, label in (("c_warm_us", "C, warm"), ("c_cold_us", "C, cold"), ("python_us", "from Python")):
+        ratios = [b[key] / a[key] for a, b in zip(plain, limited, strict=True)]
+        axes.plot([r["obstacles"] for r in plain], ratios, marker="o", label=label)
+    axes.axhline(1.0, color="black", linewidth=0.6)
+    axes.set(xscale="log", xlabel="obstacles", ylabel="step time with / without\nspeed limit", ylim=(0.0, None))
+    axes.legend(frameon=False)
+    figure.savefig(path, bbox_inches="tight")
+
+
 def main() -> None:
-    """Print a table, or one JSON object with `--json`."""
+    """Print a table, or one JSON object with `--json`; draw the ratio with `--figure`."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--json", action="store_true")
-    records = measure()
-    if parser.parse_args().json:
+    parser.add_argument("--figure", metavar="FILE", help="draw the ratio with and without the speed limit")
+    options, records = parser.parse_args(), measure()
+    if options.figure:
+        draw_ratio(records, options.figure)
+    if options.json:
         json.dump(
             {"kernel": kernel_hash(), "machine": platform.processor() or platform.machine(), "steps": records},
             sys.stdout,

@@ -1,4 +1,4 @@
-"""Monte Carlo of the Cartesian speed limit: compiled loops with an adversarial nominal control among random obstacles."""
+"""Monte Carlo of the Cartesian speed limit: compiled loops with an adversarial nominal control among obstacles."""
 
 import numpy as np
 import pytest
