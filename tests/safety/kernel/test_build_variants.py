@@ -26,9 +26,12 @@ def wide_only(monkeypatch):
     return make
 
 
-@pytest.mark.parametrize(("name", "real"), [("panda", "float32"), ("ur5e", "float32"), ("panda", "float64")])
-def test_both_sizes_return_equal_results_bit_for_bit(name, real, wide_only, rng):
-    robot_model, config = load_robot(name), FilterConfig(precision=real)
+@pytest.mark.parametrize(
+    ("name", "real", "speed"),
+    [("panda", "float32", None), ("ur5e", "float32", None), ("panda", "float64", None), ("panda", "float32", 0.3)],
+)
+def test_both_sizes_return_equal_results_bit_for_bit(name, real, speed, wide_only, rng):
+    robot_model, config = load_robot(name), FilterConfig(precision=real, cartesian_speed=speed)
     obstacles, v_max = (
         random_scene(robot_model, rng, 12),
         np.array([joint.velocity.value for joint in robot_model.joints]),

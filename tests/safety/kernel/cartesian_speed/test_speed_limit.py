@@ -7,11 +7,15 @@ from scipy.optimize import minimize
 
 from dualbrain.core.geometry.shapes import Capsule, Pose
 from dualbrain.errors import GeometryError
+from dualbrain.robots.interface import RobotState
 from dualbrain.robots.loader import load_robot
 from dualbrain.robots.model import CollisionSphere
+from dualbrain.robots.site_config import read_site
+from dualbrain.runtime.assembly import SimulatedCell
 from dualbrain.safety.cbf.config import operating_config
 from dualbrain.safety.cbf.filter import FilterConfig, FilterStatus, Obstacle, Rank, SafetyFilter
 from dualbrain.safety.cbf.result import SPEED
+from dualbrain.safety.integration.site import site_filter
 from dualbrain.safety.stop_cause import Reason
 from tests.safety.kernel.cartesian_speed.closed_loop import run_loop
 from tests.safety.kernel.cartesian_speed.speed_oracle import SpeedOracle
@@ -158,8 +162,6 @@ def test_the_projection_keeps_the_limit_and_the_filter_passes_it_unchanged():
     for k in range(600):
         if k % 150 == 0:
             wanted = rng.uniform(-2.0, 2.0, model.n)
-        from dualbrain.robots.interface import RobotState  # noqa: PLC0415
-
         state = RobotState(stamp=0.0, sequence=k, q=q, v=u, opening=0.0, finger_forces=(0.0, 0.0))
         nominal = safety.project(state, wanted, u, 0.0)
         result = safety.filter(state, nominal, 0.0)
@@ -243,6 +245,13 @@ def test_a_robot_is_operated_with_its_tool_speed():
     assert operating_config(load_robot("panda")).cartesian_speed == load_robot("panda").tool_speed.value
     assert operating_config(load_robot("mobile_panda")).cartesian_speed == load_robot("mobile_panda").tool_speed.value
     assert operating_config(load_robot("base")).cartesian_speed is None
+
+
+def test_a_simulated_cell_and_a_site_filter_keep_the_tool_speed(tmp_path):
+    assert SimulatedCell.make("panda").safety.config.cartesian_speed == load_robot("panda").tool_speed.value
+    path = tmp_path / "lab.toml"
+    path.write_text("[robot]\ntool_speed = 0.15\n")
+    assert site_filter(read_site(path), load_robot("panda")).config.cartesian_speed == 0.15
 
 
 def test_the_limit_of_a_mobile_manipulator_is_relative_to_the_mount_of_its_arm():
