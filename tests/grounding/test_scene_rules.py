@@ -88,6 +88,18 @@ def test_with_a_held_object_place_is_accepted_and_grasp_rejected(perceived):
     assert "full" in verdict(perceived, arm, grasp()).hint
 
 
+@pytest.mark.parametrize(("limit", "accepted"), [(None, True), (60.0, True), (6.3, True), (6.2, False), (4.0, False)])
+def test_an_object_that_the_least_grip_force_breaks_is_rejected(perceived, arm, limit, accepted):
+    """The Panda's hand presses with at least 5 N."""
+    objects = tuple(
+        msgspec.structs.replace(obj, fragile_limit=limit) if obj.name == "red_cube" else obj
+        for obj in perceived.objects
+    )
+    rejected = verdict(msgspec.structs.replace(perceived, objects=objects), arm, grasp())
+    assert (rejected is None) == accepted
+    assert accepted or "presses with at least 5 N" in rejected.hint
+
+
 def test_the_opening_that_a_rejection_allows_is_accepted(perceived, arm):
     rejected = verdict(perceived, arm, grasp(opening=0.045))
     assert rejected.allowed["minimum"] == pytest.approx(0.04 + FINGER_MARGIN)

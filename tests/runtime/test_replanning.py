@@ -138,7 +138,7 @@ def test_an_object_that_is_held_after_a_failed_grasp_leaves_the_actions_after_it
 
 
 @pytest.mark.parametrize("messages", [render, SHORT_PROMPT.messages])
-def test_every_planner_is_told_what_is_held_and_why_a_contract_was_refused(messages):
+def test_every_prompt_names_what_is_held_and_why_a_contract_was_refused(messages):
     feedback = failure_feedback_of(failed_grasp(), "red_cube")
     refused = Rejected(stage="envelope", pointer="/", got="grasp", allowed=["place", "release"], hint=FULL_HAND_HINT)
     content = messages(plan_request(failure_feedback=feedback, rejection=refused))[-1]["content"]

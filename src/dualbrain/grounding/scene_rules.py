@@ -14,6 +14,7 @@ from dualbrain.contracts.verdict import Rejected
 from dualbrain.records import Scene, SceneObject
 from dualbrain.robots.model import RobotModel
 from dualbrain.skills.arm.controller import ArmController
+from dualbrain.skills.arm.grasp import FRAGILE_FRACTION
 from dualbrain.skills.arm.grasp_planning import grasp_goal, pregrasp_goal
 from dualbrain.skills.kinematics.object_geometry import APPROACH_LEAN, grasp_width, levelness
 from dualbrain.skills.mobile_base.controller import BaseController
@@ -133,6 +134,8 @@ def _check_grasps(contract: Contract, scene: Scene, arm: ArmController) -> Rejec
             continue
         params, pointer = action.params, f"/action_sequence/{index}/params"
         obj = scene.find(str(params["object"]))
+        if rejected := _check_least_force(arm, obj, pointer):
+            return rejected
         if levelness(obj, str(params["finger_axis"])) < MIN_LEVELNESS:
             other = "across" if params["finger_axis"] == "along" else "along"
             hint = f"{obj.name} lies so that this axis points up: no finger can close along it"
@@ -170,6 +173,20 @@ def _check_grasps(contract: Contract, scene: Scene, arm: ArmController) -> Rejec
         if rejected := _check_approach(arm, obj, params, pointer):
             return rejected
     return None
+
+
+def _check_least_force(arm: ArmController, obj: SceneObject, pointer: str) -> Rejected | None:
+    """The least force of the gripper does not break an object that is declared to bear little."""
+    least, limit = arm.robot_model.gripper.force_min.value, obj.fragile_limit
+    if limit is None or least <= FRAGILE_FRACTION * limit:
+        return None
+    return Rejected(
+        stage="envelope",
+        pointer=f"{pointer}/object",
+        got=obj.name,
+        allowed=f"things that bear {least / FRAGILE_FRACTION:.0f} N or more",
+        hint=f"{obj.name} bears {limit:.0f} N, and this hand presses with at least {least:.0f} N: decline",
+    )
 
 
 def _check_grasps_before_driving(

@@ -11,7 +11,7 @@ from dualbrain.contracts.verdict import Rejected
 from dualbrain.planner.prompt.sanitize import compact_json
 from dualbrain.records import FailureFeedback
 
-FAILURE_FEEDBACK_VERSION = 1
+FAILURE_FEEDBACK_VERSION = 2
 FEEDBACK_INTRO = """\
 An earlier contract for this instruction was carried out in part. The scene below is what it left. Answer with the \
 actions that are still to do, and change what did not work (another approach, finger_axis, route, clearance, or wait \
