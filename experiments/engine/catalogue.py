@@ -8,7 +8,12 @@ from experiments.adaptation.rounds import Rounds
 from experiments.adaptation.starter import Starter
 from experiments.adaptation.suite_adapters import SuiteAdapters
 from experiments.engine.experiment import Experiment
+from experiments.evaluation.clauses import Clauses
+from experiments.evaluation.demo_sentence import DemoSentence
+from experiments.evaluation.failure_examples import FailureExamples
 from experiments.evaluation.free_instructions import FreeInstructionsExperiment
+from experiments.evaluation.gentle_force import GentleForce
+from experiments.evaluation.outcome_confusion import OutcomeConfusion
 from experiments.gatekeeper.commander_failure import CommanderFailure
 from experiments.gatekeeper.faults import Faults
 from experiments.gatekeeper.tick import TickTiming
@@ -74,6 +79,11 @@ EXPERIMENTS: dict[str, Experiment] = {
         RobosuiteTasks(),
         FrankaLimits(),
         FreeInstructionsExperiment(),
+        FailureExamples(),
+        Clauses(),
+        GentleForce(),
+        OutcomeConfusion(),
+        DemoSentence(),
     )
 }
 """`filter_ablation` follows `end_to_end`, whose contracts it carries out."""

@@ -130,7 +130,8 @@ def test_other_objects_must_not_move_and_nothing_may_break():
 
 
 def free_instruction(**values: Any) -> FreeInstruction:
-    return FreeInstruction(**({"id": "x", "text": "", "robot": "panda", "scene": "", "kind": ""} | values))
+    ordinary: dict[str, Any] = {"id": "x", "text": "", "robot": "panda", "scene": "", "kind": ""}
+    return FreeInstruction(**(ordinary | values))
 
 
 PUT = free_instruction(done=(CUBE_IN,), decline=("clause",), clause=("twice",))
