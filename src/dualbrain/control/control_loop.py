@@ -359,7 +359,7 @@ class ControlLoop:
             return
         measured = contact.external_torque.measures(self.state)
         if self._force_is_measured and not measured:
-            text = "the robot delivers no force reading, although its model declares one: contact forces are not supervised"
+            text = "the robot delivers no force reading, which its model declares: contact forces are not supervised"
             self.log.note(self.state.stamp, "fault", text)
         self._force_is_measured = measured
         if contact.permitted_speed.scale != self._contact_speed_scale:

@@ -1,8 +1,8 @@
 """Style sheets of a page: the declarations in effect for each element, as a browser resolves them.
 
 Each page is judged twice: with the rules that always apply, and with those of conditional rules (@media, @supports,
-@container) as well; text that is hidden in one of them is hidden. Rules for print and speech are ignored. External sheets
-are not read.
+@container) as well; text that is hidden in one of them is hidden. Rules for print and speech are ignored. External
+sheets are not read.
 """
 
 from __future__ import annotations
