@@ -12,7 +12,7 @@ from dualbrain.safety.contact_force.limits import ContactForceLimits
 from dualbrain.safety.supervisor.checks import CHECKS
 from tests.safety.supervisor.contact_force.hidden_obstacle import GRASP_AND_PLACE, HiddenObstacleCell
 
-REACTION_TIME = 0.06
+REACTION_TIME = 0.1
 """Declared time from the first contact to a force below the limit of an unexpected contact [s]."""
 DETECTION_TIME = 0.012
 """Declared time from the first contact to the decision [s]: the window, the filter and one control period."""
