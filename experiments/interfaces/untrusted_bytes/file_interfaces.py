@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -62,20 +63,6 @@ yaw = 0.2
 [commander.planner]
 skills = ["grasp", "release"]
 """
-SUITE = b"""
-name = "tiny"
-says = "for tests"
-methods = ["B1", "B3", "M"]
-seeds = 4
-repetitions = 3
-runs = 2
-[planners]
-base = "template"
-[[tasks]]
-family = "clutter_grasp"
-[memory]
-start = 2
-"""
 URDF = b"""<?xml version='1.0'?>
 <robot name='a'><link name='l0'/><link name='l1'><collision><origin xyz='0 0 0.1' rpy='0 0.1 0'/>
 <geometry><box size='0.1 0.1 0.2'/></geometry></collision></link>
@@ -117,7 +104,7 @@ def file_interfaces(folder: Path) -> dict[str, ByteInterface]:
     scene = msgspec.json.encode(open_scene("tabletop:1"))
     interfaces = {
         "site file": (SITE, TOML, through_file("site.toml", lambda path: read_site(path).site), 0.3),
-        "suite": (SUITE, TOML, suite, 0.3),
+        "suite": (files("dualbrain.evaluation").joinpath("suites/smoke.toml").read_bytes(), TOML, suite, 0.3),
         "TOML": (SITE, TOML, toml, 0.3),
         "robot file": (robot, JSON, through_file("robot.json", read_robot), 0.1),
         "scene file": (scene, JSON, through_file("scene.json", load_scene), 1.0),

@@ -171,7 +171,6 @@ def _ledger(path: Path) -> ByteInterface:
         path.write_bytes(valid)
         column = columns_of[int(rng.integers(len(columns_of)))]
         database = sqlite3.connect(path, isolation_level=None)
-        database.execute("PRAGMA journal_mode = DELETE")
         ((trigger,),) = database.execute(
             "SELECT sql FROM sqlite_master WHERE name = 'event_is_never_changed'"
         ).fetchall()

@@ -1,4 +1,4 @@
-"""The state monitor: a joint state with a number that is missing or not finite is implausible, whatever the number."""
+"""The state monitor: a joint state with a number that is missing or not finite is implausible."""
 
 from dataclasses import replace
 

@@ -145,7 +145,7 @@ _BOXES = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TextStyle:
-    """Inherited style: size and colour of the text, the colours behind it, and the effects of the ancestors."""
+    """Inherited by an element: size and colour of its text, the colours behind it, and effects of its ancestors."""
 
     font_px: float = ROOT_FONT_PX
     text: Colour = BLACK
