@@ -30,7 +30,7 @@ def format_failure_feedback(feedback: FailureFeedback) -> str:
 
 
 def format_rejection(rejected: Rejected) -> str:
-    """The gate's rejection of the last contract, after the request to mend it."""
+    """The gate's rejection of the last contract, after the request to correct it."""
     return f"Your last contract was refused. Mend what the refusal names:\n{_rejection_block(rejected)}"
 
 
