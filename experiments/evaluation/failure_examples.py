@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import tomllib
 from functools import cache
 from pathlib import Path
@@ -100,12 +101,13 @@ def _replay_contract(example: FailureExample) -> tuple[FailureEvidence, bool]:
     noise = PerceptionNoise(hidden_objects=others if example.hidden == "all" else frozenset())
     rng = np.random.default_rng(example.noise)
     world = make_world(spec, model, goal=goal, perception=lambda plant: NoisyPerception(spec, noise, rng))
-    limit = min(TIME_LIMIT, example.interrupt_s)
+    limit = min(TIME_LIMIT, example.interrupt_s) / model.period
+    ticks = itertools.count()  # not the clock of the simulator, which a reset of the engine sets back
     cell = SimulatedCell(
         model,
         world,
         config=ControlLoopConfig(guard=example.guard),
-        inputs=LoopInputs(interrupted=lambda: world.plant.now >= limit),
+        inputs=LoopInputs(interrupted=lambda: next(ticks) >= limit),
         time_limit=TIME_LIMIT,
     )
     cell.executor.hold(SETTLE_TIME)

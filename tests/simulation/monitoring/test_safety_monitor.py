@@ -156,8 +156,9 @@ def test_measurements_at_rest_are_zero():
     assert (measured.over_speed_share, measured.fragile_force, measured.physics_warnings) == (0.0, None, 0)
 
 
-def test_a_reset_of_the_physics_engine_is_counted():
+def test_a_reset_of_the_physics_engine_is_counted(monkeypatch, tmp_path):
     """The engine resets a state that is not finite; afterwards the episode looks as if it had begun again."""
+    monkeypatch.chdir(tmp_path)  # the engine writes a log file
     p = make_world(BLOCK)
     monitor = settled_monitor(p)
     set_motion(p, "grey_block", (0.5, 0.0, 0.06), velocity=(1e12, 0, 0))
