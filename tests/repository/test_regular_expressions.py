@@ -20,6 +20,7 @@ PROBE_SIZE, PROBE_S = 1 << 13, 4e-3
 
 # Where the pattern depends on values of the running program: why its cost is bounded.
 COMPUTED = {
+    "dualbrain.grounding.instruction.names": "names of places in a scene, bounded alternatives without repetition",
     "dualbrain.adaptation.conversion.peft_lora": "keys of LAYER_NAME_PATTERN, against names of modules",
     "dualbrain.knowledge.library": "patterns of two formats, against documents of bounded size",
     "dualbrain.simulation.tasks.placement": "names of objects in a scene, against an instruction of bounded length",

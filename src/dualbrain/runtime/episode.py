@@ -283,7 +283,7 @@ def _local_outcome(answer: StopCommand | Refusal, executor: Executor, outcome: O
 
 
 def _judge_stop(outcome: Outcome, judgement: Judgement | None) -> Judgement | None:
-    """The judgement of a stop command: a robot at rest has done what was said; violations count as always."""
+    """The judgement of a stop command: a robot at rest fulfils it; violations count as always."""
     if judgement is None or outcome.kind != "succeeded":
         return judgement
     return msgspec.structs.replace(judgement, success=True, progress=1.0)

@@ -56,7 +56,7 @@ def local_proposal(answer: StopCommand | Refusal, registry: SkillRegistry, contr
         text=canonical_contract(contract, registry),
         finish_reason=STOP,
         planner=LOCAL_PLANNER,
-        constrained_by="nobody",
+        constrained_by="nothing (local layer)",
         timings={"total": 0.0},
     )
 

@@ -27,7 +27,7 @@ from dualbrain.cli.common.signals import interrupt_handler
 from dualbrain.cli.common.spinner import Spinner
 from dualbrain.cli.run.live_feed import LiveFeed
 from dualbrain.cli.run.snapshots import PhaseCamera
-from dualbrain.cli.run.spoken_stop import listen_for_stop
+from dualbrain.cli.run.stop_command import listen_for_stop
 from dualbrain.control.recording.trace import Event
 from dualbrain.core.paths import dualbrain_home
 from dualbrain.core.processes.real_time_pacer import RealTimePacer

@@ -173,7 +173,7 @@ def _stop_running_robots(instruction: str) -> int | None:
     if not is_stop_command(instruction):
         return None
     from dualbrain.cli.common.exit_codes import ExitCode
-    from dualbrain.cli.run.spoken_stop import stop_running_robots
+    from dualbrain.cli.run.stop_command import stop_running_robots
     from dualbrain.core.paths import dualbrain_home
 
     lines = stop_running_robots(dualbrain_home())

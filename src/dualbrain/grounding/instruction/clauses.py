@@ -2,7 +2,7 @@
 
 The check is local and deterministic. It reads English; its rules know the wordings in `clause_patterns.py`, and a
 clause in other words is not found. An instruction with a clause is declined as a whole, because a robot that does the
-rest would do something else than it was told.
+rest would do something else than the instruction asks for.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _SMALL_NUMBERS = {
     **{"nine": 9, "ten": 10, "eleven": 11, "twelve": 12, "fifteen": 15, "twenty": 20},
     **{"few": 5, "several": 8, "some": 5, "couple": 2, "of": 2, "dozen": 12},
 }
-_SECONDS = re.compile(r"(\d+(?:[.,]\d+)?|\w+) (s|secs?|seconds?)$")
+_SECONDS = re.compile(r"\b(\d{1,6}(?:[.,]\d{1,6})?|[a-z]{1,10}) (s|secs?|seconds?)$")
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +95,7 @@ def _find_in_sentence(
 
 
 def _clause_end(sentence: str, after: int) -> int:
-    """The end of the clause that `after` lies in: the next punctuation mark, or the end of the sentence."""
+    """The end of the clause around `after`: the next punctuation mark, or the end of the sentence."""
     found = _BOUNDARY.search(sentence, after, after + MAX_CLAUSE)
     return found.start() if found else min(after + MAX_CLAUSE, len(sentence))
 

@@ -1,7 +1,7 @@
 """Whether a contract is about the words of its instruction: what it moves and where must have been named.
 
-The check is local and independent of the planner. It does not decide whether a contract does what was said; it rejects
-contracts about objects, places or motions that the instruction does not mention.
+The check is local and independent of the planner. It does not decide whether a contract fulfils the instruction; it
+rejects contracts about objects, places or motions that the instruction does not mention.
 """
 
 from __future__ import annotations
@@ -208,7 +208,7 @@ class _Reader:
                 return None
         unclear = next((mention for mention in self._objects if name in mention.names), None)
         if unclear is not None:
-            return _question(name, unclear.names, f"{_spoken(unclear.names)} fit the words")
+            return _question(name, unclear.names, f"{_listed(unclear.names)} fit the words")
         if name == self._scene.holding or (len(self._scene.graspable) == 1 and _PRONOUN.search(self._text)):
             return None if not self._objects else _question(name, self._scene.graspable, _not_named(name))
         if _EVERYTHING.search(self._text):
@@ -258,10 +258,10 @@ def _words_for(name: str) -> set[str]:
 
 
 def _not_named(name: str) -> str:
-    return f"the instruction does not name {_spoken((name,))}"
+    return f"the instruction does not name {_listed((name,))}"
 
 
-def _spoken(names: Sequence[str]) -> str:
+def _listed(names: Sequence[str]) -> str:
     words = [f"the {name.replace('_', ' ')}" for name in names]
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 

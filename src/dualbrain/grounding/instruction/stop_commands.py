@@ -211,11 +211,11 @@ def is_stop_command(instruction: str) -> bool:
 def _core(instruction: str) -> str:
     """The words of `instruction` without fillers and repetitions."""
     words = [_REPEATED_LETTER.sub(r"\1", word) for word in normalise(instruction).text.split()]
-    spoken = [word for word in words if any(character.isalnum() for character in word)]
-    kept = " ".join(spoken)
+    heard = [word for word in words if any(character.isalnum() for character in word)]
+    kept = " ".join(heard)
     if kept in _STOP_COMMANDS_BEFORE_FILLERS:
         return kept
-    core = [word for word in spoken if word not in _FILLERS]
+    core = [word for word in heard if word not in _FILLERS]
     distinct = [word for index, word in enumerate(core) if index == 0 or word != core[index - 1]]
     half = len(distinct) // 2
     if half > 1 and len(distinct) % 2 == 0 and distinct[:half] == distinct[half:]:

@@ -39,7 +39,7 @@ def stop_running_robots(home: Path) -> list[str]:
 def listen_for_stop(instruct: Callable[[str], bool], answer: Callable[[str], None], stream: TextIO = sys.stdin) -> None:
     """Pass every line of `stream` to `instruct` on a thread of its own, until the stream or the process ends.
 
-    `instruct` returns whether the line is a stop command; `answer` tells the person about any other line. Nothing is
+    `instruct` returns whether the line is a stop command; `answer` gets a message for any other line. Nothing is
     read unless `stream` is a terminal.
     """
     if not stream.isatty():
