@@ -58,7 +58,6 @@ class FailureExample(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     interrupt_s: float = float("inf")
     answer: tuple[str, str] | None = None
     fault: tuple[str, str] | None = None
-    thrown: dict[str, float] = {}
     cheap: bool = False
 
     @property
@@ -111,8 +110,6 @@ def _replay_contract(example: FailureExample) -> tuple[FailureEvidence, bool]:
         time_limit=TIME_LIMIT,
     )
     cell.executor.hold(SETTLE_TIME)
-    for name, speed in example.thrown.items():
-        world.plant.data.joint(name).qvel[0] = speed
     contract, outcome, refusal = _execute(cell, example)
     judgement = cell.judgement()
     evidence = FailureEvidence(
