@@ -31,7 +31,8 @@ corners = [[-0.4, 1.2], [2.4, 1.2], [2.4, 4.5], [-0.4, 4.5]]
 def test_passages_are_shown_and_recorded_and_places_of_a_map_are_in_the_scene(tmp_path):
     store = tmp_path / "knowledge.sqlite"
     move = {"target": "inspection_spot", "speed": 0.2, "clearance": 0.2, "route": "direct", "wait": "none"}
-    config = run_config(tmp_path, "with", knowledge=store, consult=True, map="room-map:panda_table")
+    words = "put the red cube in the bowl, then look at the inspection spot"
+    config = run_config(tmp_path, "with", instruction=words, knowledge=store, consult=True, map="room-map:panda_table")
     story = run_session(config, contract_text(("move_to", move)))
     passages = story.planner.requests[0].recall.passages
     assert 1 <= len(passages) <= 3
@@ -53,7 +54,13 @@ def test_a_base_drives_to_a_place_of_its_map_and_the_floor_of_the_map_is_recorde
     assert add(file, trust="site", store=store) == 0
     drive = ("drive_to", {"place": "waiting_spot", "max_speed": 0.5, "max_turn_rate": 1.2})
     contract = contract_text(drive, robot="base", registry=load_skill_registry("base").hash)
-    base = {"robot": "base", "scene": "empty_room:0", "knowledge": store, "map": "hall:start"}
+    base = {
+        "instruction": "go to the waiting spot",
+        "robot": "base",
+        "scene": "empty_room:0",
+        "knowledge": store,
+        "map": "hall:start",
+    }
     story = run_session(run_config(tmp_path, "with", goal="go to waiting_spot", **base), contract)
     assert story.episode.outcome.kind == "succeeded"
     assert story.stored_episode.judgement.success

@@ -26,8 +26,8 @@ def _four_runs(folder):
     for name, instruction, answer, goal in (
         ("one", "rest a little", hold_contract(0.7), GOAL),
         ("two", "rest a little more", hold_contract(0.8), ""),
-        ("three", "throw the cube", BAD, ""),
-        ("four", "throw the cube, please", decline_contract(), ""),
+        ("three", "sing to the cube", BAD, ""),
+        ("four", "sing to the cube, please", decline_contract(), ""),
     ):
         story = run_session(run_config(folder, name, instruction=instruction, goal=goal), answer)
         results.append(
