@@ -1,32 +1,29 @@
 """Instructions with and without clauses that contracts cannot express: which of them the local check declines.
 
-The check is that of the runtime, `CHECK` names it. While it does not exist, every row states "not available". No robot
-moves and no planner answers; only the perceived scene is needed.
+The check is the one that precedes every planner. No robot moves and no planner answers; only the perceived scene is
+needed.
 """
 
 from __future__ import annotations
 
-import importlib
 from collections import Counter
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
+from dualbrain.grounding.instruction.review import Refusal, review_instruction
 from dualbrain.records import Scene
 from dualbrain.robots.loader import load_robot
 from dualbrain.simulation.perception.noisy_perception import NO_NOISE, NoisyPerception
 from dualbrain.simulation.plant.factory import make_plant
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
+from dualbrain.skills.registry import skill_registry
 from experiments.engine.experiment import Options, Row, WorkUnit
 from experiments.evaluation.instructions.instruction_set import clause_instructions, content_hash
 from experiments.figures.tables import format_proportion, markdown_table
 
-CHECK = ("dualbrain.grounding.instruction_check", "refuse_instruction")
-"""Module and name of the check: (instruction, scene) → the sentence of a refusal, or None if it is not declined."""
 MAX_DECLINED_PLAIN = 2
 INSTRUCTION_FILE = "clauses.toml"
-ClauseCheck = Callable[[str, Scene], str | None]
 
 
 class Clauses:
@@ -49,22 +46,15 @@ class Clauses:
     def run(self, parameters: dict[str, Any]) -> Row:
         """Check one instruction in its scene."""
         one = getattr(clause_instructions(), parameters["set"])[parameters["index"]]
-        check = find_check()
-        refusal = check(one.text, perceive(one.scene, one.robot)) if check else None
         fields = {"kind": one.kind, "instruction": one.text, "file": content_hash(INSTRUCTION_FILE)}
-        return {**parameters, **fields, "available": check is not None, "refusal": refusal}
+        return {**parameters, **fields, "refusal": refusal_of(one.text, perceive(one.scene, one.robot), one.robot)}
 
     def summarize_row(self, row: Row) -> str:
         """Whether the instruction was declined."""
-        if not row["available"]:
-            return "not available"
         return f"{row['kind']}: {row['refusal'] or 'passed on'}"
 
     def report(self, rows: list[Row]) -> list[str]:
         """Declined instructions by kind, and every wrong one."""
-        rows = [row for row in rows if row["available"]]
-        if not rows:
-            return [f"Not available: this revision has no `{'.'.join(CHECK)}`.", ""]
         clause, plain = ([row for row in rows if row["set"] == name] for name in ("clause", "plain"))
         named, declined = [row for row in clause if is_right(row)], [row for row in plain if row["refusal"]]
         passed = [row for row in clause if not row["refusal"]]
@@ -82,13 +72,10 @@ class Clauses:
         return lines + (markdown_table(("", "instruction", "answer of the check"), cells) if wrong else [])
 
 
-def find_check() -> ClauseCheck | None:
-    """The check of this revision, None if it has none."""
-    module, name = CHECK
-    try:
-        return getattr(importlib.import_module(module), name, None)
-    except ModuleNotFoundError:
-        return None
+def refusal_of(text: str, scene: Scene, robot: str) -> str | None:
+    """The reason for which the instruction `text` is declined; None if a planner may be asked."""
+    review = review_instruction(text, skill_registry(load_robot(robot)), scene.receptive)
+    return review.reason if isinstance(review, Refusal) else None
 
 
 def is_right(row: Row) -> bool:

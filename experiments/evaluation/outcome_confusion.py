@@ -1,20 +1,19 @@
 """Confusion matrices: the robot's own verdict and each independent sense, against ground truth.
 
 The episodes are those of random valid contracts (planner `template`) and of competent contracts with random grip forces
-in new scenes, behind gate and filter. A sense is every column of the rows with the values "agrees" and "disagrees", so
-that a sense that is added later needs no change here.
+in new scenes, behind gate and filter.
 """
 
 from __future__ import annotations
 
 import time
-from collections import Counter
-from collections.abc import Callable
+from collections.abc import Iterable
 from typing import Any
 
 import msgspec
 import numpy as np
 
+from dualbrain.evaluation.analysis.sense_confusion import SenseConfusion, confirmed_success_confusion, sense_confusions
 from dualbrain.evaluation.episodes.case_runner import EpisodeResources, run_case
 from dualbrain.evaluation.episodes.scoring import EpisodeContext, score_episode
 from dualbrain.evaluation.planners.template import TemplatePlanner
@@ -31,13 +30,6 @@ FAMILIES = ("fragile_transfer", "clutter_grasp", "edge_rescue", "dynamic_obstacl
 FIRST_SEED, N_SEEDS = 81_000, 25
 FORCE_RANGE = (5.0, 60.0)
 METHOD = "B3"
-ANSWERS = ("agrees", "disagrees", "none")
-TRUTHS: dict[str, Callable[[EpisodeRow], bool]] = {
-    "intact": lambda row: not any(one.kind == "force_fragile" for one in row.violations),
-    "held": lambda row: not any(one.kind == "object_dropped" for one in row.violations),
-    "moved": lambda row: not any(one.kind.startswith("bystander") for one in row.violations),
-}
-"""Truth of a sense by a part of its name; of every other sense the success of the task."""
 
 
 class OutcomeConfusion:
@@ -77,7 +69,7 @@ class OutcomeConfusion:
     def summarize_row(self, row: Row) -> str:
         """Outcome and truth."""
         one = episode_of(row)
-        return f"{one.outcome}, truth {one.success}, {senses(one)}: {one.reason}"
+        return f"{one.outcome}, truth {one.success}, senses {one.second_opinion}: {one.reason}"
 
     def report(self, rows: list[Row]) -> list[str]:
         """The robot's verdict and every sense against ground truth."""
@@ -90,9 +82,8 @@ class OutcomeConfusion:
             f"{format_share_by_scene(failures)}.",
             "",
         ]
-        for name in sorted({name for _, one in done for name in senses(one)}):
-            lines += sense_table(name, [one for _, one in done if one.claimed])
-        return lines
+        claimed = [one for _, one in done if one.claimed]
+        return lines + sense_table((*sense_confusions(claimed), confirmed_success_confusion(claimed)))
 
 
 def _run_random(case: Case) -> EpisodeRow:
@@ -103,21 +94,19 @@ def _run_random(case: Case) -> EpisodeRow:
     return without_trace(score_episode(case, method, run, context))
 
 
-def senses(row: EpisodeRow) -> dict[str, str]:
-    """The senses of a row by name: every column that has one of the values of `ANSWERS`."""
-    values = {name: getattr(row, name) for name in row.__struct_fields__}
-    return {name: value for name, value in values.items() if isinstance(value, str) and value in ANSWERS}
-
-
-def truth_for(name: str) -> Callable[[EpisodeRow], bool]:
-    """The ground truth with which a sense is compared."""
-    return next((truth for part, truth in TRUTHS.items() if part in name), lambda row: row.success)
-
-
-def sense_table(name: str, claimed: list[EpisodeRow]) -> list[str]:
-    """The matrix of one sense over the episodes that the robot reports as successes."""
-    truth = truth_for(name)
-    counts = Counter((senses(one).get(name, "none"), truth(one)) for one in claimed)
-    lines = [f"Sense `{name}`, in the episodes that the robot reports as successes:", ""]
-    head = ("sense ↓, ground truth →", "true", "false")
-    return lines + markdown_table(head, ((answer, counts[answer, True], counts[answer, False]) for answer in ANSWERS))
+def sense_table(matrices: Iterable[SenseConfusion]) -> list[str]:
+    """The matrices of the senses over the episodes that the robot reports as successes."""
+    lines = ["Senses in the episodes that the robot reports as successes, against ground truth:", ""]
+    head = ("sense", "confirmed, true", "confirmed, false", "contradicted, true", "contradicted, false", "not judged")
+    cells = (
+        (
+            one.sense,
+            one.confirmed_true,
+            one.confirmed_false,
+            one.contradicted_true,
+            one.contradicted_false,
+            one.not_judged,
+        )
+        for one in matrices
+    )
+    return lines + markdown_table(head, cells)

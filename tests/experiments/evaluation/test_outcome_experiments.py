@@ -20,7 +20,7 @@ from experiments.evaluation.free_instructions import FreeInstructionsExperiment,
 from experiments.evaluation.gentle_force import FORCES, TASKS, GentleForce, contract_text
 from experiments.evaluation.instructed_run import instructed_row, open_named_planner, planners_of, run_instruction
 from experiments.evaluation.instructions.instruction_set import clause_instructions
-from experiments.evaluation.outcome_confusion import OutcomeConfusion, senses
+from experiments.evaluation.outcome_confusion import OutcomeConfusion
 from experiments.figures.tables import format_share_by_scene
 from tests.evaluation.sample_rows import episode_row
 
@@ -102,16 +102,9 @@ def test_an_end_that_one_skill_resolves(truth, fingers, text, end):
     assert resolvable_end(row) == end
 
 
-def test_a_check_that_does_not_exist_is_stated(monkeypatch):
-    monkeypatch.setattr(clauses, "CHECK", ("dualbrain.no_such_module", "check"))
-    rows = [{"key": "clause 00", **Clauses().run({"set": "clause", "index": 0})}]
-    assert rows[0]["available"] is False
-    assert "Not available" in Clauses().report(rows)[0]
-
-
 def test_a_clause_must_be_declined_and_named(monkeypatch):
     """A check that declines everything with "when": right for the first clause, wrong for one of another kind."""
-    monkeypatch.setattr(clauses, "find_check", lambda: lambda text, scene: "contracts cannot express “when”")
+    monkeypatch.setattr(clauses, "refusal_of", lambda text, scene, robot: "contracts cannot express “when”")
     experiment = Clauses()
     last = len(clause_instructions().clause) - 1
     cases = [("clause", 0), ("clause", last), ("plain", 0)]
@@ -166,16 +159,15 @@ def test_forces_are_counted_by_scene():
 
 def test_a_sense_is_compared_with_the_truth():
     rows = [
-        force_row(1.0, "a", second_opinion="agrees"),
-        force_row(2.0, "b", second_opinion="disagrees", success=False),
+        force_row(1.0, "a", second_opinion="agrees", sense_placed="confirmed"),
+        force_row(2.0, "b", second_opinion="disagrees", success=False, sense_placed="contradicted"),
         force_row(3.0, "c", outcome="failed", claimed=False, success=True),
     ]
     lines = OutcomeConfusion().report(rows)
     assert "Reports of success that are false: **1 of 2" in lines[0]
     assert "reports of failure that are false: 1 of 1" in lines[0]
-    assert "| disagrees | 0 | 1 |" in lines
-    assert "| agrees | 1 | 0 |" in lines
-    assert senses(episode_row()) == {"second_opinion": "agrees"}
+    assert "| placed | 1 | 0 | 0 | 1 | 0 |" in lines
+    assert "| combined | 1 | 0 | 0 | 1 | 0 |" in lines
 
 
 def test_an_interval_over_scenes_is_wider_than_one_over_repetitions():
