@@ -17,6 +17,7 @@ from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.verdict import Accepted, Rejected, Stage, Verdict
 from dualbrain.control.executor import ContractGate, Executor, Grants
 from dualbrain.core.text import storable_text
+from dualbrain.errors import DECODE_ERRORS
 from dualbrain.grounding.instruction.recalled_steps import fit_recall, reject_recalled_step
 from dualbrain.grounding.instruction.review import Refusal, StopCommand
 from dualbrain.grounding.outcome.instruction_truth import judge_decline
@@ -317,7 +318,7 @@ def reject_before_gate(proposal: Proposal, instruction: str, withheld: tuple[str
         return None
     try:
         contract = msgspec.json.decode(proposal.text.encode("utf-8", "surrogatepass"), type=Contract)
-    except (msgspec.DecodeError, RecursionError):
+    except DECODE_ERRORS:
         return None  # the gate states why
     return reject_recalled_step(msgspec.to_builtins(contract), withheld, instruction)
 

@@ -16,6 +16,7 @@ from dualbrain.contracts.gate.strict_json import MAX_BYTES
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.skill_spec import NumberParameter
 from dualbrain.contracts.verdict import Rejected
+from dualbrain.errors import DECODE_ERRORS
 from dualbrain.grounding.instruction.correspondence import SceneVocabulary, find_mismatch
 from dualbrain.grounding.instruction.language import detect_foreign_language
 from dualbrain.grounding.instruction.review import Refusal, StopCommand, refuse_hostile, review_instruction
@@ -85,7 +86,7 @@ def reject_mismatch(
         return None
     try:
         contract = msgspec.json.decode(data, type=Contract)
-    except (msgspec.DecodeError, ValueError, RecursionError):
+    except DECODE_ERRORS:
         return None
     scene = context.scene
     return find_mismatch(contract, instruction, SceneVocabulary(scene.graspable, scene.receptive, context.holding))

@@ -90,11 +90,11 @@ def test_packets_carry_readings_and_older_packets_none():
     plant = Plant(make_scene("bare", 0, "panda"), robot_model)
     plant.advance()
     sent = plant.read()
-    back = decode_from_robot(encode(StatePacket.from_state(sent))).to_state()
+    back = decode_from_robot(encode(StatePacket.from_state(sent))).to_robot_state()
     assert np.array_equal(back.torques, sent.torques)
     assert back.wrench is None
     whole = msgspec.msgpack.decode(encode(StatePacket.from_state(sent)))
-    old = decode_from_robot(msgspec.msgpack.encode(whole[:-2])).to_state()
+    old = decode_from_robot(msgspec.msgpack.encode(whole[:-2])).to_robot_state()
     assert (old.torques, old.wrench) == (None, None)
     assert np.array_equal(old.q, sent.q)
 

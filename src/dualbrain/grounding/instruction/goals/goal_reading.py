@@ -39,6 +39,10 @@ CONDITIONAL = re.compile(
 )
 BEFORE = re.compile(r"before you ([^,]+), (.+)")
 """The second part comes first."""
+HOME_WORDS = re.compile(
+    r"\b(?:home|rest|resting|retract|park|initial|start(?:ed|ing)? ?(?:pose|posture|position)?|"
+    r"out of (?:the|my) way|take a break|go back|return|back where|all for today|move away|step back|away)\b"
+)
 NOTHING_ELSE = re.compile(
     r",? ?(?:and|but)? ?(?:nothing else(?: on the table)?(?: should be| may be| is)? ?(?:touched|moved)?"
     r"|do not (?:touch|move) anything else|don't (?:touch|move) anything else"
@@ -71,9 +75,7 @@ def read_goal(instruction: str, scene: Scene) -> Goal | Unread:
 
 def requests_home(instruction: str) -> bool:
     """Whether any words of `instruction` may ask the robot to go home or to rest; independent of a scene."""
-    words = r"\b(?:home|rest|resting|retract|park|initial|start(?:ed|ing)? ?(?:pose|posture|position)?|"
-    words += r"out of (?:the|my) way|take a break|go back|return|back where|all for today|move away|step back|away)\b"
-    return re.search(words, instruction.lower()) is not None
+    return HOME_WORDS.search(instruction.lower()) is not None
 
 
 def _read_text(text: str, scene: Scene, vocabulary: Vocabulary) -> Goal | Unread:
