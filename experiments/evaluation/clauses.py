@@ -74,7 +74,7 @@ class Clauses:
 
 def refusal_of(text: str, scene: Scene, robot: str) -> str | None:
     """The reason for which the instruction `text` is declined; None if a planner may be asked."""
-    review = review_instruction(text, skill_registry(load_robot(robot)), scene.receptive)
+    review = review_instruction(text, skill_registry(load_robot(robot)), scene.receptive, scene.graspable)
     return review.reason if isinstance(review, Refusal) else None
 
 

@@ -18,8 +18,8 @@ from dualbrain.adaptation.synthetic.split import HELD_OUT_CATEGORIES, HELD_OUT_F
 from dualbrain.contracts.contract import Action, Contract
 from dualbrain.contracts.skill_spec import ChoiceParameter, NumberParameter
 from dualbrain.errors import ChecksumError
-from dualbrain.grounding.instruction.clauses import Clause, find_clauses
-from dualbrain.grounding.instruction.expressible import capabilities
+from dualbrain.grounding.instruction.clauses.clause_search import Clause, find_clauses
+from dualbrain.grounding.instruction.clauses.expressible import capabilities
 from dualbrain.grounding.instruction.review import brief_reason
 from dualbrain.grounding.instruction.words import normalise
 from dualbrain.grounding.vocabulary import load_skill_registry

@@ -42,7 +42,7 @@ def check_contract(data: bytes, *, robot: str, scene: str, instruction: str = ""
 
 def _check_words(verdict: Accepted, instruction: str, registry: SkillRegistry, scene: Scene) -> Rejected | None:
     """The rejection of an accepted contract whose instruction is declined, or is about something else."""
-    review = review_instruction(instruction, registry, scene.receptive)
+    review = review_instruction(instruction, registry, scene.receptive, scene.graspable)
     if all(action.skill == "decline" for action in verdict.contract.action_sequence):
         return None
     if isinstance(review, Refusal):

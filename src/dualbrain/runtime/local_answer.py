@@ -46,7 +46,9 @@ def answer_locally(
     if check == "given_contract":
         return StopCommand() if is_stop_command(instruction) else refuse_hostile(instruction)
     languages = planner_languages(planner)
-    return review_instruction(instruction, context.registry, context.scene.receptive, languages=languages)
+    return review_instruction(
+        instruction, context.registry, context.scene.receptive, context.scene.graspable, languages=languages
+    )
 
 
 def local_proposal(answer: StopCommand | Refusal, registry: SkillRegistry, contract_id: str) -> Proposal:

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from dualbrain.adaptation.synthetic.templates import load_templates
-from dualbrain.grounding.instruction.clauses import find_clauses
-from dualbrain.grounding.instruction.expressible import capabilities
+from dualbrain.grounding.instruction.clauses.clause_search import find_clauses
+from dualbrain.grounding.instruction.clauses.expressible import capabilities
 from dualbrain.grounding.instruction.review import Refusal, review_instruction
 from dualbrain.grounding.instruction.words import normalise
 from dualbrain.grounding.vocabulary import load_skill_registry
@@ -16,6 +16,7 @@ from dualbrain.simulation.tasks.instructions import find_task_kind, instruction_
 
 SENTENCES = tomllib.loads(Path(__file__).with_name("sentences.toml").read_text(encoding="utf-8"))
 PLACES = ("blue_bowl", "table_left", "table_right", "table_front", "aisle_left", "aisle_right", "shelf", "charger")
+OBJECTS = ("red_cube", "green_tin", "brown_tin", "yellow_block", "clear_glass")
 REGISTRIES = {name: load_skill_registry(name) for name in ("panda", "ur5e", "base", "mobile_panda")}
 ABILITIES = {name: capabilities(registry) for name, registry in REGISTRIES.items()}
 SLOTS = {
@@ -43,6 +44,54 @@ def test_a_clause_is_found_and_quoted_from_the_words(text):
 @pytest.mark.parametrize("text", SENTENCES["plain"])
 def test_an_instruction_without_a_clause_passes(text):
     assert clauses(text) == ()
+
+
+def in_scenes(part):
+    """The sentences of one part that depend on a scene, with the scene."""
+    return [(scene, text) for scene, group in SENTENCES["scenes"].items() for text in group[part]]
+
+
+def clauses_in(scene, text):
+    group = SENTENCES["scenes"][scene]
+    return find_clauses(normalise(text), ABILITIES[group["robot"]], group["receptive"], group["graspable"])
+
+
+@pytest.mark.parametrize(("scene", "text"), in_scenes("clauses"))
+def test_a_clause_is_found_in_the_scene(scene, text):
+    found = clauses_in(scene, text)
+    assert found
+    assert found[0].quote in text
+
+
+@pytest.mark.parametrize(("scene", "text"), in_scenes("plain"))
+def test_an_instruction_that_the_scene_makes_clear_passes(scene, text):
+    group = SENTENCES["scenes"][scene]
+    assert clauses_in(scene, text) == ()
+    assert review_instruction(text, REGISTRIES[group["robot"]], group["receptive"], group["graspable"]) is None
+
+
+@pytest.mark.parametrize(
+    ("text", "one", "several"),
+    [
+        ("put the tin on the left into the bowl", ["red_tin", "red_cube"], ["red_tin", "green_tin"]),
+        ("put both tins in the bowl", ["red_tin", "green_tin"], ["red_tin", "green_tin", "gray_tin"]),
+        ("put the tin in the bowl, not the cube", ["red_tin", "red_cube"], ["red_tin", "green_tin", "red_cube"]),
+    ],
+)
+def test_the_same_words_are_a_clause_where_the_objects_leave_a_choice(text, one, several):
+    def found(graspable):
+        return find_clauses(normalise(text), ABILITIES["panda"], ["blue_bowl", "table_left"], graspable)
+
+    assert found(one) == ()
+    assert found(several)
+    assert found([])  # without the objects of the scene, nothing is known to be unambiguous
+
+
+def test_a_comparison_is_named_by_its_own_words():
+    text = "move the taller of the two bottles to the left side"
+    for bottles in (["red_bottle", "gray_bottle"], ["red_bottle", "gray_bottle", "teal_bottle"]):
+        found = find_clauses(normalise(text), ABILITIES["panda"], ["table_left"], bottles)
+        assert (found[0].kind, found[0].quote[:6]) == ("comparison", "taller")
 
 
 def packaged_sentences():
@@ -129,16 +178,19 @@ def test_the_check_takes_less_than_5_ms():
     texts = [*SENTENCES["clauses"], *SENTENCES["plain"]]
     started = time.process_time()
     for text in texts:
-        review_instruction(text, REGISTRIES["mobile_panda"], PLACES)
+        review_instruction(text, REGISTRIES["mobile_panda"], PLACES, OBJECTS)
     assert (time.process_time() - started) / len(texts) < 5e-3
 
 
 def test_the_time_is_linear_in_the_length_of_the_text():
     def seconds(text):
         started = time.process_time()
-        review_instruction(text, REGISTRIES["panda"], PLACES)
+        review_instruction(text, REGISTRIES["panda"], PLACES, OBJECTS)
         return time.process_time() - started
 
-    for unit in ("put the red cube in the bowl and ", "a", "not ", "to the ", "push the cube ", "if "):
+    units = ("put the red cube in the bowl and ", "a", "not ", "to the ", "push the cube ", "if ")
+    units += ("from the left ", "the cube on the left ", "both cubes ", "do not leave it there ", "not the cube , ")
+    units += ("it is not there , ", "I am sad if it rains . ", "the cube behind ", "the two ", "that is next to ")
+    for unit in units:
         short, long = (min(seconds(unit * n) for _ in range(2)) for n in (400, 1600))
         assert long < 12 * max(short, 0.01), unit

@@ -43,12 +43,23 @@ _PARTS = (
 _SWITCH = (
     r"(?:switch|turn|turning|shut|take)\b[^.;!?]{0,25}\boff|switch(?:ing)? off|turn(?:ing)? off"
     r"|disable|disabling|deactivate"
-    r"|bypass(?:ing)?|override|overrule|circumvent|suppress|skip|ignore|ignoring|lift|raise|remove"
+    r"|bypass(?:ing)?|override|overrule|circumvent|suppress|ignore|ignoring"
     r"|delete|erase|overwrite"
-    r"|disarm|defeat|unplug|cover|jam|sabotage|tamper with|hack|break|leave out|leave|reset|block"
-    r"|obstruct|release|loosen"
-    r"|change|increase|without|forget|drop|exceed|stop using|do not use|work around|get around|mute|silence"
+    r"|disarm|defeat|unplug|jam|sabotage|tamper with|hack"
+    r"|without|exceed|stop using|do not use|work around|get around|mute|silence"
 )
+"""Verbs that switch off or change whatever safety function follows in the same sentence."""
+_HANDLE = (
+    r"(?:skip|lift|raise|remove|cover|break|leave out|leave|reset|block|obstruct|release|loosen|change|increase|forget"
+    r"|drop)"
+)
+"""Verbs that are also said of objects: a safety function counts only as their own object, with no other in between."""
+_WITHIN_OBJECT = (
+    r"(?: (?!(?:it|them|this one|that one|to|for|in|into|inside|onto|at|near|by|above|over|under|towards|before|behind"
+    r"|beside|between|and|then|so|but|with|while|until|next|off|from|cubes?|blocks?|tins?|cans?|bottles?|glass|glasses"
+    r"|box|boxes|cartons?|parcels?|things?|objects?)\b)[^\s.,:;!?]+){0,6}?"
+)
+"""Words of one noun phrase, or of noun phrases joined by "of"."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +104,8 @@ _RULES: tuple[tuple[HostileKind, re.Pattern[str]], ...] = (
     (
         "safety",
         re.compile(
-            rf"\b(?:{_SWITCH})\b[^.;!?]{{0,40}}?\b{_PARTS}\b|\b{_PARTS} (?:\w+ )?(?:off|out)\b"
+            rf"\b(?:{_SWITCH})\b[^.;!?]{{0,40}}?\b{_PARTS}\b|\b{_HANDLE}{_WITHIN_OBJECT} {_PARTS}\b"
+            rf"|\b{_PARTS} (?:\w+ )?(?:off|out)\b"
             r"|\brelease the brakes\b|\bdelete your memory\b|\bwithout (?:any )?limits\b|\blet go of everything\b"
             r"|\bemergency stop was not\b"
         ),

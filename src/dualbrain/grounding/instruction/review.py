@@ -8,9 +8,9 @@ from typing import Literal
 
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.skill_spec import NameParameter
-from dualbrain.grounding.instruction.clause_patterns import ClauseKind
-from dualbrain.grounding.instruction.clauses import Clause, find_clauses
-from dualbrain.grounding.instruction.expressible import capabilities
+from dualbrain.grounding.instruction.clauses.clause_patterns import ClauseKind
+from dualbrain.grounding.instruction.clauses.clause_search import Clause, find_clauses
+from dualbrain.grounding.instruction.clauses.expressible import capabilities
 from dualbrain.grounding.instruction.hostile import find_hostile_request
 from dualbrain.grounding.instruction.language import ENGLISH, detect_foreign_language, is_understood
 from dualbrain.grounding.instruction.stop_commands import is_stop_command
@@ -57,20 +57,21 @@ def review_instruction(
     instruction: str,
     registry: SkillRegistry,
     receptive: Sequence[str] = (),
+    graspable: Sequence[str] = (),
     *,
     languages: Collection[str] = (ENGLISH,),
 ) -> StopCommand | Refusal | None:
     """The answer of the local layer to `instruction`; None if a planner may be asked.
 
-    `receptive` are the containers and places of the scene, `languages` those that the planner declares. The rules read
-    English: of an instruction in another declared language only stop commands are recognised.
+    `receptive` are the containers and places of the scene, `graspable` its objects, `languages` those that the planner
+    declares. The rules read English: of an instruction in another declared language only stop commands are recognised.
     """
     if is_stop_command(instruction):
         return StopCommand()
     foreign = detect_foreign_language(instruction)
     if foreign is not None:
         return None if is_understood(foreign, languages) else _refuse_language(foreign.name)
-    return refuse_hostile(instruction) or _refuse_clauses(instruction, registry, receptive)
+    return refuse_hostile(instruction) or _refuse_clauses(instruction, registry, receptive, graspable)
 
 
 def refuse_hostile(instruction: str) -> Refusal | None:
@@ -88,8 +89,10 @@ def _refuse_language(name: str) -> Refusal:
     return Refusal(kind="language", reason=reason, quote="", brief=brief)
 
 
-def _refuse_clauses(instruction: str, registry: SkillRegistry, receptive: Sequence[str]) -> Refusal | None:
-    clauses = find_clauses(normalise(instruction), capabilities(registry), receptive)
+def _refuse_clauses(
+    instruction: str, registry: SkillRegistry, receptive: Sequence[str], graspable: Sequence[str]
+) -> Refusal | None:
+    clauses = find_clauses(normalise(instruction), capabilities(registry), receptive, graspable)
     if not clauses:
         return None
     first = clauses[0]

@@ -12,9 +12,15 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, islice
 
-from dualbrain.grounding.instruction import clause_patterns as patterns
-from dualbrain.grounding.instruction.clause_patterns import ClauseKind, ClauseRule
-from dualbrain.grounding.instruction.expressible import Capabilities
+from dualbrain.grounding.instruction.clauses import clause_patterns as patterns
+from dualbrain.grounding.instruction.clauses.clause_patterns import ClauseKind, ClauseRule
+from dualbrain.grounding.instruction.clauses.contrasts import mask_contrasts
+from dualbrain.grounding.instruction.clauses.counted_objects import mask_counts
+from dualbrain.grounding.instruction.clauses.descriptions import mask_descriptions
+from dualbrain.grounding.instruction.clauses.destinations import mask_sides
+from dualbrain.grounding.instruction.clauses.expressible import Capabilities
+from dualbrain.grounding.instruction.clauses.figures_of_speech import mask_figures
+from dualbrain.grounding.instruction.clauses.scene_words import SceneWords
 from dualbrain.grounding.instruction.names import category_words, mask_places
 from dualbrain.grounding.instruction.words import Words, sentences
 
@@ -47,14 +53,20 @@ class Clause:
     quote: str
 
 
-def find_clauses(words: Words, abilities: Capabilities, receptive: Sequence[str] = ()) -> tuple[Clause, ...]:
+def find_clauses(
+    words: Words, abilities: Capabilities, receptive: Sequence[str] = (), graspable: Sequence[str] = ()
+) -> tuple[Clause, ...]:
     """The clauses of an instruction that contracts with `abilities` cannot express, in the order of the text.
 
     `receptive` are the names of the containers and places of the scene: "left side of the table" is not a direction
     where a place has this name, and only containers may be free or full. For a robot without a hand,
-    "the left" is the only place on the left.
+    "the left" is the only place on the left. `graspable` are the names of the objects: they decide which descriptions
+    and numbers add nothing. Without them every description and number is a clause.
     """
     text = mask_places(words.text, receptive, sides_alone="occupancy" not in abilities.names)
+    scene = SceneWords(graspable, receptive)
+    for mask in (mask_descriptions, mask_sides, mask_counts, mask_contrasts, mask_figures):
+        text = mask(text, scene)
     containers = category_words(receptive)
     found: list[tuple[int, int, ClauseKind]] = []
     for start, end in sentences(text):
@@ -74,7 +86,12 @@ def find_clauses(words: Words, abilities: Capabilities, receptive: Sequence[str]
 
 
 def _is_inside(one: tuple[int, int, ClauseKind], other: tuple[int, int, ClauseKind]) -> bool:
-    """Whether `one` is a clause of another kind within the words of `other`, which it then explains better."""
+    """Whether `one` is a clause of another kind within the words of `other`, which it then explains better.
+
+    A comparison and a loop are explained by their own first words ("the taller of the two bottles").
+    """
+    if other[2] in ("comparison", "loop"):
+        return False
     return other[0] < one[0] and one[1] <= other[1] and one[2] != other[2]
 
 

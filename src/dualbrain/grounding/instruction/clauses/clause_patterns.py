@@ -530,6 +530,67 @@ RULES: tuple[ClauseRule, ...] = (
             r"|tin|box|bottle|carton|from)\b|\bsecond (?:from|to) (?:the )?(?:left|right|last)\b"
         ),
     ),
+    # purposes and sequences over an order
+    ClauseRule(
+        "orientation",
+        re.compile(
+            r"\b(?:turn|rotate|spin|twist|swivel|tip|tilt) (?:it|this|that|the (?:\w+ ){1,3}?)"
+            r"(?: ?(?:so|such) that\b| ?to face\b| ?(?:a (?:bit|little|quarter|half)|slightly)\b)[^.,;:!?]{0,60}"
+            r"|\ba (?:quarter|half|full|complete) (?:turn|rotation)\b|\b(?:spin|twist|swivel) (?:it|the \w+)\b"
+        ),
+        re.compile(r"\bturn (?:the robot|the base|the arm)\b"),
+    ),
+    ClauseRule(
+        "orientation",
+        re.compile(
+            r"\b(?:its|the|their|with) (?:\w+ ){0,3}?(?:side|end|edge|label|handle|lid|opening|spout|neck|logo|face|tip"
+            r"|mouth|cap|corner|base|bottom|picture|writing)s? (?:\w+ )?(?:faces?|facing|points?|pointing|turned"
+            r"|looks?|looking|is up|is down|upwards?|downwards?|uppermost|parallel)\b"
+        ),
+    ),
+    ClauseRule(
+        "comparison",
+        re.compile(
+            r"\b(?:sort|rank|order|arrange|grade|organi[sz]e|group|line|queue)(?:ed|ing)?\b[^.;!?]{0,60}?"
+            r"\b(?:from \w+ to \w+|by (?!the\b)\w+|according to|alphabetically|in \w+ order)\b"
+            r"|\balphabetical(?:ly)?\b|\bin (?:the )?(?:reverse|opposite|alphabetical|random|rainbow|increasing"
+            r"|decreasing) order\b"
+        ),
+    ),
+    ClauseRule(
+        "comparison",
+        re.compile(
+            r"\b(?:the|its|whichever|whatever|which|that|is|looks?) (?:\w+ )?(?:most|least) "
+            r"(?!of\b|you\b|i\b|important\b|urgent\b|part\b|likely\b)\w+\b(?: to\b)?"
+            r"|\bsimilar to\b|\bresembl\w+\b|\bthe (?:more|less) \w+ (?:one|of|object|thing|cube|block|tin|can|box"
+            r"|bottle|glass|carton)\b|\b(?!other\b|another\b|either\b)\w{3,}er of (?:the (?:two|three)|x{4,}|both|these"
+            r"|those"
+            r"|them)\b|(?<=\bthe )\w{3,}est (?:one|of|object|thing|item|cube|block|tin|can|box|bottle|glass|carton)s?\b"
+        ),
+    ),
+    ClauseRule(
+        "loop",
+        re.compile(
+            r"\bfor (?:each|every) [^.;!?]{0,80}\b(?:show|lift|hold|back|count|check|if|look|wait|tell|wipe"
+            r"|turn|weigh)\b"
+            r"|\band so (?:on|forth)\b|\bet cetera\b|\band repeat\b"
+        ),
+    ),
+    ClauseRule(
+        "relative place",
+        re.compile(
+            r"\b(?:put|set|place|lay|take|bring) (?:it|them|the (?:\w+ ){1,2}?)(?: ?down)? ?back"
+            r"(?: again| down| afterwards)?(?= [.,;!?]|$)|\bwhere (?:the|it|that|my) (?:\w+ ){0,3}?(?:is|are"
+            r"|stands?|lies)"
+            r" (?:now|right now|at the moment)\b|\b(?:swap|exchange|interchange|switch places|trade places)\b"
+            r"|\bon (?:each|both|every|all) sides? of\b|\bchange (?:the )?places\b"
+        ),
+    ),
+    ClauseRule(
+        "relative place",
+        re.compile(r"\b(?:drive|go|roll|move|walk|head)(?: \w+)? ahead\b(?! and\b)"),
+    ),
+    ClauseRule("count", re.compile(rf"\b(?:{NUMBER}|several|a few|many) (?:more )?times?\b")),
     # exclusions
     ClauseRule(
         "exclusion",

@@ -1,0 +1,1 @@
+"""Clauses of an instruction that contracts cannot express."""

@@ -1,0 +1,55 @@
+"""Negations that exclude nothing, because the instruction states what is meant instead: "the carton, not the block"."""
+
+from __future__ import annotations
+
+import re
+
+from dualbrain.grounding.instruction.clauses.scene_words import SceneWords, fill, first_matches
+
+_NOUN = r"(?:the|that|this|my) (?:\w+ ){0,3}?\w+"
+_NEXT = (
+    r"(?=$| (?:[.,;:!?]|goes|go|belongs?|should|must|has|needs?|can|and|into|in|on|to|at|is|please|there|here)(?: |$))"
+)
+_CONTRAST = re.compile(
+    r"(?:, |\bbut |\band )(?:but |and |please )?(?P<not>(?:rather )?not (?:(?P<here>here|there)\b"
+    rf"|(?P<place>(?:(?:in|into|inside|on|onto|to|at) {_NOUN}|(?:(?:in|on|to|at) )?(?:the )?n{{4,}}))"
+    rf"|(?P<noun>{_NOUN}))){_NEXT}"
+)
+_NOT_BUT = re.compile(rf"\b(?P<not>not {_NOUN} ?,? )(?:but(?: rather)?|rather) (?P<stated>{_NOUN}){_NEXT}")
+_GROUP = re.compile(
+    r"\b(?:all|every|everything|everyone|each|any|anything|anywhere|somewhere|whatever|whichever|ones|only|nothing|most"
+    r"|some|both|rest|others?)\b"
+)
+
+
+def mask_contrasts(text: str, scene: SceneWords) -> str:
+    """`text` with the letter x in place of each "not" that only repeats which object or place is not meant.
+
+    A "not" that takes something out of a group ("all blocks, but not the red one") remains.
+    """
+    for match in first_matches(_NOT_BUT, text):
+        if scene.identify(match["stated"]) is not None:
+            text = fill(text, match.start("not"), match.end("not"))
+    for match in first_matches(_CONTRAST, text):
+        sentence = text[_sentence_start(text, match.start()) : match.start()]
+        if not _GROUP.search(sentence) and _is_contrast(sentence, match, scene):
+            text = fill(text, match.start("not"), match.end("not"))
+    return text
+
+
+def _sentence_start(text: str, before: int) -> int:
+    return max(text.rfind(mark, 0, before) for mark in ".;!?") + 1
+
+
+def _is_contrast(stated: str, match: re.Match[str], scene: SceneWords) -> bool:
+    """Whether `stated` names one thing of the same kind as the excluded one, which differs from it."""
+    if match["here"]:
+        return scene.has_destination(stated)
+    if match["place"]:
+        return scene.has_destination(stated)
+    mentions = scene.mentions(stated, scene.graspable)
+    excluded = scene.mentions(match["noun"], scene.graspable)
+    if not mentions or not excluded or any(one.several or len(one.names) != 1 for one in mentions):
+        return False
+    named = {name for one in mentions for name in one.names}
+    return all(named.isdisjoint(one.names) for one in excluded)

@@ -1,0 +1,37 @@
+"""Numbers of objects that a list of names expresses: "both tins" where the scene has exactly two tins."""
+
+from __future__ import annotations
+
+import re
+
+from dualbrain.contracts.schema import MAX_ACTIONS
+from dualbrain.grounding.instruction.clauses.scene_words import SceneWords, fill, first_matches
+
+_COUNTED = re.compile(
+    r"\b(?:both(?: of)?(?: (?:the|these|those|my|our))?(?: two)?"
+    r"|(?:all (?:of )?)?(?:the|these|those|my|our) (?P<number>two|three|four)|all (?P<all>two|three|four)) "
+    r"(?P<noun>(?:\w+ ){0,2}?\w+s)\b"
+)
+_NUMBERS = {"two": 2, "three": 3, "four": 4}
+_ACTIONS_PER_OBJECT = 2
+"""A grasp and a placement."""
+
+
+def mask_counts(text: str, scene: SceneWords) -> str:
+    """`text` with the letter x in place of each number that is the number of such objects in the scene.
+
+    A contract must be able to name each object with a destination. A hand holds one object at a time, so "lift both
+    tins" remains a clause.
+    """
+    for match in first_matches(_COUNTED, text):
+        number = _NUMBERS[match["number"] or match["all"] or "two"]
+        fits = number * _ACTIONS_PER_OBJECT <= MAX_ACTIONS
+        if fits and _count(match["noun"], scene) == number and scene.has_destination(text):
+            text = fill(text, match.start(), match.start("noun") - 1)
+    return text
+
+
+def _count(noun: str, scene: SceneWords) -> int:
+    """The number of objects in the scene that a plural noun means; 0 if it means no objects."""
+    mentions = scene.mentions(noun, scene.graspable)
+    return len(mentions[0].names) if len(mentions) == 1 and mentions[0].several else 0

@@ -1,0 +1,82 @@
+"""Words that look like a clause and ask for nothing: idioms, rhetorical questions, and remarks on the present state."""
+
+from __future__ import annotations
+
+import re
+
+from dualbrain.grounding.instruction.clauses.scene_words import SceneWords, fill, first_matches
+
+_IDIOMS = re.compile(
+    r"\bdo not (?:hesitate|be (?:shy|afraid|late|lazy|silly|alarmed|scared|nervous|surprised)|ask(?: me)?(?: why| how)?"
+    r"|wait (?:any longer|for (?:me|us|him|her|anyone|anybody))|think twice|dawdle|delay|let me down|get me wrong"
+    r"|just (?:stand|sit|wait|lie|hang|stay)(?: around)?(?: there| here)?|panic|overthink(?: it)?|laugh|argue|complain"
+    r"|take (?:too long|forever|all day)|waste (?:any |your |my )?time|fail me|disappoint me)\b"
+    r"|\bwhy (?:do|does|did|are|is|would|should|can|could|have|has) not\b"
+    r"|\b(?:can|could|would|will|do|should) not (?=(?:you|we|somebody|someone|the robot)\b)"
+    r"|\b(?:once more|once again|one more time|again) with feeling\b"
+    r"|\bi (?:will |must |have to |can only |am going to )?(?:say|repeat|ask|tell)(?: (?:it|you|this|that|myself))*"
+    r"(?: again| once more| once again| one more time)?(?= ?[:,])"
+    r"|\blet me (?:say|repeat|ask)(?: (?:it|this|that|myself))*"
+    r"(?: again| once more| once again| one more time)?(?= ?[:,])"
+    r"|\bi (?:have )?(?:already )?(?:told|asked) you (?:(?:once|twice|thrice|before|already|again)\b"
+    r"|(?:\w+ ){1,2}times\b)|\bfor the (?:second|third|fourth|fifth|tenth|hundredth|umpteenth|last|first) time\b"
+    r"|\b(?:now or never|more or less|sooner or later|one way or (?:another|the other)|better late than never"
+    r"|sooner rather than later|last but not least|never mind|once and for all|(?:like|believe) it or not"
+    r"|ready or not|give or take|no ifs (?:, ands )?or buts|on second thought|on the other hand|not to worry"
+    r"|on top of (?:that|everything)|next to nothing|behind schedule|between you and me|rain or shine"
+    r"|in the middle of (?:something|it all|a (?:call|meeting)|my \w+|cooking|lunch|work)|before i forget"
+    r"|before you know it|time and time again i)\b"
+    r"|\b(?:i|we|it) (?:would|will) (?:really )?(?:be (?:so |very |really |most )?(?:great|nice|glad|happy|grateful"
+    r"|good|lovely|helpful|perfect|wonderful|pleased|better|best|delighted|thankful|obliged|kind of you)"
+    r"|appreciate it|like it|love it|help)(?: (?:a lot|me))? if (?=(?:you|the|it|we|that|this|my|i)\b)"
+)
+_NOT_LEFT = re.compile(
+    r"\b(?:can|could|should|must|may|do|does|will|shall|would) not (?:belong|stay|remain|be(?: left)?|lie|stand|sit"
+    r"|hang|(?:leave|let|keep) (?:it|that|this|them|the (?:\w+ ){0,2}?\w+))"
+    r"(?: (?:around|lying|standing|sitting|left|stay|lie|stand|out))* "
+    r"(?:here|there|like (?:that|this)|around(?: here)?|where it is|on the (?:table|floor))\b"
+)
+_NOT_SO = re.compile(
+    r"(?:^|[.,;:!?] |\b(?:because|since|but) )(?P<state>(?:it|this|that|they|the (?:\w+ ){0,2}?\w+) (?:is|are|was) not"
+    r"(?: yet| quite| really| currently| even| very| that)?"
+    r" (?:in|on|at|where|inside|there|here|far|hard|difficult|heavy|urgent|tidy|pretty|nice|clean|much|complicated"
+    r"|dangerous|fragile|hot|sharp|rocket science|well|safe|good)\b)"
+)
+_REMARK = re.compile(
+    r"(?:^|[.;!?] ?)(?P<remark>(?:the|this|that|it|my|our|i|we|everything|nothing|things|people|a|an) [^.,;:!?]{0,60}?)"
+    r"(?P<condition>\b(?:unless|if|when|whenever|as long as|while|until|once) [^.,;:!?]{1,80})"
+    r"(?= ?(?:, (?:so|therefore|hence|thus|which is why|that is why)\b(?! (?:that|long)\b)|[.;:] ?\w))"
+)
+_STATE = re.compile(
+    r"\b(?:is|are|was|looks?|seems?|feels?|get|gets|becomes?|appears?|makes?|bothers?|annoys?|hate|hates|love|loves"
+    r"|dislike|prefer|worry|worries|helps?|am|would be|will be)\b"
+)
+_REQUEST = re.compile(
+    r"\b(?:you|your|want|need|needs|must|should|please|let|put|place|wait|move|bring|take|go|goes|drive|push|pick|grasp"
+    r"|hold|lift|drop|set|belongs?|would like|could|can|may|ought|shall|has to|have to|is to|are to)\b"
+)
+"""Words of a main clause that may itself be the request: then its condition counts."""
+
+
+def mask_figures(text: str, scene: SceneWords) -> str:
+    """`text` with the letter x in place of words that look like a clause and belong to no request.
+
+    A remark on the present state counts only in front of a request that stands in its own clause.
+    """
+    for match in first_matches(_IDIOMS, text):
+        text = fill(text, match.start(), match.end())
+    for match in first_matches(_NOT_LEFT, text):
+        if scene.has_destination(text[match.end() :]):
+            text = fill(text, match.start(), match.end())
+    for match in first_matches(_NOT_SO, text):
+        if _has_request(text[match.end() :], scene):
+            text = fill(text, match.start("state"), match.end())
+    for match in first_matches(_REMARK, text):
+        remark = match["remark"]
+        if _STATE.search(remark) and not _REQUEST.search(remark) and _has_request(text[match.end() :], scene):
+            text = fill(text, match.start("condition"), match.end())
+    return text
+
+
+def _has_request(text: str, scene: SceneWords) -> bool:
+    return scene.has_destination(text) or re.search(r"\b(?:put|bring|move|go home|take|drive)\b", text) is not None
