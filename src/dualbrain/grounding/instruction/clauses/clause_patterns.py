@@ -88,8 +88,12 @@ OCCUPANCY = re.compile(
 POLITE_CONDITION = re.compile(
     r"\bif (?:you (?:can|could|please|would|will|like|want|do not mind|are able|have time|are so kind|may)"
     r"|possible|necessary|need be|i may|it is (?:ok|okay|possible|convenient|no trouble|not too much)|it suits"
-    r"|that is (?:ok|okay|possible|fine))\b"
-    r"|\b(?:when|once|as soon as|whenever) (?:you (?:can|could|are ready|get a chance|have (?:time"
+    r"|that is (?:ok|okay|possible|fine)|you (?:have|find|get) (?:the time|a (?:second|minute|moment|chance))"
+    r"|you are not (?:too )?busy|it is not (?:a problem|(?:any|much) trouble)|i (?:might|could) (?:ask|say|suggest))\b"
+    r"|\bunless (?:you (?:do )?mind|i am (?:wrong|mistaken)|it is (?:too much|a problem)"
+    r"|that is (?:a problem|too much))\b"
+    r"|\b(?:when|once|as soon as|whenever) (?:you (?:can|could|are ready|(?:get|find)"
+    r" (?:the time|a (?:chance|minute|second|moment))|have (?:time"
     r"|a (?:moment|minute)))"
     r"|possible|convenient|it suits)\b"
 )
@@ -145,10 +149,12 @@ ORDERED = re.compile(r"\bnot (?:\w+ ){1,8}(?:before|until) (?:you have|the|it)\b
 CONDITION_WORD = re.compile(
     r"\b(?:if|unless|in case|in the event|provided|providing|assuming|supposing|as long as|so long as|on condition"
     r"|depending on|only when|otherwise|else|when|as soon as"
+    r"|the (?:moment|minute|second|instant) (?:the|i|you|he|she|they|we|it|that|someone|somebody|there|my|his|her|a)"
     r"|once (?:i|you|he|she|they|we|it|that|this|the|somebody|someone|everyone|everybody|nobody|there|all|both"
     r"|everything|my|his|her|a|an)|should (?:the|any|there|it|he|she|they|somebody|someone|anyone"
     r"|anybody|people|everyone|i) (?:\w+ ){0,3}?(?:be|have|come"
-    r"|get|move|see|want|need|say|fall|stand|arrive|reach|touch|enter|appear))\b"
+    r"|get|move|see|want|need|say|fall|stand|arrive|reach|touch|enter|appear|leave|ask|ring|start|happen|approach"
+    r"|nod|wave|shout|call|object|slip))\b"
 )
 QUESTION_THEN = re.compile(
     r"\b(?:is|are|has|have|does|did|do|can) [^.?!;]{1,60} \? (?:then|only then|if so|if not|if yes|in that case)\b"
@@ -467,7 +473,9 @@ RULES: tuple[ClauseRule, ...] = (
         re.compile(
             r"\b(?:hand|give|pass|offer|bring|take|carry|deliver|return|get|move|put|place|drop|hold"
             r"|lay)\b[^.;!?]{0,80}?\b(?:to|into|in|on|for|out to) "
-            r"(?:me|us|him|her|somebody|someone|the (?:person|man|woman|human|user|operator|visitor|customer)"
+            r"(?:me|us|him|her|somebody|someone|the (?:person|man|woman|human|user|operator|visitor|customer"
+            r"|guest|child|worker|colleague|nurse"
+            r"|patient|cook|boss|driver|neighbou?r|lady|gentleman|student|teacher)"
             r"|my (?:hands?|palm|desk|side|place|lap|brother|sister|mother|father|friend|colleague|boss)"
             r"|(?:his|their|her) (?:hands?|palm|lap))\b"
         ),
@@ -591,7 +599,43 @@ RULES: tuple[ClauseRule, ...] = (
         re.compile(r"\b(?:drive|go|roll|move|walk|head)(?: \w+)? ahead\b(?! and\b)"),
     ),
     ClauseRule("count", re.compile(rf"\b(?:{NUMBER}|several|a few|many) (?:more )?times?\b")),
+    ClauseRule("count", re.compile(r"\b(?:exactly|at most|no more than|not more than) (?:one|a single)\b")),
+    ClauseRule(
+        "relative place",
+        re.compile(
+            r"\bso that (?:it|they|both) (?:\w+ )?(?:touch\w*|leans?|aligns?|is (?:in line|touching|covered|hidden)"
+            r"|covers?|blocks?|overlaps?|forms?|hides?|hangs?|sticks?)\b"
+            r"|\b(?:lean|prop|stand|rest)\b[^.,;:!?]{0,60}\bagainst\b"
+        ),
+    ),
+    ClauseRule(
+        "handing over",
+        re.compile(
+            r"\b(?:can|could|may|might) (?:i|we|he|she) (?:please )?(?:have|get|take) (?:the|that|this|my) "
+            r"(?:\w+ ){0,2}?\w+(?= ?(?:[,.?!;]|please|$))"
+        ),
+        None,
+        "hand over",
+    ),
+    ClauseRule(
+        "comparison",
+        re.compile(
+            r"(?<=\bthe )(?!other|another|either|silver|copper|paper|rubber|leather|timber|amber|former|lavender|ginger"
+            r"|pewter|plaster|water)\w{3,}er (?:one|object|thing|cube|block|tin|can|box|bottle|glass|carton)s?\b"
+            r"|(?<=\bthe )(?:best|worst) (?:one|object|thing|cube|block|tin|can|box|bottle|glass|carton)s?\b"
+        ),
+    ),
     # exclusions
+    ClauseRule(
+        "exclusion",
+        re.compile(
+            r"\b(?:refrain(?:ing)? from|abstain(?:ing)? from|(?:keep|stay) (?:off|out of|away from|clear of)"
+            r"|hands off|forbidden|prohibited|off limits)\b"
+            r"|\b(?:put|place|move|take|bring|drop|grasp|touch|push|pick up|leave) no "
+            r"(?!time|more|longer|notice|offen[cs]e|risks?|chances?|mess|further)\w+"
+        ),
+        re.compile(r"\bout of the way\b|\bkeep (?:yourself )?out of trouble\b"),
+    ),
     ClauseRule(
         "exclusion",
         re.compile(

@@ -16,7 +16,7 @@ from dualbrain.grounding.instruction.clauses import clause_patterns as patterns
 from dualbrain.grounding.instruction.clauses.clause_patterns import ClauseKind, ClauseRule
 from dualbrain.grounding.instruction.clauses.contrasts import mask_contrasts
 from dualbrain.grounding.instruction.clauses.counted_objects import mask_counts
-from dualbrain.grounding.instruction.clauses.descriptions import mask_descriptions
+from dualbrain.grounding.instruction.clauses.descriptions import ambiguous_descriptions, mask_descriptions
 from dualbrain.grounding.instruction.clauses.destinations import mask_sides
 from dualbrain.grounding.instruction.clauses.expressible import Capabilities
 from dualbrain.grounding.instruction.clauses.figures_of_speech import mask_figures
@@ -26,7 +26,7 @@ from dualbrain.grounding.instruction.words import Words, sentences
 
 _BOUNDARY = re.compile(r"[,.;:!?]|$")
 MAX_CLAUSE, MAX_FOUND = 200, 30
-"""Longest quote of a clause [characters], and number of clauses of a sentence after which the search ends."""
+"""Longest quote of a clause [characters], and number of clauses after which the search ends."""
 _LATER_ACTION = re.compile(
     r"\b(?:then|and|afterwards|before) (?:\w+ ){0,2}?(?:put|place|drop|move|go|drive|release|bring|push|set)\b"
     r"|[,;.] (?:put|place|drop|move|go|drive|release|bring|push|set)\b"
@@ -65,11 +65,15 @@ def find_clauses(
     """
     text = mask_places(words.text, receptive, sides_alone="occupancy" not in abilities.names)
     scene = SceneWords(graspable, receptive)
+    found: list[tuple[int, int, ClauseKind]] = [
+        (start, end, "relative place") for start, end in ambiguous_descriptions(text, scene)
+    ]
     for mask in (mask_descriptions, mask_sides, mask_counts, mask_contrasts, mask_figures):
         text = mask(text, scene)
     containers = category_words(receptive)
-    found: list[tuple[int, int, ClauseKind]] = []
     for start, end in sentences(text):
+        if len(found) > MAX_FOUND:
+            break
         found += _find_in_sentence(text, start, end, abilities, containers)
     for match in patterns.QUESTION_THEN.finditer(text):
         if not ("occupancy" in abilities.names and _is_about_occupancy(match[0], containers)):

@@ -7,6 +7,7 @@ several candidates the description would be dropped, so it remains a clause.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 
 from dualbrain.grounding.instruction.clauses.destinations import SIDE, SIDE_PART
 from dualbrain.grounding.instruction.clauses.scene_words import SceneWords, fill, first_matches, noun_phrase_before
@@ -44,6 +45,10 @@ _CLAUSE = re.compile(
 )
 _SOURCE = re.compile(r"\bfrom (?:the|your) (?:left|right|front|back)(?: hand)?(?: side)?(?! of)\b")
 _SEGMENT_START = re.compile(r"[,.;:!?]| and | then ")
+_DESCRIBING_PLACE = re.compile(
+    rf"\b(?:(?:(?:that|which) (?:is|are|stands?|lies?|sits?)|(?:standing|lying|sitting|placed)){_ADVERBS}{{0,2}} )?"
+    r"(?:on|at) (?:the )?n{4,}(?= (?:in|into|inside|onto|goes|go|belongs?|should|must)\b)"
+)
 _PICK = re.compile(
     r"\b(?:pick|grasp|grab|grip|lift|seize|raise|touch|inspect|examine|find|hover|release|look at|looking at|show"
     r"|point (?:at|to))\b"
@@ -69,10 +74,23 @@ def mask_descriptions(text: str, scene: SceneWords) -> str:
         if name is not None and _is_description(text, match, name, scene):
             text = fill(text, match.start(), match.end())
     for match in first_matches(_SOURCE, text):
-        mentions = [one for one in scene.mentions(text, scene.graspable) if one.names]
+        near = text[max(0, match.start() - 100) : match.end() + 100]
+        mentions = scene.mentions(near, scene.graspable)
         if mentions and all(one.names == mentions[0].names and len(one.names) == 1 for one in mentions):
             text = fill(text, match.start(), match.end())
     return text
+
+
+def ambiguous_descriptions(text: str, scene: SceneWords) -> Iterator[tuple[int, int]]:
+    """Start and end of each place that describes one of several objects: "the block on the left side of the table".
+
+    Such a place has a name and would otherwise be read as a destination. Without the objects of the scene there is
+    none.
+    """
+    for match in first_matches(_DESCRIBING_PLACE, text):
+        phrase = noun_phrase_before(text, match.start()) if scene.graspable else None
+        if phrase and scene.mentions(phrase, scene.graspable) and scene.identify(phrase) is None:
+            yield match.start(), match.end()
 
 
 def _is_description(text: str, match: re.Match[str], name: str, scene: SceneWords) -> bool:

@@ -12,7 +12,9 @@ _IDIOMS = re.compile(
     r"|just (?:stand|sit|wait|lie|hang|stay)(?: around)?(?: there| here)?|panic|overthink(?: it)?|laugh|argue|complain"
     r"|take (?:too long|forever|all day)|waste (?:any |your |my )?time|fail me|disappoint me)\b"
     r"|\bwhy (?:do|does|did|are|is|would|should|can|could|have|has) not\b"
-    r"|\b(?:can|could|would|will|do|should) not (?=(?:you|we|somebody|someone|the robot)\b)"
+    r"|\b(?:can|could|would|will) not (?=(?:you|we|somebody|someone|the robot)\b)"
+    r"|\bdo not you (?:think|want|agree|believe|see)\b|\bnot (?:tomorrow|later|yesterday) but now\b"
+    r"|\byou (?:will|would|can|could|do) not (?:believe|regret|guess|imagine|be disappointed)\b"
     r"|\b(?:once more|once again|one more time|again) with feeling\b"
     r"|\bi (?:will |must |have to |can only |am going to )?(?:say|repeat|ask|tell)(?: (?:it|you|this|that|myself))*"
     r"(?: again| once more| once again| one more time)?(?= ?[:,])"
@@ -26,10 +28,12 @@ _IDIOMS = re.compile(
     r"|on top of (?:that|everything)|next to nothing|behind schedule|between you and me|rain or shine"
     r"|in the middle of (?:something|it all|a (?:call|meeting)|my \w+|cooking|lunch|work)|before i forget"
     r"|before you know it|time and time again i)\b"
-    r"|\b(?:i|we|it) (?:would|will) (?:really )?(?:be (?:so |very |really |most )?(?:great|nice|glad|happy|grateful"
-    r"|good|lovely|helpful|perfect|wonderful|pleased|better|best|delighted|thankful|obliged|kind of you)"
+    r"|\b(?:(?:i|we|it) )?(?:would|will|it'd) (?:really )?(?:be (?:so |very |really |most )?(?:great|nice|glad|happy"
+    r"|grateful|good|lovely|helpful|perfect|wonderful|pleased|better|best|delighted|thankful|obliged|kind of you)"
     r"|appreciate it|like it|love it|help)(?: (?:a lot|me))? if (?=(?:you|the|it|we|that|this|my|i)\b)"
 )
+_REACH = 200
+"""Length of the text after a remark in which the request is looked for [characters]."""
 _NOT_LEFT = re.compile(
     r"\b(?:can|could|should|must|may|do|does|will|shall|would) not (?:belong|stay|remain|be(?: left)?|lie|stand|sit"
     r"|hang|(?:leave|let|keep) (?:it|that|this|them|the (?:\w+ ){0,2}?\w+))"
@@ -66,16 +70,23 @@ def mask_figures(text: str, scene: SceneWords) -> str:
     for match in first_matches(_IDIOMS, text):
         text = fill(text, match.start(), match.end())
     for match in first_matches(_NOT_LEFT, text):
-        if scene.has_destination(text[match.end() :]):
+        if scene.has_destination(_following(text, match)):
             text = fill(text, match.start(), match.end())
     for match in first_matches(_NOT_SO, text):
-        if _has_request(text[match.end() :], scene):
+        if _has_request(_following(text, match), scene):
             text = fill(text, match.start("state"), match.end())
     for match in first_matches(_REMARK, text):
         remark = match["remark"]
-        if _STATE.search(remark) and not _REQUEST.search(remark) and _has_request(text[match.end() :], scene):
+        if "you" in match["condition"].split():
+            continue
+        if _STATE.search(remark) and not _REQUEST.search(remark) and _has_request(_following(text, match), scene):
             text = fill(text, match.start("condition"), match.end())
     return text
+
+
+def _following(text: str, match: re.Match[str]) -> str:
+    """The words after `match` in which a request is looked for."""
+    return text[match.end() : match.end() + _REACH]
 
 
 def _has_request(text: str, scene: SceneWords) -> bool:

@@ -14,6 +14,10 @@ PLACEHOLDER, FILLER = "n", "x"
 _PLACEHOLDERS = re.compile(rf"\b{PLACEHOLDER}{{4,}}\b")
 _DETERMINER = re.compile(r"\b(?:the|that|this|my|our|your|only) (?=[^.,;:!?]*$)")
 _GENERIC_NOUN = re.compile(r"\b(?:thing|object|item|one|piece)$")
+_OUTSIDE = re.compile(
+    r"\b(?:and|or|not|but|then|in|into|inside|onto|to|on|at|of|with|from|is|are|it|put|place|move|bring|should|must|goes)\b"
+)
+"""Words that no simple noun phrase contains."""
 _LONGEST_PHRASE = 80
 MAX_MATCHES = 20
 
@@ -69,4 +73,5 @@ def noun_phrase_before(text: str, position: int) -> str | None:
     """The noun phrase that ends at `position`, from its determiner on: "the green tin"; None if there is none."""
     before = text[max(0, position - _LONGEST_PHRASE) : position].rstrip(" ,")
     starts = [match.start() for match in _DETERMINER.finditer(before)]
-    return before[starts[-1] :] if starts and before[starts[-1] :].count(" ") <= 4 else None
+    phrase = before[starts[-1] :] if starts else ""
+    return phrase if phrase and phrase.count(" ") <= 4 and not _OUTSIDE.search(phrase) else None
