@@ -92,6 +92,7 @@ POLITE_CONDITION = re.compile(
     r"|you are not (?:too )?busy|it is not (?:a problem|(?:any|much) trouble)|i (?:might|could) (?:ask|say|suggest))\b"
     r"|\bunless (?:you (?:do )?mind|i am (?:wrong|mistaken)|it is (?:too much|a problem)"
     r"|that is (?:a problem|too much))\b"
+    r"|\bif (?:you ask me|i were you|i (?:remember|recall)|i am (?:not mistaken|honest)|memory serves|anything)\b"
     r"|\b(?:when|once|as soon as|whenever) (?:you (?:can|could|are ready|(?:get|find)"
     r" (?:the time|a (?:chance|minute|second|moment))|have (?:time"
     r"|a (?:moment|minute)))"
@@ -581,7 +582,8 @@ RULES: tuple[ClauseRule, ...] = (
         re.compile(
             r"\bfor (?:each|every) [^.;!?]{0,80}\b(?:show|lift|hold|back|count|check|if|look|wait|tell|wipe"
             r"|turn|weigh)\b"
-            r"|\band so (?:on|forth)\b|\bet cetera\b|\band repeat\b"
+            r"|\band so (?:on|forth)\b"
+            r"|\btake turns\b|\bfrom side to side\b|\ba (?:second|third|fourth|fifth) time\b|\bet cetera\b|\band repeat\b"
         ),
     ),
     ClauseRule(
@@ -591,7 +593,7 @@ RULES: tuple[ClauseRule, ...] = (
             r"(?: again| down| afterwards)?(?= [.,;!?]|$)|\bwhere (?:the|it|that|my) (?:\w+ ){0,3}?(?:is|are"
             r"|stands?|lies)"
             r" (?:now|right now|at the moment)\b|\b(?:swap|exchange|interchange|switch places|trade places)\b"
-            r"|\bon (?:each|both|every|all) sides? of\b|\bchange (?:the )?places\b"
+            r"|\bon (?:each|both|every|all) sides? of\b|\b\w+'s (?:left|right|back|front)\b|\bchange (?:the )?places\b"
         ),
     ),
     ClauseRule(
@@ -599,6 +601,15 @@ RULES: tuple[ClauseRule, ...] = (
         re.compile(r"\b(?:drive|go|roll|move|walk|head)(?: \w+)? ahead\b(?! and\b)"),
     ),
     ClauseRule("count", re.compile(rf"\b(?:{NUMBER}|several|a few|many) (?:more )?times?\b")),
+    ClauseRule(
+        "handing over",
+        re.compile(
+            r"(?<!your )(?<!the )(?<!its )(?<!one )(?<!a )\bhand over (?:the|that|this|my|all)\b"
+            r"|\b(?:give|hand|pass) (?:it|that|this|them) (?:over )?here\b"
+        ),
+        None,
+        "hand over",
+    ),
     ClauseRule("count", re.compile(r"\b(?:exactly|at most|no more than|not more than) (?:one|a single)\b")),
     ClauseRule(
         "relative place",
@@ -622,6 +633,7 @@ RULES: tuple[ClauseRule, ...] = (
         re.compile(
             r"(?<=\bthe )(?!other|another|either|silver|copper|paper|rubber|leather|timber|amber|former|lavender|ginger"
             r"|pewter|plaster|water)\w{3,}er (?:one|object|thing|cube|block|tin|can|box|bottle|glass|carton)s?\b"
+            r"|\b(?:is|are|looks?|seems?) (?:the )?(?!honest|modest|earnest)\w{3,}est\b(?: to \w+)?"
             r"|(?<=\bthe )(?:best|worst) (?:one|object|thing|cube|block|tin|can|box|bottle|glass|carton)s?\b"
         ),
     ),

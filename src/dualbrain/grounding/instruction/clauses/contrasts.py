@@ -15,7 +15,9 @@ _CONTRAST = re.compile(
     rf"|(?P<place>(?:(?:in|into|inside|on|onto|to|at) {_NOUN}|(?:(?:in|on|to|at) )?(?:the )?n{{4,}}))"
     rf"|(?P<noun>{_NOUN}))){_NEXT}"
 )
-_NOT_BUT = re.compile(rf"\b(?P<not>not {_NOUN} ?,? )(?:but(?: rather)?|rather) (?P<stated>{_NOUN}){_NEXT}")
+_NOT_BUT = re.compile(
+    rf"\b(?P<not>not {_NOUN} ?,? )(?:but(?: rather)?|rather|i (?:said|meant?|want|need)) (?P<stated>{_NOUN}){_NEXT}"
+)
 _GROUP = re.compile(
     r"\b(?:all|every|everything|everyone|each|any|anything|anywhere|somewhere|whatever|whichever|ones|only|nothing|most"
     r"|some|both|rest|others?)\b"

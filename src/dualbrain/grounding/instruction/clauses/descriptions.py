@@ -44,6 +44,7 @@ _CLAUSE = re.compile(
     rf"|over there|over here|there)(?P<adverbs>{_ADVERBS}{{0,2}}) )?(?:{_POSITION}){_END}"
 )
 _SOURCE = re.compile(r"\bfrom (?:the|your) (?:left|right|front|back)(?: hand)?(?: side)?(?! of)\b")
+_THERE_IS = re.compile(r"\bthere (?:is|stands|lies|sits) (?:an?|one) (?P<noun>(?:\w+ ){0,2}?\w+) $")
 _SEGMENT_START = re.compile(r"[,.;:!?]| and | then ")
 _DESCRIBING_PLACE = re.compile(
     rf"\b(?:(?:(?:that|which) (?:is|are|stands?|lies?|sits?)|(?:standing|lying|sitting|placed)){_ADVERBS}{{0,2}} )?"
@@ -69,9 +70,10 @@ _SUBJECT = re.compile(
 def mask_descriptions(text: str, scene: SceneWords) -> str:
     """`text` with the letter x in place of each description that identifies nothing further."""
     for match in first_matches(_CLAUSE, text):
-        phrase = noun_phrase_before(text, match.start())
+        remark = _THERE_IS.search(text, max(0, match.start() - 60), match.start())
+        phrase = f"the {remark['noun']}" if remark else noun_phrase_before(text, match.start())
         name = None if phrase is None else scene.identify(phrase)
-        if name is not None and _is_description(text, match, name, scene):
+        if name is not None and (remark or _is_description(text, match, name, scene)):
             text = fill(text, match.start(), match.end())
     for match in first_matches(_SOURCE, text):
         near = text[max(0, match.start() - 100) : match.end() + 100]
@@ -82,12 +84,14 @@ def mask_descriptions(text: str, scene: SceneWords) -> str:
 
 
 def ambiguous_descriptions(text: str, scene: SceneWords) -> Iterator[tuple[int, int]]:
-    """Start and end of each place that describes one of several objects: "the block on the left side of the table".
+    """Start and end of each position that describes one of several objects: "the block on the left side of the table".
 
-    Such a place has a name and would otherwise be read as a destination. Without the objects of the scene there is
+    A place has a name and would otherwise be read as a destination. Without the objects of the scene there is
     none.
     """
-    for match in first_matches(_DESCRIBING_PLACE, text):
+    for match in (*first_matches(_DESCRIBING_PLACE, text), *first_matches(_CLAUSE, text)):
+        if match.re is _CLAUSE and not match["relation"]:
+            continue
         phrase = noun_phrase_before(text, match.start()) if scene.graspable else None
         if phrase and scene.mentions(phrase, scene.graspable) and scene.identify(phrase) is None:
             yield match.start(), match.end()

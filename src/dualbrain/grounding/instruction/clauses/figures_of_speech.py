@@ -7,14 +7,18 @@ import re
 from dualbrain.grounding.instruction.clauses.scene_words import SceneWords, fill, first_matches
 
 _IDIOMS = re.compile(
-    r"\bdo not (?:hesitate|be (?:shy|afraid|late|lazy|silly|alarmed|scared|nervous|surprised)|ask(?: me)?(?: why| how)?"
-    r"|wait (?:any longer|for (?:me|us|him|her|anyone|anybody))|think twice|dawdle|delay|let me down|get me wrong"
+    r"\b(?:do|should|must|need|would|will) not (?:hesitate|be (?:shy|afraid|late|lazy|silly"
+    r"|alarmed|scared|nervous|surprised)|ask(?: me)?(?: why| how)?"
+    r"|wait(?= ?[,;:]| and\b)|wait (?:any longer|for (?:me|us|him|her|anyone|anybody))"
+    r"|think twice|dawdle|delay|let me down|get me wrong"
     r"|just (?:stand|sit|wait|lie|hang|stay)(?: around)?(?: there| here)?|panic|overthink(?: it)?|laugh|argue|complain"
     r"|take (?:too long|forever|all day)|waste (?:any |your |my )?time|fail me|disappoint me)\b"
     r"|\bwhy (?:do|does|did|are|is|would|should|can|could|have|has) not\b"
     r"|\b(?:can|could|would|will) not (?=(?:you|we|somebody|someone|the robot)\b)"
     r"|\bdo not you (?:think|want|agree|believe|see)\b|\bnot (?:tomorrow|later|yesterday) but now\b"
     r"|\byou (?:will|would|can|could|do) not (?:believe|regret|guess|imagine|be disappointed)\b"
+    r"|\b(?:is|are|does|do|would|will|can|could|should) not (?:it|you|that|we|there|he|she)(?= ?\?)"
+    r"|\b(?:not|never) (?:worry|mind|matter|care) (?:if|when|whether|that) [^.,;:!?]{1,60}|\bwould you not rather\b"
     r"|\b(?:once more|once again|one more time|again) with feeling\b"
     r"|\bi (?:will |must |have to |can only |am going to )?(?:say|repeat|ask|tell)(?: (?:it|you|this|that|myself))*"
     r"(?: again| once more| once again| one more time)?(?= ?[:,])"
