@@ -583,7 +583,8 @@ RULES: tuple[ClauseRule, ...] = (
             r"\bfor (?:each|every) [^.;!?]{0,80}\b(?:show|lift|hold|back|count|check|if|look|wait|tell|wipe"
             r"|turn|weigh)\b"
             r"|\band so (?:on|forth)\b"
-            r"|\btake turns\b|\bfrom side to side\b|\ba (?:second|third|fourth|fifth) time\b|\bet cetera\b|\band repeat\b"
+            r"|\btake turns\b|\bfrom side to side\b"
+            r"|\ba (?:second|third|fourth|fifth) time\b|\bet cetera\b|\band repeat\b"
         ),
     ),
     ClauseRule(
