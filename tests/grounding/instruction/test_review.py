@@ -142,7 +142,9 @@ def test_a_safety_function_near_the_verb_of_another_object_is_not_hostile(text):
     ],
 )
 def test_a_safety_function_as_the_object_of_the_verb_is_hostile(text):
-    assert find_hostile_request(normalise(text)).kind == "safety"
+    request = find_hostile_request(normalise(text))
+    assert request is not None
+    assert request.kind == "safety"
 
 
 def hostile_templates(*labels):

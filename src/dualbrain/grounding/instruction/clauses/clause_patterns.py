@@ -93,7 +93,7 @@ POLITE_CONDITION = re.compile(
     r"|\bunless (?:you (?:do )?mind|i am (?:wrong|mistaken)|it is (?:too much|a problem)"
     r"|that is (?:a problem|too much))\b"
     r"|\bif (?:you ask me|i were you|i (?:remember|recall)|i am (?:not mistaken|honest)|memory serves|anything)\b"
-    r"|\b(?:when|once|as soon as|whenever) (?:you (?:can|could|are ready|(?:get|find)"
+    r"|\b(?:when|once|as soon as|whenever) (?:you (?:can|could|like|wish|please|are ready|(?:get|find)"
     r" (?:the time|a (?:chance|minute|second|moment))|have (?:time"
     r"|a (?:moment|minute)))"
     r"|possible|convenient|it suits)\b"

@@ -12,6 +12,8 @@ _COUNTED = re.compile(
     r"|(?:all (?:of )?)?(?:the|these|those|my|our) (?P<number>two|three|four)|all (?P<all>two|three|four)) "
     r"(?P<noun>(?:\w+ ){0,2}?\w+s)\b"
 )
+_HOLDING = re.compile(r"\b(?:hold|holding|keep|above|hover)\b")
+"""What a hand does with one object at a time, and with no destination."""
 _NUMBERS = {"two": 2, "three": 3, "four": 4}
 _ACTIONS_PER_OBJECT = 2
 """A grasp and a placement."""
@@ -26,6 +28,8 @@ def mask_counts(text: str, scene: SceneWords) -> str:
     for match in first_matches(_COUNTED, text):
         number = _NUMBERS[match["number"] or match["all"] or "two"]
         fits = number * _ACTIONS_PER_OBJECT <= MAX_ACTIONS
+        if _HOLDING.search(text):
+            continue
         if fits and _count(match["noun"], scene) == number and scene.has_destination(text):
             text = fill(text, match.start(), match.start("noun") - 1)
     return text

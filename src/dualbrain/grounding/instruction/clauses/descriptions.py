@@ -60,7 +60,7 @@ _PUT_IT = re.compile(
     r"^ ?(?:,|;|\.|:|and|then)(?: (?:and|then|please))* "
     r"(?:put|place|drop|set|move|bring|lay|carry|stow|deposit|stand|take|transfer) (?:it|that|this)\b"
 )
-_INTO = re.compile(r"^ (?:please )?(?:in|into|inside|onto|to|on|at|over to)\b")
+_INTO = re.compile(r"^ (?:please )?(?:in|into|inside|onto|to|over to)\b")
 _INTO_LATER = re.compile(r"^ ?(?:[,:] )?(?:please )?(?:in|into|inside|onto|to|on|at|over to)\b")
 _SUBJECT = re.compile(
     r"^(?: ,)? (?:should|must|has|needs?|can|could|shall|ought|goes|go|belongs?|is to|may|will|comes?)\b"

@@ -19,6 +19,8 @@ _IDIOMS = re.compile(
     r"|\byou (?:will|would|can|could|do) not (?:believe|regret|guess|imagine|be disappointed)\b"
     r"|\b(?:is|are|does|do|would|will|can|could|should) not (?:it|you|that|we|there|he|she)(?= ?\?)"
     r"|\b(?:not|never) (?:worry|mind|matter|care) (?:if|when|whether|that) [^.,;:!?]{1,60}|\bwould you not rather\b"
+    r"|\buntil (?:now|today|recently)\b|\b(?:either way|in either case)\b"
+    r"|\bnot an? (?:\w+ ){0,2}?(?:task|job|problem|deal|request|thing|question|secret|joke)\b"
     r"|\b(?:once more|once again|one more time|again) with feeling\b"
     r"|\bi (?:will |must |have to |can only |am going to )?(?:say|repeat|ask|tell)(?: (?:it|you|this|that|myself))*"
     r"(?: again| once more| once again| one more time)?(?= ?[:,])"
