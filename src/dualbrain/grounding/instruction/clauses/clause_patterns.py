@@ -605,7 +605,7 @@ RULES: tuple[ClauseRule, ...] = (
     ClauseRule(
         "handing over",
         re.compile(
-            r"(?<!your )(?<!the )(?<!its )(?<!one )(?<!a )\bhand over (?:the|that|this|my|all)\b"
+            r"(?:^|[,.;:!?] |\b(?:please|and|then|you|to|now|just) )hand over (?:the|that|this|my|all)\b"
             r"|\b(?:give|hand|pass) (?:it|that|this|them) (?:over )?here\b"
         ),
         None,
