@@ -23,7 +23,6 @@ from dualbrain.simulation.scenes.scene_spec import FloorMap, KeepOutArea, check_
 from tests.simulation.mobile_base_cell import MobileBaseCell, drive_to_action
 
 PANDA = load_robot("panda")
-START = scene_from_spec(open_scene("sorting:0"))
 
 
 @given(st.integers(1, 12), st.integers(0, 12), st.booleans())
@@ -97,7 +96,8 @@ def check_placement(scene, name, destination, kind):
 def check_contract(after, contract, outcome):
     """The check of a given contract, without an instruction, on the scene `after`."""
     q = np.array(PANDA.home)
-    evidence = collect_evidence(START, after, contract, outcome, q, q, PANDA)
+    before = scene_from_spec(open_scene("sorting:0" if "red_block" in after.graspable else "bare:0"))
+    evidence = collect_evidence(before, after, contract, outcome, q, q, PANDA)
     return check_outcome("", outcome, contract, evidence).check
 
 

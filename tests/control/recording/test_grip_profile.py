@@ -44,9 +44,8 @@ def profiles(trace, *actions):
 
 
 def test_a_grip_that_a_place_ends():
-    trace = trace_of(
-        (0, 0.04, 0.0, 20), (0, 0.02, 20.0, 40), (1, 0.02, 18.0, 40), (1, 0.04, 0.0, 20), (-1, 0.04, 0.0, 9)
-    )
+    opened = (1, 0.04, 0.0, 20), (-1, 0.04, 0.0, 9)
+    trace = trace_of((0, 0.04, 0.0, 20), (0, 0.02, 20.0, 40), (1, 0.02, 18.0, 40), *opened)
     (one,) = profiles(trace, GRASP, PLACE)
     assert (one.object_name, one.max_force, one.first_opening, one.min_opening) == ("red_cube", 20.0, 0.02, 0.02)
     assert one.released
