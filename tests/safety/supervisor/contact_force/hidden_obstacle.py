@@ -25,19 +25,17 @@ HIDDEN = "hidden_wall"
 class HiddenObstacleCell:
     """A grasp of the red cube with a thin wall between hand and cube that the robot does not perceive."""
 
-    def __init__(
-        self, seed=0, *, robot="panda", supervised=True, share=0.5, noise=None, wall=True, recorder=None, trace=None
-    ):
+    def __init__(self, seed=0, *, robot="panda", supervised=True, wall=True, recorder=None, trace=None):
         robot_model = load_robot(robot)
         sensed = robot_model if supervised else msgspec.structs.replace(robot_model, force_sensing=None)
         self._wall = wall
         self.spec = make_scene("bare", seed, robot)
         if wall:
-            self.spec = self._with_wall(self.spec, robot_model, share)
+            self.spec = self._with_wall(self.spec, robot_model)
         self.plant = Plant(self.spec, sensed)
-        self.trace = trace or Trace(robot_model.n)
+        self.trace = Trace(robot_model.n) if trace is None else trace
         self._world = SimulatedWorld(
-            self.plant, NoisyPerception(self.spec, noise or PerceptionNoise(), np.random.default_rng(seed))
+            self.plant, NoisyPerception(self.spec, PerceptionNoise(), np.random.default_rng(seed))
         )
         self.loop = ControlLoop(
             sensed,
@@ -53,9 +51,9 @@ class HiddenObstacleCell:
         """True force on the wall [N] and its time [s], once per tick."""
 
     @staticmethod
-    def _with_wall(spec, robot_model, share):
+    def _with_wall(spec, robot_model):
         start = SafetyFilter(robot_model).tool(np.array(robot_model.home)).position
-        x, y, _ = start + share * (np.array(spec.find("red_cube").position) - start)
+        x, y, _ = start + 0.5 * (np.array(spec.find("red_cube").position) - start)
         wall = ObjectSpec(
             name=HIDDEN,
             role="obstacle",
