@@ -50,7 +50,6 @@ from dualbrain.runtime.data_collection.rollouts import (
 )
 from dualbrain.runtime.data_collection.synthetic_scenes import generate_examples, scene_context_by_name
 from dualbrain.runtime.planning_time import PLANNING_TIME
-from dualbrain.simulation.world import contract_goals
 from experiments.adaptation.free_answers import FreeAnswerModel, Sampling
 from experiments.engine.experiment import Row
 from experiments.planning.language import is_right, score_question
@@ -306,13 +305,14 @@ def no_motion_row(outcome: str) -> Row:
 def outcome_row(episode: Episode) -> Row:
     """The fields of an episode; times [s] include the fixed planning time of every planner.
 
-    "done": the robot reports success, and ground truth agrees if an object was placed.
+    "done": the robot reports success, and ground truth agrees where it can judge; it must judge a placement.
     """
     outcome, judgement = episode.outcome, episode.judgement
     if episode.contract is None:
         return no_motion_row(outcome.kind)
-    places = contract_goals(msgspec.convert(episode.contract, Contract)) is not None
-    truth = not places or bool(judgement and judgement.success)
+    contract = msgspec.convert(episode.contract, Contract)
+    places = any(action.skill == "place" for action in contract.action_sequence)
+    truth = judgement.success if judgement and judgement.judged else not places
     return {
         "outcome": outcome.kind,
         "Delta": outcome.Delta,

@@ -29,7 +29,17 @@ from dualbrain.memory.memory import StoreReport
 from dualbrain.planner.prompt.full_prompt import MAX_RECALLED
 from dualbrain.planner.protocol import STOP, describe_failure, has_answer
 from dualbrain.planner.request import PlanRequest
-from dualbrain.records import Attempt, Episode, FailureFeedback, Judgement, Outcome, Proposal, RetrievedContext, Scene
+from dualbrain.records import (
+    Attempt,
+    Episode,
+    FailureFeedback,
+    Judgement,
+    JudgementBasis,
+    Outcome,
+    Proposal,
+    RetrievedContext,
+    Scene,
+)
 from dualbrain.runtime.agent import Agent
 from dualbrain.runtime.local_answer import STOPPED, InstructionCheck, answer_locally, local_proposal, reject_mismatch
 from dualbrain.runtime.planner_request import PlanningContext, build_request, retrieve
@@ -287,7 +297,8 @@ def _judge_stop(outcome: Outcome, judgement: Judgement | None) -> Judgement | No
     """The judgement of a stop command: a robot at rest fulfils it; violations count as always."""
     if judgement is None or outcome.kind != "succeeded":
         return judgement
-    return msgspec.structs.replace(judgement, success=True, progress=1.0)
+    basis = JudgementBasis(reason="The robot stopped, as the stop command states.")
+    return msgspec.structs.replace(judgement, success=True, progress=1.0, basis=basis)
 
 
 # --- verdicts ---------------------------------------------------------------------------------------------------------

@@ -23,7 +23,7 @@ from tests.stories.story_session import (
 
 PICK = contract_text(("grasp", GRASP), ("place", PLACE))
 FAST = contract_text(("grasp", {**GRASP, "speed": 30.0}), ("place", PLACE))
-WORDS = "how hard may I grip the red cube when I put it in the bowl"
+WORDS = "grip the red cube with a force that it bears and put it in the bowl"
 
 
 @pytest.fixture
@@ -84,7 +84,7 @@ def test_a_planner_that_does_not_answer_is_called_once_and_nothing_is_rejected(r
 
 def test_memories_and_passages_are_shown_with_their_scores_and_citations(run_command, script, tmp_path):
     config = run_config(tmp_path, ledger=tmp_path / "ledger.sqlite")
-    run_session(config, hold_contract())
+    run_session(replace(config, instruction="hold still"), hold_contract())
     before = config.ledger.read_bytes()
     planner = script(PICK)
     arguments = ("plan", WORDS, "--scene", "bare:0", "--ledger", str(config.ledger))

@@ -4,6 +4,8 @@ import pytest
 
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.run.execution import exit_code
+from dualbrain.runtime import local_answer
+from dualbrain.skills.arm import grasp
 from tests.stories.story_session import (
     GRASP,
     PLACE,
@@ -27,12 +29,25 @@ def verdicts(story):
     return {one.sense: one.verdict for one in story.episode.senses}
 
 
+def press_at_once(arm, name, bound, open_fingers):
+    """A grasp that closes with the largest force allowed, without a search for the least one that holds."""
+    if why := (yield from arm.close_gripper(bound)):
+        return why
+    arm.record_grasp(arm.find_object(name))
+    arm.watch_load(arm.find_object(name))
+    return None
+
+
 @pytest.mark.parametrize(("force", "check"), [(60.0, "disagrees"), (9.0, "agrees")])
-def test_a_glass_is_a_confirmed_success_only_if_it_was_not_broken(tmp_path, force, check):
-    """The broken glass is at its place, and the skills report success."""
-    grasp = ("grasp", GRASP | {"object": "clear_glass", "force": force})
-    place = ("place", PLACE | {"destination": "table_left"})
-    story = run(tmp_path, "put the glass on the left side of the table", grasp, place, scene="fragile:74000")
+def test_a_glass_is_a_confirmed_success_only_if_it_was_not_broken(tmp_path, monkeypatch, force, check):
+    """The broken glass is at its place, and the skills report success: they press with the force of the contract."""
+    monkeypatch.setattr(grasp, "max_grip_force", lambda robot_model, obj, force: force)
+    monkeypatch.setattr(grasp, "_find_holding_force", press_at_once)
+    steps = (
+        ("grasp", GRASP | {"object": "clear_glass", "force": force}),
+        ("place", PLACE | {"destination": "table_left"}),
+    )
+    story = run(tmp_path, "put the glass on the left side of the table", *steps, scene="fragile:74000")
     assert story.episode.outcome.kind == "succeeded"
     assert verdicts(story)["placed"] == "confirmed"
     assert verdicts(story)["intact"] == ("confirmed" if check == "agrees" else "contradicted")
@@ -42,7 +57,9 @@ def test_a_glass_is_a_confirmed_success_only_if_it_was_not_broken(tmp_path, forc
     assert bool(story.result.store_report.weight_updates) == (check == "agrees")
 
 
-def test_a_cube_in_the_bowl_is_not_left_of_it(tmp_path):
+def test_a_cube_in_the_bowl_is_not_left_of_it(tmp_path, monkeypatch):
+    """A planner that drops the clause, and no check of the clause before it."""
+    monkeypatch.setattr(local_answer, "review_instruction", lambda *words, **languages: None)
     story = run(tmp_path, "place the red cube to the left of the bowl", ("grasp", CUBE), ("place", PLACE))
     assert story.episode.changes == "red cube in blue bowl; nothing else moved"
     assert story.episode.second_opinion == "disagrees"

@@ -27,7 +27,7 @@ class ContactForceLimits(msgspec.Struct, frozen=True, kw_only=True):
     stop_factor: Bound = Bound(1.5, "", "site policy; 60 N with the default of `permitted`")
     stop_time: Bound = Bound(0.05, "s", "time in which a yielding arm reduces the force of a rigid contact at 5 cm/s")
     release_share: Bound = Bound(0.5, "", "half of `permitted`, so that the arm does not alternate at one force")
-    full_speed_share: Bound = Bound(0.25, "", "above the error of the estimate on the packaged robots")
+    full_speed_share: Bound = Bound(0.5, "", "20 N, as `unexpected`: a push with friction stays below it")
     deceleration: Bound = Bound(1.0, "m/s^2", "half of the braking along a row that `SpeedAndSeparation` assumes")
     recovery: Bound = Bound(0.02, "m/s^2", "site policy; 2.5 s from rest to 5 cm/s")
 

@@ -120,7 +120,7 @@ def test_without_a_reading_nothing_is_estimated():
 
 def test_the_permitted_speed_falls_to_zero_at_the_permitted_force():
     most = LIMITS.permitted.value
-    assert speed_scale(0.0, LIMITS) == speed_scale(0.25 * most, LIMITS) == 1.0
+    assert speed_scale(0.0, LIMITS) == speed_scale(0.5 * most, LIMITS) == 1.0
     assert speed_scale(most, LIMITS) == speed_scale(2.0 * most, LIMITS) == 0.0
     scales = [speed_scale(force, LIMITS) for force in np.linspace(0.0, most, 50)]
     assert np.all(np.diff(scales) <= 0.0)
