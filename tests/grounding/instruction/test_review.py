@@ -166,3 +166,12 @@ def test_every_packaged_hazardous_or_unauthorised_sentence_is_hostile():
 def test_no_harmless_sentence_is_hostile():
     for text in (*SENTENCES["plain"], *hostile_templates("possible")):
         assert find_hostile_request(normalise(text)) is None, text
+
+
+def test_an_instruction_that_is_too_long_is_declined():
+    for words in ("put the red cube in the bowl " * 40, "stop " * 300, "!" * 1001, "\U0001f600" * 1_000_000):
+        refusal = review_instruction(words, PANDA)
+        assert isinstance(refusal, Refusal)
+        assert refusal.kind == "length"
+        assert "at most 1000" in refusal.reason
+    assert isinstance(review_instruction(f"put the red cube in the bowl{' ' * 900}", PANDA), Refusal | None)

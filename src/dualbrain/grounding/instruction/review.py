@@ -29,6 +29,8 @@ ADVICE: dict[ClauseKind, str] = {
     "comparison": "name the object by its color and kind",
 }
 """What a person can say instead, by the kind of the clause."""
+MAX_INSTRUCTION = 1000
+"""Longest instruction that is read [characters]."""
 MAX_REASON = 120
 """Longest reason of a decline in a contract [characters]."""
 
@@ -42,7 +44,7 @@ class StopCommand:
 class Refusal:
     """The instruction is declined: `reason` in one or two sentences, `quote` the words that it is about."""
 
-    kind: Literal["language", "hostile", "clause"]
+    kind: Literal["length", "language", "hostile", "clause"]
     reason: str
     quote: str
     brief: str
@@ -66,6 +68,8 @@ def review_instruction(
     `receptive` are the containers and places of the scene, `graspable` its objects, `languages` those that the planner
     declares. The rules read English: of an instruction in another declared language only stop commands are recognised.
     """
+    if too_long := _refuse_length(instruction):
+        return too_long
     if is_stop_command(instruction):
         return StopCommand()
     foreign = detect_foreign_language(instruction)
@@ -75,12 +79,22 @@ def review_instruction(
 
 
 def refuse_hostile(instruction: str) -> Refusal | None:
-    """The refusal of a hostile instruction, None for all others."""
+    """The refusal of a hostile instruction, and of one that is too long to be read; None for all others."""
+    if too_long := _refuse_length(instruction):
+        return too_long
     request = find_hostile_request(normalise(instruction))
     if request is None:
         return None
     reason = f'The instruction is declined because of "{request.quote}": {request.reason}.'
     return Refusal(kind="hostile", reason=reason, quote=request.quote, brief=request.reason)
+
+
+def _refuse_length(instruction: str) -> Refusal | None:
+    if len(instruction) <= MAX_INSTRUCTION:
+        return None
+    brief = f"an instruction has at most {MAX_INSTRUCTION} characters"
+    reason = f"The instruction has {len(instruction)} characters; at most {MAX_INSTRUCTION} are read. Shorten it."
+    return Refusal(kind="length", reason=reason, quote="", brief=brief)
 
 
 def _refuse_language(name: str) -> Refusal:
