@@ -230,7 +230,8 @@ def _print_result(console: Console, result: RunResult) -> None:
                 f"[red]violation[/] {violation.kind} at {violation.start:.2f} s: {' × '.join(violation.bodies)}"
             )
     console.print(escape(describe_judgement(episode)))
-    for one in episode.senses:
+    moved = episode.contract is not None and episode.outcome.kind != "declined"
+    for one in episode.senses if moved else ():
         console.print(f"[dim]sense {one.sense}: {one.verdict}: {escape(one.reason)}[/]")
     if is_not_judged(episode):
         console.print("[yellow]It was not judged whether the instruction was carried out.[/]")

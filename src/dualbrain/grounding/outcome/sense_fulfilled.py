@@ -33,6 +33,8 @@ def judge_fulfilled(goal: Goal | Unread, evidence: Evidence) -> SenseVerdict:
         return SenseVerdict(NAME, "not judged", goal.reason)
     if goal.decline:
         return _judge_decline(goal, evidence)
+    if evidence.declined and (reason := goal.beyond_contracts):
+        return SenseVerdict(NAME, "confirmed", f"The instruction was declined, and rightly: {reason}.")
     if evidence.declined:
         return SenseVerdict(NAME, "contradicted", "The instruction was declined, although a skill can carry it out.")
     holds = {condition: condition_holds(condition, evidence) for condition in goal.conditions}

@@ -29,6 +29,8 @@ Direction = Literal["toward", "away_from", "left", "right", "forward", "backward
 """Direction of a push: relative to a reference, or in the frame of the robot (forward: away from the robot)."""
 Movement = Literal["still", "home", "rest", "drive"]
 """How the robot ends: without any motion, at rest in its home posture, either of both, or at a place."""
+CONTRACT_RELATIONS: tuple[Relation, ...] = ("in", "on", "at")
+"""Relations that a contract can state: its destinations are containers and places."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +97,18 @@ class Goal:
     decline: str = ""
     movable: frozenset[str] = field(default_factory=frozenset)
     ordered: bool = False
+
+    @property
+    def beyond_contracts(self) -> str:
+        """The first condition that no contract can state, in words; "" if contracts can state all of them."""
+        for one in self.conditions:
+            if isinstance(one, Placed) and one.relation not in CONTRACT_RELATIONS:
+                return f'no contract can state "{one.relation.replace("_", " ")}"'
+            if isinstance(one, Held) and one.handed:
+                return "no contract can state that a person takes an object"
+            if isinstance(one, Pushed) and one.direction != "toward":
+                return f'no contract can state a push "{one.direction.replace("_", " ")}"'
+        return ""
 
     @property
     def ends_at_home(self) -> bool:
