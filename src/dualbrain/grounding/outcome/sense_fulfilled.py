@@ -31,12 +31,8 @@ def judge_fulfilled(goal: Goal | Unread, evidence: Evidence) -> SenseVerdict:
     """Whether the instruction was carried out; a correct decline counts as that, a wrong one does not."""
     if isinstance(goal, Unread):
         return SenseVerdict(NAME, "not judged", goal.reason)
-    if goal.decline:
+    if goal.decline or evidence.declined:
         return _judge_decline(goal, evidence)
-    if evidence.declined and (reason := goal.beyond_contracts):
-        return SenseVerdict(NAME, "confirmed", f"The instruction was declined, and rightly: {reason}.")
-    if evidence.declined:
-        return SenseVerdict(NAME, "contradicted", "The instruction was declined, although a skill can carry it out.")
     holds = {condition: condition_holds(condition, evidence) for condition in goal.conditions}
     others = others_unmoved(goal, evidence)
     if reason := _contradiction(goal, evidence, holds, others):
@@ -73,9 +69,12 @@ def _words(name: str) -> str:
 
 
 def _judge_decline(goal: Goal, evidence: Evidence) -> SenseVerdict:
-    if evidence.declined:
-        return SenseVerdict(NAME, "confirmed", f"The instruction was declined, and rightly: {goal.decline}.")
-    return SenseVerdict(NAME, "contradicted", f"The instruction was to be declined: {goal.decline}.")
+    reason = goal.decline or goal.beyond_contracts
+    if not evidence.declined:
+        return SenseVerdict(NAME, "contradicted", f"The instruction was to be declined: {reason}.")
+    if not reason:
+        return SenseVerdict(NAME, "contradicted", "The instruction was declined, although a skill can carry it out.")
+    return SenseVerdict(NAME, "confirmed", f"The instruction was declined, and rightly: {reason}.")
 
 
 def _wrong_order(goal: Goal, evidence: Evidence) -> str:
