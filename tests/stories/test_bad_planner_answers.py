@@ -8,6 +8,7 @@ import pytest
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.run.execution import exit_code, run_summary
 from dualbrain.contracts.verdict import Accepted, Rejected
+from dualbrain.grounding.instruction.review import MAX_INSTRUCTION
 from dualbrain.planner.prompt.full_prompt import render
 from dualbrain.planner.protocol import describe_failure
 from tests.stories.story_session import (
@@ -151,6 +152,9 @@ def test_an_unreadable_or_empty_instruction_ends_in_a_recorded_decline(instructi
     assert exit_code(story.episode) == ExitCode.REJECTED
     assert story.displacement < MAX_DISPLACEMENT
     assert len(ledger_episodes(story.config.ledger)) == 1
+    if len(instruction) > MAX_INSTRUCTION:
+        assert story.planner.requests == []
+        return
     prompt = render(story.planner.requests[0])[-1]["content"]
     inside = prompt.split("<instruction>")[1].split("</instruction>")[0]
     assert "<" not in inside
