@@ -31,7 +31,8 @@ COMMAND = (
     r"don't|never|leave)\b"
 )
 CLAUSE_ENDS = re.compile(
-    r" {0,2}[.;!?]+ {0,2}|,? {0,2}\b(?:and )?(?:then|after that|afterwards|once that is done|when that is done)\b,? {0,2}"
+    r" {0,2}[.;!?]+ {0,2}"
+    r"|,? {0,2}\b(?:and )?(?:then|after that|afterwards|once that is done|when that is done)\b,? {0,2}"
     rf"|,? {{1,2}}(?:and|but) {{1,2}}(?={COMMAND})|, {{0,2}}(?={COMMAND})"
 )
 CONDITIONAL = re.compile(
