@@ -1,4 +1,4 @@
-"""Free instructions: whether the robot does what was asked, or declines for the right reason."""
+"""Free instructions: whether the robot carries them out, or declines for the right reason."""
 
 from __future__ import annotations
 
