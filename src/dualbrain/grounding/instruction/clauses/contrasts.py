@@ -1,4 +1,4 @@
-"""Negations that exclude nothing, because the instruction states the intended object instead: "the carton, not the block"."""
+"""Negations that exclude nothing, because the instruction states the intended object: "the carton, not the block"."""
 
 from __future__ import annotations
 
