@@ -9,6 +9,7 @@
 #include "qp/dbk_intervention.h"
 #include "qp/dbk_qp.h"
 #include "qp/dbk_relaxation.h"
+#include "qp/dbk_retreat.h"
 #include "qp/dbk_warm_start.h"
 #include "speed/dbk_speed_limit.h"
 
@@ -148,16 +149,23 @@ static int32_t search_trust_regions(const dbk_model *model, const dbk_scene *sce
   return found > 0;
 }
 
+/* minimises the violation of the rows. Returns DBK_RETREAT if the robot evades all obstacles whose rows are violated */
+static int32_t relax(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_real *u_prev,
+                     const dbk_real *brake, dbk_real *u, dbk_out *out) {
+  dbk_real required[DBK_MAX_ROWS];
+  const int32_t count = ctx->rows.count, possible = !ctx->rows.unavoidable;
+  for (int32_t r = 0; r < count; ++r) { required[r] = ctx->rows.b[r]; }
+  out->relaxed = dbk_relax(model, scene, ctx, brake, u);
+  ctx->n_warm = 0;
+  return possible && dbk_retreats_in_time(model, scene, ctx, required, count, u_prev, u) ? DBK_RETREAT : 0;
+}
+
 /* solves the problem with all rows, or minimises their violation */
 static int32_t solve_full(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_real *u_nom,
-                          const dbk_real *brake, dbk_real *u, dbk_out *out) {
+                          const dbk_real *u_prev, const dbk_real *brake, dbk_real *u, dbk_out *out) {
   if (nominal_is_safe(model, scene, ctx, u_nom, u, out)) { return 0; }
   const int32_t failed = optimise(model, scene, ctx, u_nom, brake, u, out);
-  if (failed & DBK_INFEASIBLE) {
-    out->relaxed = dbk_relax(model, scene, ctx, brake, u);
-    ctx->n_warm = 0;
-  }
-  return failed;
+  return failed & DBK_INFEASIBLE ? failed | relax(model, scene, ctx, u_prev, brake, u, out) : failed;
 }
 
 /* Keeps u if the next state is certified. Otherwise u moves in four steps toward braking, never toward zero, until the
@@ -171,6 +179,7 @@ static int32_t certify(const dbk_model *model, const dbk_scene *scene, dbk_ctx *
   for (int32_t k = 0; k < n; ++k) { start[k] = u[k]; }
   for (int32_t tries = 0; tries <= 4; ++tries) {
     const dbk_real part = (dbk_real)0.25 * (dbk_real)tries;
+    if (tries > 0) { *flags &= ~DBK_RETREAT; } /* braking instead of the retreat */
     for (int32_t k = 0; k < n; ++k) {
       u[k] = dbk_clamp(start[k] + part * (brake[k] - start[k]), ctx->lower[k], ctx->upper[k]);
     }
@@ -235,7 +244,7 @@ static dbk_status full_step(const dbk_model *model, const dbk_scene *scene, dbk_
     out->iterations = out->n_active = out->relaxed = 0;
     return finish(model, ctx, in, DBK_STOPPED, flags, 0, brake, out);
   }
-  flags |= solve_full(model, scene, ctx, in->u_nom, brake, u, out);
+  flags |= solve_full(model, scene, ctx, in->u_nom, ctx->u_prev, brake, u, out);
   if (flags & DBK_QP_ITERATIONS) { return finish(model, ctx, in, DBK_STOPPED, flags, 0, brake, out); }
   const int32_t relaxed = (flags & (DBK_INFEASIBLE | DBK_UNAVOIDABLE)) != 0;
   const int32_t certified = certify(model, scene, ctx, in, brake, relaxed, u, &flags);
@@ -275,7 +284,7 @@ dbk_status dbk_project(const dbk_model *model, const dbk_scene *scene, dbk_ctx *
     dbk_trust_region_full(model, ctx);
     flags |= build(model, scene, ctx, in->scene_age, extra, 1);
     if (!(flags & (DBK_ROW_OVERFLOW | DBK_NO_GRADIENT))) {
-      flags |= solve_full(model, scene, ctx, in->u_nom, brake, u, &ignored);
+      flags |= solve_full(model, scene, ctx, in->u_nom, u_prev, brake, u, &ignored);
       if (!(flags & DBK_QP_ITERATIONS)) { return (flags & DBK_INFEASIBLE) ? DBK_RELAXED : DBK_MODIFIED; }
     }
   }

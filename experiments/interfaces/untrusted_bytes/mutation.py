@@ -129,7 +129,7 @@ def mutate_bytes(kind: str, data: bytes, rng: np.random.Generator) -> bytes:
     """All bytes, shortened or compressed."""
     match kind:
         case "truncated":
-            return data[: int(rng.integers(1, len(data)))]
+            return data[: int(rng.integers(1, len(data.rstrip())))]  # without white space alone at the end
         case "compressed":
             return _COMPRESSED[int(rng.integers(len(_COMPRESSED)))](data)
         case "no bytes":

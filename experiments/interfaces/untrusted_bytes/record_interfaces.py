@@ -129,9 +129,8 @@ def _table(path: Path) -> ByteInterface:
         return bytes(data)
 
     def read(data: bytes) -> None:
-        path.write_bytes(data)
-        with patch.object(parquet, "stream_bounded", stream_in_process):
-            rows, _ = parquet.read_results(path)
+        path.write_bytes(data)  # in a process: the Parquet library ends its process on some damaged files
+        rows, _ = parquet.read_results(path)
         refuse_if(len(rows) > 10_000, "too many rows")
 
     return ByteInterface(

@@ -21,7 +21,8 @@ MAX_LEAD = 5e-3
 class Reason(IntFlag):
     """Reasons for the status of a step; several may apply. The bits are those of the kernel.
 
-    JERK and OVERSPEED are for information and occur with every status; UNVERIFIED also occurs with MODIFIED.
+    JERK and OVERSPEED are for information and occur with every status; UNVERIFIED also occurs with MODIFIED. RETREAT
+    occurs with INFEASIBLE in a RELAXED step: each row that cannot be satisfied is of an obstacle that the robot evades.
     """
 
     BAD_INPUT = 1
@@ -38,6 +39,7 @@ class Reason(IntFlag):
     JERK = 2048
     UNVERIFIED = 4096
     OVERSPEED = 8192
+    RETREAT = 16384
 
 
 class StopCause(StrEnum):
@@ -75,6 +77,7 @@ REASON_TEXTS = {
     "UNCERTIFIED": "not even braking keeps clear",
     "UNAVOIDABLE": "something comes at a part that cannot move away",
     "OVERSPEED": "no control within the joint limits keeps the speed limits, and no part is faster than under braking",
+    "RETREAT": "the retreat ends the approach of the obstacle in time",
     "UNVERIFIED": "the independent check rejected the solution of the optimisation",
 }
 """Texts of the reasons. They become part of outcomes, and so of the prompt of a planner that plans again."""

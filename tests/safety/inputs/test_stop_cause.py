@@ -25,7 +25,7 @@ from tests.safety import random_scenes
 
 ROOT = Path(__file__).parents[3]
 STOPPED, FAULT = FilterStatus.STOPPED, FilterStatus.FAULT
-INFORMATION = (Reason.JERK, Reason.OVERSPEED)
+INFORMATION = (Reason.JERK, Reason.OVERSPEED, Reason.RETREAT)
 """Reasons that never stop a step."""
 
 

@@ -28,7 +28,7 @@ class FilterStatus(IntEnum):
 
     - SAFE: u is u_nom.
     - MODIFIED: u is the closest safe control.
-    - RELAXED: no control satisfies all rows; u is the hardest admissible braking.
+    - RELAXED: no control satisfies all rows; u violates them least. With `Reason.RETREAT` u evades an obstacle in time.
     - STOPPED: the input is invalid or stale, or a limit of the kernel was reached; u brakes.
     - FAULT: h ≥ 0 cannot be certified for the next step, even for braking.
     """
@@ -201,7 +201,7 @@ class FilterResult(msgspec.Struct, frozen=True, eq=False, gc=False):  # numbers 
         if self.status is FilterStatus.MODIFIED:
             return f"{self._describe_rows()}: {self._describe_change()}{fast}"
         why = (
-            "; ".join(REASON_TEXTS[flag.name] for flag in self.reason if flag.name in REASON_TEXTS)
+            "; ".join(REASON_TEXTS[flag.name] for flag in self.reason & ~Reason.RETREAT if flag.name in REASON_TEXTS)
             or "a limit of the box"
         )
         pairs = f": {self._describe_rows()}" if self.binding_rows else ""
@@ -210,7 +210,8 @@ class FilterResult(msgspec.Struct, frozen=True, eq=False, gc=False):  # numbers 
             if self.relaxed_ranks
             else ""
         )
-        sentence = f"{self.status.name.lower()}, braking: {why}{pairs}{relaxed}"
+        retreat = f"; {REASON_TEXTS['RETREAT']}" if self.flags & Reason.RETREAT else ""
+        sentence = f"{self.status.name.lower()}, {'retreating' if retreat else 'braking'}: {why}{pairs}{relaxed}{retreat}"
         return f"{sentence}; {self._describe_stop()}" if remedy and self.status >= FilterStatus.STOPPED else sentence
 
     def _describe_stop(self) -> str:

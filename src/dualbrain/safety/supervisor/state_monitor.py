@@ -178,15 +178,18 @@ def max_abs(values: list[float]) -> float:
     return max(map(abs, values))
 
 
-STALE_SCENE = int(Reason.STALE_SCENE)
+STALE_SCENE, RETREAT = int(Reason.STALE_SCENE), int(Reason.RETREAT)
 
 
 def result_conditions(result: FilterResult) -> int:
-    """Bits for a filter result; a stale scene is a condition of the scene, not of the filter."""
+    """Bits for a filter result; a stale scene is a condition of the scene, not of the filter.
+
+    A retreat that ends the approach of an obstacle in time is no condition: the robot evades within its acceleration.
+    """
     if result.status < FilterStatus.RELAXED:
         return 0
     if result.status is FilterStatus.RELAXED:
-        return C.INFEASIBLE
+        return 0 if result.flags & RETREAT else C.INFEASIBLE
     if result.status is FilterStatus.FAULT:
         return C.FILTER_FAULT
     return C.SCENE_STALE if result.flags & ~int(Reason.JERK) == STALE_SCENE else C.FILTER_STOPPED
