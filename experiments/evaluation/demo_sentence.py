@@ -36,13 +36,13 @@ class DemoSentence:
     )
 
     def units(self, options: Options) -> list[WorkUnit]:
-        """Scene by scene, wordings and planners in turn; `--planner packaged` for all packaged planners."""
+        """Wording by wording, scenes and planners in turn; `--planner packaged` for all packaged planners."""
         return [
             WorkUnit(
                 f"scene {scene} wording {wording} {planner}", {"scene": scene, "wording": wording, "planner": planner}
             )
-            for scene in range(FIRST_SCENE, FIRST_SCENE + N_SCENES)
             for wording in range(len(WORDINGS))
+            for scene in range(FIRST_SCENE, FIRST_SCENE + N_SCENES)
             for planner in planners_of(options.planner)
         ]
 

@@ -211,7 +211,8 @@ class FilterResult(msgspec.Struct, frozen=True, eq=False, gc=False):  # numbers 
             else ""
         )
         retreat = f"; {REASON_TEXTS['RETREAT']}" if self.flags & Reason.RETREAT else ""
-        sentence = f"{self.status.name.lower()}, {'retreating' if retreat else 'braking'}: {why}{pairs}{relaxed}{retreat}"
+        verb = "retreating" if retreat else "braking"
+        sentence = f"{self.status.name.lower()}, {verb}: {why}{pairs}{relaxed}{retreat}"
         return f"{sentence}; {self._describe_stop()}" if remedy and self.status >= FilterStatus.STOPPED else sentence
 
     def _describe_stop(self) -> str:
