@@ -80,6 +80,7 @@ class Session:
         self.causes: Counter[str] = Counter()
         self.q = self.driver.read().q
         self.ticks, self.jerk_dropped, self.largest_jerk, self.states_missed = 0, 0, 0.0, 0
+        self.commands_lost = 0
         self._u = self._u_before = np.zeros(7)
         self.first_stop, self.success_rate = "", 1.0
         self._sequence = self.driver.read().sequence
@@ -90,6 +91,8 @@ class Session:
         state = self.driver.read()
         if self.driver.faults():
             return False
+        if not state.executes(self._u) and state.desired_v is not None and state.desired_a is not None:
+            self._continue(state.desired_v, state.desired_a)
         result = self._filter(state.q, state.v, wish)
         self.driver.write(Command(result.u, 0.0, 0.0))
         jerk = np.abs(result.u - 2.0 * self._u + self._u_before) / self.j_max / self.robot_model.period**2
@@ -108,6 +111,13 @@ class Session:
         self.q = state.q
         return not self.driver.faults()
 
+    def _continue(self, v: Array, a: Array) -> None:
+        """Continue the motion of the arm after a lost command, as `SafetyController.continue_desired_motion` does."""
+        change = a * self.robot_model.period
+        self._filter.reset(v, change)
+        self._u, self._u_before = v, v - change
+        self.commands_lost += 1
+
     def row(self) -> Row:
         """What happened, as a row of the log."""
         return {
@@ -117,6 +127,7 @@ class Session:
             "jerk_dropped": self.jerk_dropped,
             "largest_jerk": self.largest_jerk,
             "states_missed": self.states_missed,
+            "commands_lost": self.commands_lost,
             "causes": dict(self.causes),
             "first_stop": self.first_stop,
             "success_rate": self.success_rate,
@@ -213,11 +224,12 @@ class FrankaLimits:
             "sessions",
             "simulated time",
             "approaches",
-            "reflexes (after lost packets)",
+            "reflexes (after late packets)",
             "largest jerk, share of the filter's limit",
             "jerk limit dropped",
             "status " + " / ".join(status.name for status in FilterStatus),
             "states missed",
+            "commands lost",
         )
         reflexes = [
             (row["key"], "; ".join(row["faults"]), row["ticks"], f"{row['success_rate']:.0%}")
@@ -258,4 +270,5 @@ def _line(kind: str, rows: list[Row]) -> tuple[object, ...]:
         sum(row["jerk_dropped"] for row in rows),
         " / ".join(str(status[one.name]) for one in FilterStatus),
         sum(row["states_missed"] for row in rows),
+        sum(row.get("commands_lost", 0) for row in rows),
     )

@@ -49,7 +49,7 @@ struct Kernel {
   // delta_rows, delta_box, h_min, certified, iterations, n_rows, active rows (packed: three int32 and two doubles
   // each), relaxed; after a step with the status STOPPED or FAULT also with 0 and the evidence, see stop_evidence
   void set_result_type(nb::object type, nb::object status_objects);
-  void reset(const Array &u_prev);
+  void reset(const Array &u_prev, const Array &u_change);
   // `opening` is a number, or Ellipsis if it is unknown (None would take a slower call): then the finger spheres cover
   // every opening
   nb::object step(nb::handle q, nb::handle v, nb::handle u_nom, nb::handle opening, nb::handle state_age,

@@ -22,9 +22,10 @@ void Kernel::set_result_type(nb::object type, nb::object status_objects) {
   statuses = std::move(status_objects);
 }
 
-void Kernel::reset(const Array &u_prev) {
+void Kernel::reset(const Array &u_prev, const Array &u_change) {
   dbk_init(ctx.get());
   copy(u_prev, ctx->u_prev, n, "u_prev");
+  copy(u_change, ctx->u_change, n, "u_change");
   std::memcpy(ctx->u_nom_prev, ctx->u_prev, sizeof ctx->u_prev);
 }
 

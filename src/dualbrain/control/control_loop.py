@@ -251,6 +251,7 @@ class ControlLoop:
         if nominal.phase != self._phase or nominal.holding is not self._holding:
             self._update_phase_and_grasp(nominal)
             nominal = replace(nominal, u=self.controller.reproject(nominal.u))
+        self._continue_desired_motion(now)
         if self.safety_controller.retreating:
             nominal = replace(nominal, u=self._retreat_control())
         result = self.safety_controller.control(self.state, nominal.u, now, guard=self.config.guard)
@@ -268,6 +269,13 @@ class ControlLoop:
         self._read_sensors()
         self._mark_part("sense")
         return result
+
+    def _continue_desired_motion(self, now: float) -> None:
+        """Record a command that the robot did not receive; the filter continues the motion that the robot executes."""
+        if (continued := self.safety_controller.continue_desired_motion(self.state)) is not None:
+            u, change = continued
+            self.log.call(self.state.stamp, "reset", u_prev=u, u_change=change)
+            self.log.note(now, "command_lost", "the robot did not receive a command and continued the one before")
 
     def _retreat_control(self) -> Array:
         """The nominal control that replaces the skill's while the arm yields to a contact force."""

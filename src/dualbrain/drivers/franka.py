@@ -2,7 +2,9 @@
 
 The controller of the arm aborts a motion that violates a limit of velocity, acceleration (`velocity_discontinuity`) or
 jerk (`acceleration_discontinuity`), or that misses 20 packets in a row; the driver then reports a fault and a disabled
-drive. The driver changes no command, so the filter must limit the jerk (`FilterConfig(jerk_limits=True)`).
+drive. The driver changes no command, so the filter must limit the jerk (`FilterConfig(jerk_limits=True)`). The arm
+continues a lost packet at constant acceleration; the states report it (`desired_v`, `desired_a`), and the next command
+continues it.
 
 A stop through this interface ends the motion, and the controller brakes the arm; only the user stop of the arm engages
 the brakes. Panda arms (system version 4) use an older protocol, which this library does not support.
@@ -223,4 +225,6 @@ class FrankaDriver:
             opening=opening,
             finger_forces=(force, force),
             drive_enabled=drive_enabled,
+            desired_v=np.array(raw.dq_d),
+            desired_a=np.array(raw.ddq_d),
         )

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from dualbrain.robots.model import RobotModel
 
 Array = NDArray[np.float64]
+COMMAND_TOLERANCE = 1e-6
+"""Largest difference [rad/s] between a control and the reported command that is due to rounding."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,6 +25,9 @@ class RobotState:
     `torques` (n,) [Nm] are the mean motor torques since the state before, 0 for the joints of a mobile base. `wrench`
     (6,) is the mean force [N] and torque [Nm] that the arm exerts on the last chain frame, in its axes and about its
     origin. Both are None where the robot does not measure them (`RobotModel.force_sensing`).
+
+    `desired_v` (n,) [rad/s] and `desired_a` (n,) [rad/s²] are the command that the robot executes, also where it
+    continued a lost one by itself; None where the robot does not report them.
     """
 
     stamp: float
@@ -34,6 +39,12 @@ class RobotState:
     drive_enabled: bool = True
     torques: Array | None = None
     wrench: Array | None = None
+    desired_v: Array | None = None
+    desired_a: Array | None = None
+
+    def executes(self, u: Array) -> bool:
+        """Whether the command that the robot reports is the control u (n,) [rad/s]; True if it reports none."""
+        return self.desired_v is None or float(np.abs(self.desired_v - u).max()) <= COMMAND_TOLERANCE
 
 
 @dataclass(frozen=True, slots=True)

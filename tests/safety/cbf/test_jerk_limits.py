@@ -193,3 +193,15 @@ def test_braking_keeps_the_jerk_limit_until_rest(sparse_panda, status):
             assert answer.status is status
     if status is FilterStatus.STOPPED:
         assert np.all(np.abs(u) < 1e-6)
+
+
+@pytest.mark.parametrize("wish", [-1.0, 1.0])
+def test_the_first_control_after_a_reset_continues_its_change(sparse_panda, wish):
+    """The jerk limits hold around u_prev + u_change, the control that would continue at constant acceleration."""
+    safety = SafetyFilter(sparse_panda, random_scenes.exact_config(jerk_limits=True))
+    acceleration = np.array([joint.acceleration.value for joint in sparse_panda.joints]) * sparse_panda.period
+    limit = np.array([joint.jerk.value for joint in sparse_panda.joints]) * sparse_panda.period**2
+    u_prev, u_change = np.full(7, 0.1), 0.5 * acceleration
+    safety.reset(u_prev, u_change)
+    u = safety(np.array(sparse_panda.home), np.zeros(7), np.full(7, wish)).u
+    np.testing.assert_allclose(np.abs(u - u_prev - u_change), np.minimum(limit, 1.5 * acceleration), rtol=1e-3)

@@ -156,7 +156,9 @@ class _ReplayFilter:
             case "constrain":
                 self._filter.constrain(msgspec.convert(arguments["rows"], tuple[ConstraintRow, ...]))
             case "reset":
-                self._filter.reset(np.asarray(arguments["u_prev"], np.float64))
+                u_prev = np.asarray(arguments["u_prev"], np.float64)
+                change = arguments.get("u_change", np.zeros_like(u_prev))  # recorded since 0.3
+                self._filter.reset(u_prev, np.asarray(change, np.float64))
             case _:
                 raise ConfigurationError(
                     "recorded call", got=name, allowed="observe, permit, attach, detach, constrain, reset"

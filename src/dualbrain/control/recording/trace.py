@@ -41,6 +41,7 @@ EventKind = Literal[
     "order",
     "operator",
     "margin",
+    "command_lost",
 ]
 
 

@@ -134,6 +134,16 @@ class FakeFrankaController:
         self.received.clear()
 
     @property
+    def desired_v(self) -> Array:
+        """The velocity (7,) [rad/s] that is executed, zero without a motion."""
+        return self._u if self.mode is RobotMode.Move else np.zeros(self._n)
+
+    @property
+    def desired_a(self) -> Array:
+        """The acceleration (7,) [rad/s²] that is executed, zero without a motion."""
+        return self._acceleration if self.mode is RobotMode.Move else np.zeros(self._n)
+
+    @property
     def success_rate(self) -> float:
         """Share of the last 100 packets that arrived; 0 without a motion."""
         return sum(self.received) / SUCCESS_RATE_WINDOW if self.mode is RobotMode.Move else 0.0
@@ -320,6 +330,8 @@ def _next_state(sdk: FakeFranka) -> Any:
     return SimpleNamespace(
         q=arm.q.tolist(),
         dq=arm.v.tolist(),
+        dq_d=controller.desired_v.tolist(),
+        ddq_d=controller.desired_a.tolist(),
         time=Duration(arm.now),
         robot_mode=controller.mode,
         current_errors=controller.errors,

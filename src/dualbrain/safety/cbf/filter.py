@@ -372,15 +372,20 @@ class SafetyFilter:
         self._held_error, self._grasp_changes = 0.0, self._grasp_changes + 1
         self._note_refusal("held object", None)
 
-    def reset(self, u_prev: ArrayLike = 0.0) -> None:
+    def reset(self, u_prev: ArrayLike = 0.0, u_change: ArrayLike = 0.0) -> None:
         """Clear the memory of the filter and set the last control to `u_prev`, one number or (n,) [rad/s].
 
+        `u_change` is the last control minus the one before it, one number or (n,) [rad/s]; the jerk limits need it.
+
         Raises:
-            ConfigurationError: `u_prev` is neither one number nor n numbers.
+            ConfigurationError: A value is neither one number nor n numbers.
         """
-        if validation.is_real(u_prev):
-            u_prev = np.full(self._n, u_prev)
-        self._kernel.reset(validation.as_real_array("u_prev", u_prev, (self._n,)))
+        self._kernel.reset(self._as_control("u_prev", u_prev), self._as_control("u_change", u_change))
+
+    def _as_control(self, name: str, value: ArrayLike) -> Array:
+        if validation.is_real(value):
+            value = np.full(self._n, value)
+        return validation.as_real_array(name, value, (self._n,))
 
     # --- control ----------------------------------------------------------------------------------------------
 

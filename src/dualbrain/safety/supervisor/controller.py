@@ -152,6 +152,24 @@ class SafetyController:
         self.safety.reset(u)
         return u
 
+    def continue_desired_motion(self, state: RobotState) -> tuple[Array, Array] | None:
+        """Continue the command that the robot executes if it is not the last one, which was lost on the way.
+
+        A robot continues a lost command by itself. The limits of acceleration and jerk of the next control are then
+        those around the executed velocity. Returns it and its change in the last period, both (n,) [rad/s]; None if the
+        robot executes the last control, or does not report the command.
+        """
+        if state.desired_v is None or state.desired_a is None or not (self.drive_wanted and state.drive_enabled):
+            return None
+        if state.executes(self._u):
+            return None
+        u = np.clip(state.desired_v, -self._velocity_limits, self._velocity_limits)
+        change = np.clip(state.desired_a * self.safety.robot_model.period, -self._braking_step, self._braking_step)
+        self.safety.reset(u, change)
+        self.monitor.check_control(u)
+        self._u = u
+        return u, change
+
     def clear_filter_memory(self) -> Array:
         """Clear the memory of the filter except for the last control (n,) [rad/s], which is returned."""
         self.safety.reset(self._u)

@@ -110,6 +110,7 @@ class StateMonitor:
         finite = all(map(isfinite, (*q, *v, state.opening or 0.0, state.stamp, *state.finger_forces)))
         if (
             not finite
+            or not self._is_desired_motion_plausible(state)
             or (len(q), len(v)) != (self._nq, self._n)
             or not all_in_range(q[self._ranged_joints], self._ranges)
         ):
@@ -130,6 +131,11 @@ class StateMonitor:
         return flags | self._compare_sources(
             moved, (0.5 * (state.v + last.v)).tolist(), dt, drive_enabled=state.drive_enabled
         )
+
+    def _is_desired_motion_plausible(self, state: RobotState) -> bool:
+        """Whether the reported command, if any, has n finite velocities and accelerations."""
+        reported = [value.tolist() for value in (state.desired_v, state.desired_a) if value is not None]
+        return all(len(values) == self._n and all(map(isfinite, values)) for values in reported)
 
     def _compare_sources(self, moved: list[float], v: list[float], dt: float, *, drive_enabled: bool) -> int:
         keep = max(0.0, 1.0 - dt / self.limits.leak_time)

@@ -13,7 +13,7 @@ from dualbrain.control.gatekeeper.robot_link.simulated_robot import perception_p
 from dualbrain.control.scene_monitor import SceneMonitor
 from dualbrain.records import Scene
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
-from tests.drivers.drivers_under_test import ur
+from tests.drivers.drivers_under_test import franka, ur
 
 pytestmark = pytest.mark.realtime
 TIMEOUT = 20.0
@@ -130,3 +130,37 @@ def test_a_surveyed_scene_is_sent_periodically_and_does_not_count_as_frozen():
 def test_packets_that_are_no_command_do_not_feed_the_watchdog(gatekeeper_end, packet):
     switch_drive_on(gatekeeper_end)
     gatekeeper_end.receive_until(is_off, packet)
+
+
+def test_a_late_command_of_an_arm_that_continued_by_itself_is_dropped():
+    """The command for the state before arrives after the next state; only the one for that state is written."""
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    theirs.setblocking(False)
+    driver = franka().driver
+    process = DriverProcess(driver, Scene(robot="fr3", stamp=0.0, version=1, objects=()), theirs)
+    ours.send(packets.encode(packets.DrivePacket(on=True)))
+    ours.send(packets.encode(packets.CommandPacket((0.002,) * 7, 0.0, 0.0)))
+    process._drop_late_commands()
+    assert driver.read().drive_enabled
+    written = []
+    driver.write = lambda command: written.append(command.u[0])
+    ours.send(packets.encode(packets.CommandPacket((0.001,) * 7, 0.0, 0.0)))
+    process._await_command(time.monotonic() + 1.0)
+    assert written == [0.001]
+    driver.close()
+    ours.close()
+    theirs.close()
+
+
+def test_a_malformed_late_command_stops_the_arm():
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    theirs.setblocking(False)
+    driver = franka().driver
+    process = DriverProcess(driver, Scene(robot="fr3", stamp=0.0, version=1, objects=()), theirs)
+    ours.send(packets.encode(packets.DrivePacket(on=True)))
+    ours.send(packets.encode(packets.CommandPacket((float("nan"),) * 7, 0.0, 0.0)))
+    process._drop_late_commands()
+    assert not driver.read().drive_enabled
+    driver.close()
+    ours.close()
+    theirs.close()

@@ -32,6 +32,8 @@ from dualbrain.simulation.scenes.scene_spec import SceneSpec
 
 REPLY_FRACTION = 0.7
 """Fraction of a period that the process waits for the command for a state."""
+MAX_LATE_PACKETS = 64
+"""Most packets that the process reads before it sends a state."""
 SURVEY_ERROR = 0.005
 """Bound on the position error of a surveyed object [m]."""
 
@@ -67,6 +69,8 @@ class DriverProcess:
         try:
             while self._packet_socket.is_open and not self._shutdown_requested:
                 self._driver.wait()
+                if self._driver.read().desired_v is not None:
+                    self._drop_late_commands()
                 self._send_state()
                 self._await_command(time.monotonic() + REPLY_FRACTION * self._driver.timing.period)
                 if self._drive_on and time.monotonic() - self._last_command_at > WATCHDOG_TIMEOUT:
@@ -81,6 +85,23 @@ class DriverProcess:
         if self._ticks % self._scene_period_ticks == 0:
             self._packet_socket.send(packets.ScenePacket(msgspec.structs.replace(self._scene, stamp=state.stamp)))
         self._ticks += 1
+
+    def _drop_late_commands(self) -> None:
+        """Apply what arrived since the last command, except for commands: their period is over.
+
+        An arm that reports the executed command has continued the one before by itself. A late command would contradict
+        it, and each later one would be written one period late.
+        """
+        for _ in range(MAX_LATE_PACKETS):
+            packet = self._packet_socket.receive()
+            if packet is None:
+                return
+            if not isinstance(packet, packets.CommandPacket):
+                self._apply_packet(packet)
+            elif command_fault(Command(np.array(packet.u, dtype=float), packet.opening, packet.force), self._n_joints):
+                self._stop_drive()
+            else:
+                self._last_command_at = time.monotonic()
 
     def _await_command(self, deadline: float) -> None:
         """Apply packets until a command arrives for the sent state, at most until `deadline`."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from dualbrain.contracts.contract import Contract
 from dualbrain.records import Scene
-from dualbrain.robots.interface import RobotState
+from dualbrain.robots.interface import Array, RobotState
 
 
 class Packet(msgspec.Struct, frozen=True, array_like=True):
@@ -49,6 +49,14 @@ class ShutdownPacket(Packet, frozen=True, tag=6):
     """Request to end the robot process."""
 
 
+def _numbers(values: Array | None) -> tuple[float, ...] | None:
+    return None if values is None else tuple(values.tolist())
+
+
+def _array(values: tuple[float, ...] | None) -> Array | None:
+    return None if values is None else np.array(values)
+
+
 class StatePacket(Packet, frozen=True, tag=7, kw_only=True):
     """A joint state; fields and units are those of `RobotState`."""
 
@@ -61,6 +69,8 @@ class StatePacket(Packet, frozen=True, tag=7, kw_only=True):
     drive_enabled: bool
     torques: tuple[float, ...] | None = None
     wrench: tuple[float, ...] | None = None
+    desired_v: tuple[float, ...] | None = None
+    desired_a: tuple[float, ...] | None = None
 
     @classmethod
     def from_state(cls, state: RobotState) -> StatePacket:
@@ -74,8 +84,10 @@ class StatePacket(Packet, frozen=True, tag=7, kw_only=True):
             opening=state.opening,
             forces=state.finger_forces,
             drive_enabled=state.drive_enabled,
-            torques=None if state.torques is None else tuple(state.torques.tolist()),
-            wrench=None if state.wrench is None else tuple(state.wrench.tolist()),
+            torques=_numbers(state.torques),
+            wrench=_numbers(state.wrench),
+            desired_v=_numbers(state.desired_v),
+            desired_a=_numbers(state.desired_a),
         )
 
     def to_robot_state(self) -> RobotState:
@@ -88,8 +100,10 @@ class StatePacket(Packet, frozen=True, tag=7, kw_only=True):
             opening=self.opening,
             finger_forces=self.forces,
             drive_enabled=self.drive_enabled,
-            torques=None if self.torques is None else np.array(self.torques),
-            wrench=None if self.wrench is None else np.array(self.wrench),
+            torques=_array(self.torques),
+            wrench=_array(self.wrench),
+            desired_v=_array(self.desired_v),
+            desired_a=_array(self.desired_a),
         )
 
 
