@@ -40,7 +40,7 @@ def synthetic_episode(
         stage="envelope", pointer="/action_sequence/0/params/speed", got=1, allowed="0.05..0.4", hint="slower"
     )
     attempt = Attempt(
-        Proposal(text="{}", finish_reason="stop", planner=proposer, constrained_by="nobody", timings={"total": 0.0}),
+        Proposal(text="{}", finish_reason="stop", planner=proposer, timings={"total": 0.0}),
         rejected,
         0.0,
     )

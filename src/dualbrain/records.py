@@ -153,12 +153,17 @@ class RetrievedContext(Record, frozen=True):
 
 
 class Proposal(Record, frozen=True, kw_only=True):
-    """The answer of a planner: raw `text`, finish reason, planner, the decoder that constrained it, timings [s]."""
+    """The answer of a planner: raw `text`, finish reason, planner, timings [s].
+
+    `constrained_by` is the engine that constrained the decoder to the grammar; it begins with "nothing" if a decoder
+    generated the text without a grammar, and is "" if no decoder did: a given, recorded or computed contract, or no
+    answer.
+    """
 
     text: str
     finish_reason: str
     planner: str
-    constrained_by: str
+    constrained_by: str = ""
     timings: dict[str, float]
 
 

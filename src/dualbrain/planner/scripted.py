@@ -30,7 +30,6 @@ class ScriptedPlanner:
             text=text,
             finish_reason=self._finish_reason,
             planner=self.name,
-            constrained_by="nothing (scripted)",
             timings={"total": 0.0},
         )
 
@@ -49,9 +48,7 @@ class FixedContractPlanner:
     def propose(self, request: PlanRequest) -> Proposal:
         """A proposal with the given text."""
         del request
-        return Proposal(
-            text=self._text, finish_reason=STOP, planner=self.name, constrained_by="nobody", timings={"total": 0.0}
-        )
+        return Proposal(text=self._text, finish_reason=STOP, planner=self.name, timings={"total": 0.0})
 
     def close(self) -> None:
         """Do nothing: no resource is open."""
@@ -69,9 +66,7 @@ class RecordedAnswers:
         """The next answer."""
         del request
         text, finish = next(self._answers)
-        return Proposal(
-            text=text, finish_reason=finish, planner=self.name, constrained_by="nobody", timings={"total": 0.0}
-        )
+        return Proposal(text=text, finish_reason=finish, planner=self.name, timings={"total": 0.0})
 
     def close(self) -> None:
         """Do nothing: no resource is open."""

@@ -75,7 +75,6 @@ class AdaptedPlanner:
                 text="",
                 finish_reason=f"{protocol.ERROR}: the adapter does not answer as recorded: {fault}",
                 planner=self.name,
-                constrained_by="",
                 timings={"total": 0.0},
             )
         return self._inner.propose(request)

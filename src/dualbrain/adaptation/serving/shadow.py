@@ -137,9 +137,7 @@ class ShadowedPlanner:
         try:
             return self._candidate.propose(request)
         except Exception as error:
-            return Proposal(
-                text="", finish_reason=f"{ERROR}: {error}", planner=self._candidate.name, constrained_by="", timings={}
-            )
+            return Proposal(text="", finish_reason=f"{ERROR}: {error}", planner=self._candidate.name, timings={})
 
 
 def read_shadow_log(log: Path) -> tuple[ShadowRecord, ...]:

@@ -22,7 +22,6 @@ from dualbrain.evaluation.planners.random_contract import (
     seeded_rng,
     skill_parameter_schemas,
 )
-from dualbrain.planner.prompt.prompt_format import NO_CONSTRAINT
 from dualbrain.planner.protocol import STOP
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
@@ -62,7 +61,6 @@ class Adversary:
             text=text,
             finish_reason=STOP,
             planner=f"{self.name} ({attack})",
-            constrained_by=NO_CONSTRAINT,
             timings={"total": 0.0},
         )
 

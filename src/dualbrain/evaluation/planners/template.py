@@ -61,7 +61,6 @@ class TemplatePlanner:
             text=encode_contract(request, actions),
             finish_reason=STOP,
             planner=self.name,
-            constrained_by="template",
             timings={"total": 0.0},
         )
 

@@ -215,9 +215,7 @@ class _RequestCollector:
 
     def propose(self, request: PlanRequest) -> Proposal:
         self.requests.append(request)
-        return Proposal(
-            text="", finish_reason="recorded only", planner=self.name, constrained_by="", timings={"total": 0.0}
-        )
+        return Proposal(text="", finish_reason="recorded only", planner=self.name, timings={"total": 0.0})
 
     def close(self) -> None:
         """Nothing is open."""

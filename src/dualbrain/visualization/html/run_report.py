@@ -18,7 +18,7 @@ from dualbrain.control.recording.trace import DEAD_BAND, Event, Trace
 from dualbrain.core.storage.atomic_files import write_atomically
 from dualbrain.memory.maintenance.projection import MemoryProjection
 from dualbrain.records import Attempt, Episode, Exemplar, MemoryUse
-from dualbrain.runtime.planning_time import latency_breakdown
+from dualbrain.runtime.planning.planning_time import latency_breakdown
 from dualbrain.safety.barriers import BARRIERS
 from dualbrain.visualization.html.key_numbers import (
     KeyNumber,
@@ -228,8 +228,9 @@ def _previous_failure(episode: Episode) -> Sequence[Html]:
 def _attempt(index: int, attempt: Attempt) -> Html:
     proposal, verdict = attempt.proposal, attempt.verdict
     spent = ", ".join(_format_timing(name, value) for name, value in proposal.timings.items())
+    constraint = f", constrained by {proposal.constrained_by}" if proposal.constrained_by else ""
     facts = [
-        ("planner", f"{proposal.planner}, constrained by {proposal.constrained_by}, ended by {proposal.finish_reason}"),
+        ("planner", f"{proposal.planner}{constraint}, ended by {proposal.finish_reason}"),
         ("time", f"{spent}; gate {1e6 * attempt.gate_s:.0f} µs"),
     ]
     if isinstance(verdict, Rejected):
