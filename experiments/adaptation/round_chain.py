@@ -49,7 +49,7 @@ from dualbrain.runtime.data_collection.rollouts import (
     turn_of_memory_id,
 )
 from dualbrain.runtime.data_collection.synthetic_scenes import generate_examples, scene_context_by_name
-from dualbrain.runtime.planning_time import PLANNING_TIME
+from dualbrain.runtime.planning.planning_time import PLANNING_TIME
 from experiments.adaptation.free_answers import FreeAnswerModel, Sampling
 from experiments.engine.experiment import Row
 from experiments.planning.language import is_right, score_question

@@ -35,7 +35,7 @@ from dualbrain.planner.prompt.prompt_format import UNCONSTRAINED_BY
 from dualbrain.planner.protocol import CRASHED, ERROR, LENGTH, REFUSAL, STOP, TIMEOUT
 from dualbrain.planner.scripted import ScriptedPlanner
 from dualbrain.records import Judgement
-from dualbrain.runtime.local_answer import LOCAL_PLANNER
+from dualbrain.runtime.planning.local_answer import LOCAL_PLANNER
 from dualbrain.simulation.tasks.families import make_task
 from tests.evaluation.sample_rows import SUITE
 

@@ -4,7 +4,7 @@ import pytest
 
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.records import Attempt, Proposal
-from dualbrain.runtime.planning_time import LATENCY_PARTS, decision_timings, format_timings, latency_breakdown
+from dualbrain.runtime.planning.planning_time import LATENCY_PARTS, decision_timings, format_timings, latency_breakdown
 
 
 def attempt(gate=0.001, **timings):

@@ -14,7 +14,8 @@ from dualbrain.memory.ledger.ledger import LedgerReader
 from dualbrain.planner.scripted import ScriptedPlanner
 from dualbrain.runtime.backends.gatekeeper import GatekeeperBackend
 from dualbrain.runtime.config import RunObserver
-from dualbrain.runtime.session import RESERVED_BYTES, Session
+from dualbrain.runtime.run_folder import RESERVED_BYTES
+from dualbrain.runtime.session import Session
 from tests.stories.story_session import (
     GRASP,
     PLACE,

@@ -13,7 +13,7 @@ from dualbrain.planner.prompt.short_prompt import exemplar_steps
 from dualbrain.records import Exemplar, RetrievedContext
 from dualbrain.robots.loader import load_robot
 from dualbrain.runtime.data_collection.synthetic_scenes import generate_examples
-from dualbrain.runtime.planner_request import PlanningContext, build_request, in_prompt_order
+from dualbrain.runtime.planning.planner_request import PlanningContext, build_request, in_prompt_order
 from dualbrain.simulation.perception.noisy_perception import NO_NOISE, NoisyPerception
 from dualbrain.simulation.plant.factory import make_plant
 from dualbrain.simulation.scenes.generators.tabletop import make_scene

@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from dualbrain.runtime.planning_time import PlanningClock
+from dualbrain.runtime.planning.planning_time import PlanningClock
 
 
 class HoldingExecutor:

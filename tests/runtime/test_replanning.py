@@ -13,7 +13,7 @@ from dualbrain.planner.prompt.full_prompt import render
 from dualbrain.planner.prompt.prompt_format import SHORT_PROMPT
 from dualbrain.planner.protocol import describe_failure
 from dualbrain.records import ActionResult, Episode, FailureFeedback, Outcome, RetrievedContext, Scene
-from dualbrain.runtime.replanning import continuation_of, failure_feedback_of, should_retry, successive_tries
+from dualbrain.runtime.planning.replanning import continuation_of, failure_feedback_of, should_retry, successive_tries
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from dualbrain.simulation.scenes.scene_spec import save_scene
 from dualbrain.skills.arm import grasp, waypoints

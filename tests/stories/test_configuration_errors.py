@@ -17,7 +17,7 @@ from dualbrain.core.paths import cache_folder
 from dualbrain.errors import ConfigurationError
 from dualbrain.memory.embedding.text_encoder import ENCODER_WEIGHTS, TOKENIZER_WEIGHTS
 from dualbrain.memory.ledger.ledger import Ledger
-from dualbrain.runtime.session import RUN_FILES
+from dualbrain.runtime.run_folder import RUN_FILES
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from dualbrain.simulation.scenes.scene_spec import save_scene
 from tests.stories.story_session import contract_text, hold_contract, run_config, run_session

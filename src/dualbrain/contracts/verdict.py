@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import msgspec
 
 from dualbrain.contracts.contract import Contract
 
 Stage = Literal["syntax", "authorization", "envelope"]
+STAGES: tuple[Stage, ...] = get_args(Stage)
+"""The stages of the gate, in their order."""
 
 
 class Accepted(msgspec.Struct, frozen=True, tag_field="verdict", tag="accepted"):

@@ -10,7 +10,7 @@ from dualbrain.memory.embedding.posture_features import Posture
 from dualbrain.memory.memory import StoreReport
 from dualbrain.planner.protocol import Planner
 from dualbrain.records import Episode, Passage
-from dualbrain.runtime.planner_request import PassageRetriever, Retriever
+from dualbrain.runtime.planning.planner_request import PassageRetriever, Retriever
 
 
 class EpisodicMemory(Retriever, Protocol):

@@ -17,7 +17,7 @@ from dualbrain.memory.memory import StoreReport
 from dualbrain.memory.plasticity.hebbian_update import EPSILON
 from dualbrain.planner.registry import DEFAULT_PLANNER
 from dualbrain.records import Episode
-from dualbrain.runtime.planning_time import Clock
+from dualbrain.runtime.planning.planning_time import Clock
 
 STORED_NAMES = {"image_memory": "eyes"}
 """Names in `config.json` of the fields of a configuration, where they differ."""

@@ -24,7 +24,7 @@ from dualbrain.records import (
     Violation,
 )
 from dualbrain.runtime import session
-from dualbrain.runtime.session import RUN_FILES
+from dualbrain.runtime.run_folder import RUN_FILES
 from dualbrain.simulation.scenes.scene_spec import load_scene
 from tests.stories.story_session import hold_contract, ledger_episodes
 

@@ -11,7 +11,7 @@ from dualbrain.grounding.offline_gate import check_contract, scene_from_spec
 from dualbrain.planner.registry import open_planner
 from dualbrain.planner.scripted import ScriptedPlanner
 from dualbrain.runtime.inspection.dry_run import context_at_home, plan
-from dualbrain.runtime.local_answer import LOCAL_PLANNER
+from dualbrain.runtime.planning.local_answer import LOCAL_PLANNER
 from dualbrain.runtime.session import RunObserver
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from tests.stories.story_session import GRASP, PLACE, contract_text, run_config, run_session

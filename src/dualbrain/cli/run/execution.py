@@ -38,7 +38,7 @@ from dualbrain.memory.plasticity.retrieval_utility import summarize_uses
 from dualbrain.planner.introspection import no_documents_reason
 from dualbrain.records import Episode
 from dualbrain.runtime.backends.gatekeeper import GatekeeperBackend
-from dualbrain.runtime.planning_time import format_timings
+from dualbrain.runtime.planning.planning_time import format_timings
 from dualbrain.runtime.session import Clocks, RunConfig, RunObserver, RunResult, Session
 from dualbrain.visualization.html.run_report import FILTER_OFF_NOTICE, write_report
 

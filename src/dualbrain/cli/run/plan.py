@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from dualbrain.planner.protocol import Planner
     from dualbrain.records import Attempt
     from dualbrain.runtime.inspection.dry_run import DryRunResult
-    from dualbrain.runtime.planner_request import PassageRetriever, PlanningContext, Retriever
+    from dualbrain.runtime.planning.planner_request import PassageRetriever, PlanningContext, Retriever
 
 MAX_SHOTS = 5
 
@@ -153,7 +153,7 @@ def _accepted_contract(planned: DryRunResult) -> dict[str, Any] | None:
 
 def _print_plan(planned: DryRunResult) -> None:
     """Print prompt, answer, verdict, retrieved items and times; control characters are removed."""
-    from dualbrain.runtime.planning_time import format_timings
+    from dualbrain.runtime.planning.planning_time import format_timings
 
     for number, shot in enumerate(planned.shots, start=1):
         head = "prompt" if number == 1 else f"prompt of attempt {number}: last message"
@@ -204,9 +204,8 @@ def _print_retrieved(planned: DryRunResult) -> None:
 
 def _verdict_lines(attempt: Attempt) -> Iterator[str]:
     """The stages of the gate; for a rejection the value found and the values allowed."""
-    from dualbrain.contracts.verdict import Accepted
+    from dualbrain.contracts.verdict import STAGES, Accepted
     from dualbrain.planner.protocol import describe_failure, has_answer
-    from dualbrain.runtime.episode import STAGES
 
     verdict = attempt.verdict
     if not has_answer(attempt.proposal):

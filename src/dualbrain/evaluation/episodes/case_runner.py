@@ -30,8 +30,9 @@ from dualbrain.robots.loader import load_robot
 from dualbrain.robots.model import RobotModel
 from dualbrain.runtime.agent import Agent, EpisodicMemory
 from dualbrain.runtime.assembly import CellOptions, SimulatedCell, open_world
-from dualbrain.runtime.episode import EpisodeRequest, GroundTruth, run_episode
-from dualbrain.runtime.planning_time import PLANNING_TIME, PlanningClock
+from dualbrain.runtime.episode import GroundTruth, run_episode
+from dualbrain.runtime.planning.episode_request import EpisodeRequest
+from dualbrain.runtime.planning.planning_time import PLANNING_TIME, PlanningClock
 from dualbrain.safety.cbf.config import operating_config
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.simulation.monitoring.safety_monitor import SafetyMeasurements

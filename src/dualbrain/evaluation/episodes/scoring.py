@@ -24,7 +24,7 @@ from dualbrain.evaluation.results.episode_row import EpisodeRow
 from dualbrain.grounding.instruction.correspondence import INSTRUCTION_POINTER
 from dualbrain.planner.prompt.prompt_format import UNCONSTRAINED_BY
 from dualbrain.records import Episode, Proposal
-from dualbrain.runtime.episode import reject_before_gate
+from dualbrain.runtime.planning.proposal_checks import reject_before_gate
 from dualbrain.simulation.tasks.multi_goal import GoalSequence
 from dualbrain.simulation.tasks.placement import PlacementGoal
 from dualbrain.simulation.world import contract_goals

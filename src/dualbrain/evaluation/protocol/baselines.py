@@ -30,7 +30,7 @@ from dualbrain.memory.ledger.ledger import Head
 from dualbrain.memory.memory import StoreReport
 from dualbrain.records import Episode, Proposal, RetrievedContext
 from dualbrain.robots.interface import RobotState
-from dualbrain.runtime.episode import reject_incomplete
+from dualbrain.runtime.planning.proposal_checks import proposal_bytes, reject_incomplete
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.result import FilterResult, FilterStatus
 from dualbrain.safety.integration.shadow_mode import REFUSED_REASONS
@@ -74,9 +74,8 @@ class BaselineGate:
 
     def _check_full_gate(self, answer: Proposal, names: SceneNames, principal: str, now: float) -> Verdict:
         """The full gate's verdict without a contract header, so that no sequence number is consumed."""
-        data = answer.text.encode("utf-8", "surrogatepass")
         return reject_incomplete(answer) or self._gate.check(
-            data, names=names, principal=principal, now=now, header=None
+            proposal_bytes(answer), names=names, principal=principal, now=now, header=None
         )
 
     def _check_syntax_and_authorization(self, document: Any, principal: str) -> Rejected | None:

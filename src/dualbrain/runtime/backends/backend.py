@@ -13,7 +13,7 @@ from dualbrain.memory.embedding.image_features import ImageFeatures
 from dualbrain.robots.model import RobotModel
 from dualbrain.runtime.config import Clocks, RunConfig, RunObserver
 from dualbrain.runtime.episode import GroundTruth
-from dualbrain.runtime.planning_time import PlanningClock
+from dualbrain.runtime.planning.planning_time import PlanningClock
 from dualbrain.safety.cbf.obstacles import Obstacle, PersonLimits
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
 from dualbrain.simulation.world import SimulatedWorld

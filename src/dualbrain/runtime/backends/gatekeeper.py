@@ -28,7 +28,7 @@ from dualbrain.records import Judgement
 from dualbrain.runtime.backends.backend import RunContext, RunningRobot
 from dualbrain.runtime.config import RunObserver
 from dualbrain.runtime.episode import GroundTruth
-from dualbrain.runtime.planning_time import PlanningClock
+from dualbrain.runtime.planning.planning_time import PlanningClock
 
 ROBOT_REPORT_FILE, TICK_TIMING_FILE = "robot.json", "punctuality.json"
 """Files that the robot process and the gatekeeper write into the run folder."""

@@ -15,7 +15,7 @@ from dualbrain.runtime.assembly import SimulatedCell
 from dualbrain.runtime.backends.backend import RunContext, RunningRobot
 from dualbrain.runtime.config import RunObserver
 from dualbrain.runtime.episode import GroundTruth
-from dualbrain.runtime.planning_time import PLANNING_TIME, PlanningClock
+from dualbrain.runtime.planning.planning_time import PLANNING_TIME, PlanningClock
 from dualbrain.safety.cbf.config import operating_config
 from dualbrain.safety.cbf.filter import SafetyFilter
 

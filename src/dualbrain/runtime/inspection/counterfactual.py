@@ -23,7 +23,7 @@ from dualbrain.planner.prompt.full_prompt import render
 from dualbrain.planner.protocol import LENGTH, STOP, Planner
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Episode, Exemplar, MemoryUse
-from dualbrain.runtime.planner_request import in_prompt_order
+from dualbrain.runtime.planning.planner_request import in_prompt_order
 
 
 class CounterfactualQueries:

@@ -28,10 +28,16 @@ from dualbrain.planner.protocol import Planner, has_answer
 from dualbrain.records import Attempt, Proposal, RetrievedContext, Scene
 from dualbrain.robots.interface import home_state
 from dualbrain.robots.loader import load_robot
-from dualbrain.runtime.episode import reject_before_gate
-from dualbrain.runtime.local_answer import answer_locally, local_proposal, reject_mismatch
-from dualbrain.runtime.planner_request import PassageRetriever, PlanningContext, Retriever, build_request, retrieve
-from dualbrain.runtime.planning_time import Clock, decision_timings
+from dualbrain.runtime.planning.local_answer import answer_locally, local_proposal
+from dualbrain.runtime.planning.planner_request import (
+    PassageRetriever,
+    PlanningContext,
+    Retriever,
+    build_request,
+    retrieve,
+)
+from dualbrain.runtime.planning.planning_time import Clock, decision_timings
+from dualbrain.runtime.planning.proposal_checks import proposal_bytes, reject_before_gate, reject_mismatch
 
 T = TypeVar("T")
 
@@ -147,8 +153,7 @@ def plan(
 
 
 def _check(gate: Gate, answer: Proposal, scene: Scene) -> Verdict:
-    data = answer.text.encode("utf-8", "surrogatepass")
-    return gate.check(data, names=scene_names(scene), principal=PLANNER, now=0.0)
+    return gate.check(proposal_bytes(answer), names=scene_names(scene), principal=PLANNER, now=0.0)
 
 
 def _retrieve(

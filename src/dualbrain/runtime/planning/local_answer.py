@@ -1,42 +1,31 @@
-"""Answers of the local layer to an instruction, before and after the planner.
+"""Answers of the local layer to an instruction, without a planner: a stop command, or an instruction that is declined.
 
-Before: a stop command and an instruction that is declined get a contract of their own, and no planner is asked. After:
-a proposal about something that the instruction does not mention is rejected before the gate sees it.
+Each answer is a contract of its own, which passes the gate as every other one, and has its own outcome and judgement.
 """
 
 from __future__ import annotations
-
-from typing import Literal
 
 import msgspec
 
 from dualbrain.contracts.canonical_form import canonical_contract
 from dualbrain.contracts.contract import Action, Context, Contract
-from dualbrain.contracts.gate.strict_json import MAX_BYTES
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.skill_spec import NumberParameter
-from dualbrain.contracts.verdict import Rejected
-from dualbrain.errors import DECODE_ERRORS
-from dualbrain.grounding.instruction.correspondence import SceneVocabulary, find_mismatch
-from dualbrain.grounding.instruction.language import detect_foreign_language
+from dualbrain.control.executor import Executor
 from dualbrain.grounding.instruction.review import Refusal, StopCommand, refuse_hostile, review_instruction
 from dualbrain.grounding.instruction.stop_commands import is_stop_command
 from dualbrain.planner.introspection import planner_languages
 from dualbrain.planner.protocol import STOP, Planner
-from dualbrain.records import Proposal
-from dualbrain.runtime.planner_request import PlanningContext
+from dualbrain.records import Judgement, JudgementBasis, Outcome, Proposal
+from dualbrain.runtime.planning.episode_request import InstructionCheck
+from dualbrain.runtime.planning.planner_request import PlanningContext
 
-InstructionCheck = Literal["all", "before_planning", "given_contract"]
-"""Which checks an instruction passes.
-
-all: the review before planning, and the comparison of the contract with the words. before_planning: the review alone,
-for planners whose answers do not depend on the words and that measure the gate and the filter. given_contract: a person
-chose the contract and the words are a label; stop commands and hostile words still count.
-"""
 LOCAL_PLANNER = "local instruction check"
 """The author recorded for the contracts of the local layer."""
 STOPPED = "stopped: the robot is at rest"
 """The reason of the outcome of a stop command."""
+STOP_TIME = 0.5
+"""Time at rest after a stop command for which the gate accepts no contract [s]."""
 
 
 def answer_locally(
@@ -59,7 +48,6 @@ def local_proposal(answer: StopCommand | Refusal, registry: SkillRegistry, contr
         text=canonical_contract(contract, registry),
         finish_reason=STOP,
         planner=LOCAL_PLANNER,
-        constrained_by="nothing (local layer)",
         timings={"total": 0.0},
     )
 
@@ -75,20 +63,23 @@ def _decline(refusal: Refusal) -> Action:
     return Action("decline", {"reason": refusal.brief_reason})
 
 
-def reject_mismatch(
-    proposal: Proposal, instruction: str, context: PlanningContext, check: InstructionCheck = "all"
-) -> Rejected | None:
-    """The rejection of a contract about something that `instruction` does not mention.
+def local_outcome(answer: StopCommand | Refusal, executor: Executor, outcome: Outcome) -> Outcome:
+    """The outcome of a local answer, with its reason in words.
 
-    None for a text that is no contract, which the gate rejects, and for an instruction in another language than
-    English, whose words are not compared.
+    The site may grant neither `hold` nor `decline` to the planner; a robot without an accepted contract rests anyway.
     """
-    data = proposal.text.encode("utf-8", "surrogatepass")
-    if check != "all" or len(data) > MAX_BYTES or detect_foreign_language(instruction) is not None:
-        return None
-    try:
-        contract = msgspec.json.decode(data, type=Contract)
-    except DECODE_ERRORS:
-        return None
-    scene = context.scene
-    return find_mismatch(contract, instruction, SceneVocabulary(scene.graspable, scene.receptive, context.holding))
+    if executor.interrupted() or outcome.kind not in ("succeeded", "declined", "rejected"):
+        return outcome
+    if isinstance(answer, Refusal):
+        return msgspec.structs.replace(outcome, kind="declined", reason=answer.reason)
+    if outcome.kind == "rejected":
+        executor.hold(STOP_TIME, "stop")
+    return msgspec.structs.replace(outcome, kind="succeeded", reason=STOPPED)
+
+
+def judge_stop(outcome: Outcome, judgement: Judgement | None) -> Judgement | None:
+    """The judgement of a stop command: a robot at rest fulfils it; violations count as always."""
+    if judgement is None or outcome.kind != "succeeded":
+        return judgement
+    basis = JudgementBasis(reason="The robot stopped, as the stop command states.")
+    return msgspec.structs.replace(judgement, success=True, progress=1.0, basis=basis)

@@ -1,0 +1,75 @@
+"""Checks of a proposal before the gate: whether it is whole, and whether the instruction states what it contains.
+
+They are before the gate because a gatekeeper starts the motion as soon as its gate accepts.
+"""
+
+from __future__ import annotations
+
+import msgspec
+
+from dualbrain.contracts.contract import Contract
+from dualbrain.contracts.gate.strict_json import MAX_BYTES
+from dualbrain.contracts.verdict import Rejected
+from dualbrain.errors import DECODE_ERRORS
+from dualbrain.grounding.instruction.correspondence import SceneVocabulary, find_mismatch
+from dualbrain.grounding.instruction.language import detect_foreign_language
+from dualbrain.grounding.instruction.recalled_steps import reject_recalled_step
+from dualbrain.planner.protocol import STOP, has_answer
+from dualbrain.records import Proposal
+from dualbrain.runtime.planning.episode_request import InstructionCheck
+from dualbrain.runtime.planning.planner_request import PlanningContext
+
+
+def proposal_bytes(proposal: Proposal) -> bytes:
+    """The text of a proposal as bytes, also where a planner returned bytes that are no text."""
+    return proposal.text.encode("utf-8", "surrogatepass")
+
+
+def reject_incomplete(proposal: Proposal) -> Rejected | None:
+    """The rejection of an answer that was cut or is missing; None for a complete answer."""
+    if proposal.finish_reason == STOP:
+        return None
+    cut = "the answer is not whole, so it is no contract"
+    return Rejected(
+        stage="syntax",
+        pointer="",
+        got=proposal.finish_reason,
+        allowed=STOP,
+        hint=cut if has_answer(proposal) else "the planner did not answer, so there is no contract",
+    )
+
+
+def reject_before_gate(proposal: Proposal, instruction: str, withheld: tuple[str, ...]) -> Rejected | None:
+    """The rejection of an answer that is incomplete, or with a step that only a recalled episode contains.
+
+    `withheld` are the skills of the recalled steps that were left out of the prompt.
+    """
+    if rejected := reject_incomplete(proposal):
+        return rejected
+    contract = _decode(proposal) if withheld else None
+    return None if contract is None else reject_recalled_step(msgspec.to_builtins(contract), withheld, instruction)
+
+
+def reject_mismatch(
+    proposal: Proposal, instruction: str, context: PlanningContext, check: InstructionCheck = "all"
+) -> Rejected | None:
+    """The rejection of a contract about something that `instruction` does not mention.
+
+    None for a text that is no contract, which the gate rejects, and for an instruction in another language than
+    English, whose words are not compared.
+    """
+    too_long = len(proposal_bytes(proposal)) > MAX_BYTES
+    if check != "all" or too_long or detect_foreign_language(instruction) is not None:
+        return None
+    contract, scene = _decode(proposal), context.scene
+    if contract is None:
+        return None
+    return find_mismatch(contract, instruction, SceneVocabulary(scene.graspable, scene.receptive, context.holding))
+
+
+def _decode(proposal: Proposal) -> Contract | None:
+    """The contract of a proposal, None if its text is no contract: the gate states why."""
+    try:
+        return msgspec.json.decode(proposal_bytes(proposal), type=Contract)
+    except DECODE_ERRORS:
+        return None

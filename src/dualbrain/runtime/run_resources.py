@@ -1,0 +1,187 @@
+"""Resources of one run, opened from its configuration before any motion: robot, scene, planner, memory, world."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+from dualbrain.adaptation.serving.open_planner import open_planner
+from dualbrain.contracts.gate.strict_json import MAX_CONTRACT_FILE_BYTES
+from dualbrain.contracts.registry import is_narrower
+from dualbrain.control.executor import Grants
+from dualbrain.core import weights
+from dualbrain.core.storage.private_files import open_private_folder
+from dualbrain.core.untrusted.bounded_file import read_bounded_file
+from dualbrain.grounding.document_retrieval import retrieve_passages
+from dualbrain.grounding.instruction.stop_commands import is_stop_command
+from dualbrain.grounding.map_overlay import apply_map
+from dualbrain.grounding.outcome.instruction_truth import make_instruction_judge
+from dualbrain.knowledge.builtin_documents import open_library
+from dualbrain.knowledge.library import Library
+from dualbrain.memory.config import MemoryConfig
+from dualbrain.memory.embedding.image_encoder import IMAGE_WEIGHTS, ImageEncoder
+from dualbrain.memory.embedding.image_features import ImageFeatures
+from dualbrain.memory.embedding.posture_features import PostureLimits
+from dualbrain.memory.embedding.text_encoder import MiniLmEncoder
+from dualbrain.memory.ledger.ledger import Ledger
+from dualbrain.memory.memory import Memory
+from dualbrain.memory.plasticity.hebbian_update import Plasticity
+from dualbrain.planner.protocol import Planner
+from dualbrain.planner.scripted import FixedContractPlanner
+from dualbrain.records import Passage
+from dualbrain.robots.loader import load_robot
+from dualbrain.robots.model import RobotModel
+from dualbrain.robots.site_config import read_site
+from dualbrain.runtime.config import Clocks, RunConfig
+from dualbrain.runtime.run_folder import RunFolder, refuse_used_folder
+from dualbrain.safety.cbf.obstacles import Obstacle, PersonLimits
+from dualbrain.safety.integration.site import site_obstacles, site_persons, site_robot, site_skill_grants
+from dualbrain.simulation.perception.rendering import Camera
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
+from dualbrain.simulation.scenes.scene_spec import SceneSpec
+from dualbrain.simulation.tasks.multi_goal import parse_goals
+from dualbrain.simulation.world import SimulatedWorld, make_world
+from dualbrain.skills.registry import skill_registry
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobotAtSite:
+    """The robot with the limits of its site, and the fixed obstacles, person limits and skill grants of the site."""
+
+    robot_model: RobotModel
+    fixed_obstacles: tuple[Obstacle, ...] = ()
+    persons: PersonLimits | None = None
+    grants: Grants | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunResources:
+    """Open resources of a run; `library` is None if no passages, `image_encoder` if no image features are requested."""
+
+    site: RobotAtSite
+    spec: SceneSpec
+    library: Library | None
+    image_encoder: ImageEncoder | None
+    planner: Planner
+    folder: RunFolder
+    ledger: Ledger
+    memory: Memory
+    world: SimulatedWorld
+
+    def retrieve_passages(self, instruction: str, summary: str) -> tuple[Passage, ...]:
+        """Passages of the documents that bear on the instruction; none without documents."""
+        if self.library is None:
+            return ()
+        return retrieve_passages(self.library, instruction, summary, skill_registry(self.site.robot_model))
+
+    def image_features(self) -> ImageFeatures | None:
+        """Features of the front camera's current image, if memory compares images."""
+        if self.image_encoder is None:
+            return None
+        with Camera(self.world.plant, width=320, height=240) as camera:
+            return self.image_encoder.encode(camera.capture())
+
+
+def open_resources(
+    config: RunConfig, clocks: Clocks, environ: Mapping[str, str], planner: Planner | None, stack: ExitStack
+) -> RunResources:
+    """Open all resources of a run; `stack` closes them. A `planner` that is passed in stays open.
+
+    Raises `MissingDependencyError`, `ConfigurationError` and `UnknownNameError`.
+    """
+    refuse_used_folder(config.out)
+    site = _open_site(config)
+    spec, encoder = open_scene(config.scene, config.robot), MiniLmEncoder.from_cache(config.cache)
+    library = _open_library(config, clocks, encoder, stack)
+    if library is not None and config.map:
+        spec = apply_map(spec, site.robot_model, library, config.map)
+    goal = parse_goals(config.goal, spec) if config.goal else None
+    image_encoder = _open_image_encoder(config)
+    if planner is None:
+        planner = _open_planner(config, site.robot_model, environ)
+        stack.callback(planner.close)
+    folder = RunFolder(config)
+    stack.callback(folder.release)
+    ledger = _open_ledger(config, clocks)
+    stack.callback(ledger.close)
+    world = make_world(
+        spec,
+        site.robot_model,
+        seed=config.seed,
+        goal=goal,
+        visuals=config.visuals,
+        pace=clocks.pace,
+        instruction_judge=make_instruction_judge(config.instruction),
+    )
+    return RunResources(
+        site=site,
+        spec=spec,
+        library=library if config.consult else None,
+        image_encoder=image_encoder,
+        planner=planner,
+        folder=folder,
+        ledger=ledger,
+        memory=_make_memory(config, site.robot_model, ledger, encoder),
+        world=world,
+    )
+
+
+def _open_site(config: RunConfig) -> RobotAtSite:
+    if config.site is None:
+        return RobotAtSite(robot_model=load_robot(config.robot))
+    site = read_site(config.site)
+    robot_model = site_robot(load_robot(config.robot), site)
+    return RobotAtSite(
+        robot_model=robot_model,
+        fixed_obstacles=site_obstacles(robot_model, site),
+        persons=site_persons(site),
+        grants=site_skill_grants(site, frozenset(skill_registry(robot_model).by_name)),
+    )
+
+
+def _open_library(config: RunConfig, clocks: Clocks, encoder: MiniLmEncoder, stack: ExitStack) -> Library | None:
+    """The documents, if passages or a map are requested."""
+    requested = config.consult and config.contract is None
+    if config.knowledge is None or not (requested or config.map):
+        return None
+    library = open_library(config.knowledge, encoder, now=clocks.now())
+    stack.callback(library.close)
+    return library
+
+
+def _open_image_encoder(config: RunConfig) -> ImageEncoder | None:
+    return ImageEncoder(weights.locate_weights(IMAGE_WEIGHTS, config.cache)) if config.image_memory else None
+
+
+def _open_planner(config: RunConfig, robot_model: RobotModel, environ: Mapping[str, str]) -> Planner:
+    """The planner of the configuration; a given contract and a stop command need none."""
+    if config.contract:
+        return FixedContractPlanner(
+            f"file {config.contract.name}", read_bounded_file(config.contract, MAX_CONTRACT_FILE_BYTES)
+        )
+    if is_stop_command(config.instruction):
+        return FixedContractPlanner("no planner: a stop command", b"")
+    prefixes = config.cache / "prefixes"
+    open_private_folder(prefixes)
+    registry, own = skill_registry(robot_model), skill_registry(load_robot(config.robot))
+    return open_planner(
+        config.planner,
+        config.cache,
+        adapters=config.adapters or config.ledger.with_name("adapters"),
+        robot=robot_model.name,
+        registry=registry.hash,
+        key=environ.get("OPENAI_API_KEY", ""),
+        prompt_cache=prefixes,
+        narrowed_registries={registry.hash: own.hash} if is_narrower(registry, own) else {},
+    )
+
+
+def _open_ledger(config: RunConfig, clocks: Clocks) -> Ledger:
+    holder = f"dualbrain run {config.out.name}"
+    return Ledger(config.ledger, holder=holder, now=clocks.now(), run_folders=(config.out.parent,))
+
+
+def _make_memory(config: RunConfig, robot_model: RobotModel, ledger: Ledger, encoder: MiniLmEncoder) -> Memory:
+    rule = None if config.static else Plasticity(epsilon=config.epsilon)
+    return Memory(ledger, encoder, MemoryConfig(limits=(PostureLimits.from_model(robot_model),), plasticity=rule))
