@@ -9,7 +9,7 @@ from dualbrain.contracts.registry import is_narrower
 from dualbrain.errors import ConfigurationError
 from dualbrain.grounding.vocabulary import load_skill_registry, skill_registry_at_site
 from dualbrain.planner.scripted import ScriptedPlanner
-from dualbrain.runtime import session
+from dualbrain.runtime import run_resources
 from dualbrain.runtime.session import Session
 from tests.stories.story_session import make_clocks, run_config
 
@@ -49,7 +49,7 @@ def test_a_session_passes_the_narrowed_registry_to_the_planner(site, tmp_path, m
         return ScriptedPlanner([])
 
     site.write_text(caps)
-    monkeypatch.setattr(session, "open_planner", open_planner)
+    monkeypatch.setattr(run_resources, "open_planner", open_planner)
     with Session(run_config(tmp_path, site=site), make_clocks(), {}):
         pass
     at_site = skill_registry_at_site("panda", site).hash

@@ -23,7 +23,7 @@ from dualbrain.records import (
     Scene,
     Violation,
 )
-from dualbrain.runtime import session
+from dualbrain.runtime import run_resources
 from dualbrain.runtime.run_folder import RUN_FILES
 from dualbrain.simulation.scenes.scene_spec import load_scene
 from tests.stories.story_session import hold_contract, ledger_episodes
@@ -103,7 +103,7 @@ def test_documents_that_a_planner_cannot_read_are_reported_once(run_command, mon
         template = short_template_hash()
 
     for kind, times in ((Short, 1), (ScriptedPlanner, 0)):
-        monkeypatch.setattr(session, "open_planner", lambda *_, kind=kind, **__: kind([hold_contract()]))
+        monkeypatch.setattr(run_resources, "open_planner", lambda *_, kind=kind, **__: kind([hold_contract()]))
         _, _, err = run_command(
             "run", "rest", "--scene", "bare:0", "--headless", "--knowledge", "on", "--out", kind.__name__
         )

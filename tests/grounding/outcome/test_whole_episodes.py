@@ -4,7 +4,7 @@ import pytest
 
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.run.execution import exit_code
-from dualbrain.runtime import local_answer
+from dualbrain.runtime.planning import local_answer
 from dualbrain.skills.arm import grasp
 from tests.stories.story_session import (
     GRASP,
