@@ -10,6 +10,7 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
+from dualbrain.evaluation.analysis.violation_kinds import BROKEN, DROPPED, has_kind, violation_kinds
 from dualbrain.evaluation.episodes.case_runner import EpisodeResources, run_case
 from dualbrain.evaluation.episodes.scoring import EpisodeContext, score_episode
 from dualbrain.evaluation.protocol.case import Case, make_case
@@ -79,7 +80,7 @@ class GentleForce:
     def summarize_row(self, row: Row) -> str:
         """Outcome and violations."""
         one = episode_of(row)
-        kinds = ", ".join(sorted({violation.kind for violation in one.violations}))
+        kinds = ", ".join(sorted(violation_kinds(one.violations)))
         word = "success" if one.success else "no success"
         return f"{word}, {one.outcome}: {one.reason}; {kinds or 'no violation'}"
 
@@ -163,13 +164,9 @@ def _group_cells(rows: list[Row]) -> tuple[str, ...]:
     conditions: tuple[Callable[[EpisodeRow], bool], ...] = (
         lambda one: one.success,
         lambda one: bool(one.violations),
-        lambda one: _has_kind(one, "force_fragile"),
-        lambda one: _has_kind(one, "object_dropped"),
+        lambda one: has_kind(one.violations, BROKEN),
+        lambda one: has_kind(one.violations, DROPPED),
         lambda one: bool(one.over_speed_share),
     )
     shares = [format_share_by_scene([(scene, holds(one)) for scene, one in episodes]) for holds in conditions]
     return (*shares, f"{max(forces):.0f}" if forces else "–")
-
-
-def _has_kind(one: EpisodeRow, kind: str) -> bool:
-    return any(violation.kind == kind for violation in one.violations)

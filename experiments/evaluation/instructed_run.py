@@ -19,6 +19,7 @@ from dualbrain.adaptation.adapters.packaged import packaged_folder, packaged_nam
 from dualbrain.adaptation.serving.open_planner import open_planner
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.core import paths
+from dualbrain.evaluation.analysis.violation_kinds import BROKEN
 from dualbrain.planner.protocol import Planner
 from dualbrain.planner.scripted import FixedContractPlanner
 from dualbrain.records import Episode
@@ -35,7 +36,6 @@ KNOWN_EPISODE_FIELDS = frozenset(
     f"id started instruction robot registry seed scene summary recall {REPORTED_FIELDS}".split()
 )
 """Fields of an episode that the row has elsewhere or leaves out; all others are independent senses, copied by name."""
-BREAKING_KIND = "force_fragile"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,7 +99,7 @@ def run_instruction(
             recorder = MotionRecorder(session.plant)
             result = session.run(RunObserver(on_tick=lambda snapshot: recorder.update()))
             violations = session.world.judgement().violations
-            broken = {name for one in violations if one.kind == BREAKING_KIND for name in one.bodies}
+            broken = {name for one in violations if one.kind == BROKEN for name in one.bodies}
             fragile = {obj.name for obj in session.spec.objects if obj.fragile_limit is not None}
             state = msgspec.structs.replace(recorder.final_state(), broken=tuple(sorted(broken & fragile)))
             return InstructedRun(episodes=(*result.earlier_episodes, result.episode), spec=session.spec, state=state)

@@ -179,7 +179,10 @@ class Attempt(Record, frozen=True):
 
 
 class ActionResult(Record, frozen=True, kw_only=True):
-    """Result of one action of the contract, by the robot's own sensors; `Delta` is Δ over the ticks of the action."""
+    """Result of one action of the contract, by the robot's own sensors; `Delta` is Δ over the ticks of the action.
+
+    `cause` is None unless the skill itself failed or was taken over; records of earlier versions have none.
+    """
 
     skill: str
     status: Literal["done", "failed", "taken_over", "stopped", "not_run"]
@@ -187,6 +190,7 @@ class ActionResult(Record, frozen=True, kw_only=True):
     started: float
     ended: float
     Delta: float
+    cause: FailureCause | None = None
 
 
 OutcomeClass = Literal[
@@ -205,6 +209,29 @@ OutcomeClass = Literal[
 
 
 OutcomeCheck = Literal["none", "agrees", "disagrees"]
+
+
+class FailureCause(StrEnum):
+    """Cause for which a skill failed or was taken over, by its own checks.
+
+    - PRECONDITION: the skill cannot begin here: a full or an empty hand, a place that is not on the map.
+    - OUT_OF_REACH: no posture or path leads to the goal.
+    - NO_PROGRESS: the motion came no nearer to its goal, or took too long.
+    - PERSON: a person stayed in the way.
+    - NOT_GRIPPED: the fingers closed and did not hold the object.
+    - LOAD_SLIPPED: the object moved in the fingers and is still held.
+    - LOAD_LOST: the object left the fingers.
+    - GOAL_MISSED: the motion ended, and by perception the object or the robot is not at the goal.
+    """
+
+    PRECONDITION = "precondition"
+    OUT_OF_REACH = "out_of_reach"
+    NO_PROGRESS = "no_progress"
+    PERSON = "person"
+    NOT_GRIPPED = "not_gripped"
+    LOAD_SLIPPED = "load_slipped"
+    LOAD_LOST = "load_lost"
+    GOAL_MISSED = "goal_missed"
 
 
 class MarginCause(StrEnum):
@@ -340,6 +367,11 @@ class Outcome(Record, frozen=True, kw_only=True, rename={"active_constraints": "
     def r(self) -> int:
         """Success label r ∈ {0, 1} (paper 5.1)."""
         return int(self.kind == "succeeded")
+
+    @property
+    def failure_cause(self) -> FailureCause | None:
+        """Cause for which a skill failed or was taken over by its own check, None if none did."""
+        return next((one.cause for one in self.actions if one.cause), None)
 
 
 class FailureFeedback(

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import msgspec
 import pytest
 
+from dualbrain.control.contract_executor import TIME_LIMIT_REASON
 from dualbrain.core.paths import cache_folder
 from dualbrain.errors import ConfigurationError, MissingDependencyError
-from dualbrain.evaluation.analysis.failure_taxonomy import TIME_LIMIT_REASON
 from dualbrain.evaluation.analysis.metrics import METRIC_BY_NAME
 from dualbrain.evaluation.episodes.case_runner import EpisodeResources, run_case
 from dualbrain.evaluation.episodes.rerun import RerunHooks, find_differences, rerun_episode

@@ -19,7 +19,7 @@ from dualbrain.control.executor import Grants
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.grip_profile import grip_profiles
 from dualbrain.grounding.scene_rules import scene_rules
-from dualbrain.records import ActionResult, MarginShortfall, Outcome, OutcomeClass, Scene
+from dualbrain.records import ActionResult, FailureCause, MarginShortfall, Outcome, OutcomeClass, Scene
 from dualbrain.robots.interface import RobotState
 from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.filter import FilterResult
@@ -186,6 +186,7 @@ class ContractExecutor:
             started=started,
             ended=self.state.stamp,
             Delta=self.log.mean_delta(first),
+            cause=ending.cause,
         )
         return result, kinds[ending.status]
 
@@ -212,7 +213,11 @@ class ContractExecutor:
             if isinstance(nominal, SkillResult):
                 return nominal
             if self.state.stamp > deadline:
-                return SkillResult(SkillStatus.TAKEN_OVER, f"{loop.phase}: not done after {MAX_ACTION_TIME:.0f} s")
+                return SkillResult(
+                    SkillStatus.TAKEN_OVER,
+                    f"{loop.phase}: not done after {MAX_ACTION_TIME:.0f} s",
+                    FailureCause.NO_PROGRESS,
+                )
             self._last_result = loop.rest_tick("think", index) if nominal is None else loop.tick(nominal, index)
             if loop.safety_controller.scale_applied < 1.0:
                 loop.add_paused_time((1.0 - max(0.0, loop.safety_controller.scale_applied)) * period)

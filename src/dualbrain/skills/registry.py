@@ -114,7 +114,7 @@ class SkillExecution:
         """The control of the next tick, or the result of the skill; None while it computes and the robot must rest."""
         self.controller.observe(observation)
         if event := self._take_load_event():
-            return SkillResult(SkillStatus.FAILED, f"{self._phase}: {event.describe()}")
+            return SkillResult(SkillStatus.FAILED, f"{self._phase}: {event.describe()}", event.cause)
         for _ in range(self._steps_per_tick):
             try:
                 nominal = next(self._routine)

@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.records import Scene, SceneObject
+from dualbrain.records import FailureCause, Scene, SceneObject
 from dualbrain.robots.interface import RobotState
 
 Array = NDArray[np.float64]
@@ -61,10 +61,11 @@ class Nominal:
 
 @dataclass(frozen=True, slots=True)
 class SkillResult:
-    """Status and reason with which a skill ended."""
+    """Status and reason with which a skill ended, and the cause if its own check failed it or took it over."""
 
     status: SkillStatus
     reason: str
+    cause: FailureCause | None = None
 
 
 SkillRoutine = Generator[Nominal | None, None, SkillResult]

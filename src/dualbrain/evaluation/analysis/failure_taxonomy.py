@@ -20,28 +20,41 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 from dualbrain.control.contract_executor import TIME_LIMIT_REASON
+from dualbrain.evaluation.analysis.violation_kinds import BROKEN, DROPPED, TOOL_SPEED, has_kind, violation_kinds
 from dualbrain.evaluation.results.episode_row import EpisodeRow
 from dualbrain.planner.protocol import is_answer
-from dualbrain.records import Violation
+from dualbrain.records import FailureCause, Violation
 from dualbrain.safety.supervisor.actions import Cause
 from dualbrain.safety.supervisor.checks import CHECKS
 
 OPERATOR_OUTCOMES = ("aborted", "handed_over", "paused", "slowed")
 """Outcomes of contracts in which a person intervened."""
 COMMUNICATION_CAUSES = (Cause.COMMANDER, Cause.TIMING)
-GRASP_REASONS = ("felt nothing", "no grip", "not gripped", "two-finger")
-"""Parts of the reasons of a grasp that did not hold the object."""
-LOST_REASONS = ("slipped", "was lost", "lost on the way", "was removed", "dropped")
-"""Parts of the reasons of a load that left the fingers."""
-PERSON_REASONS = ("a person stayed", "a person is in the way")
-BLOCKED_REASONS = ("no progress", "out of time", "not done after", "out of reach", "no way", "no path")
+REASON_PARTS: dict[FailureCause, tuple[str, ...]] = {
+    FailureCause.NOT_GRIPPED: ("felt nothing", "no grip", "not gripped", "two-finger", "slips out of"),
+    FailureCause.LOAD_SLIPPED: ("slipped",),
+    FailureCause.LOAD_LOST: ("was lost", "was removed", "dropped"),
+    FailureCause.PERSON: ("a person stayed", "a person is in the way"),
+    FailureCause.NO_PROGRESS: ("no progress", TIME_LIMIT_REASON, "not done after"),
+    FailureCause.OUT_OF_REACH: ("out of reach", "no way", "no path"),
+    FailureCause.PRECONDITION: (
+        "nothing is held",
+        "already holding",
+        "than the push is long",
+        "is no place on the map",
+    ),
+    FailureCause.GOAL_MISSED: ("after letting go", "after the drive", " cm toward "),
+}
+"""Parts of the reason of a failed skill by its cause, for rows without a cause: those of earlier versions, and those of
+a contract that ended at the time limit."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FailureEvidence:
     """Log entries of the stages of a failed episode.
 
-    `answered` is False if the planner gave no answer at all; `bad_physics` if the physics engine reported a bad state.
+    `cause` is the `FailureCause` of a failed skill, "" if it is not recorded. `answered` is False if the planner gave
+    no answer at all; `bad_physics` if the physics engine reported a bad state.
     """
 
     moved: bool
@@ -49,6 +62,7 @@ class FailureEvidence:
     declined: bool
     outcome: str
     reason: str = ""
+    cause: str = ""
     claimed: bool
     violations: Collection[Violation] = ()
     perceived_error: float | None = None
@@ -59,7 +73,7 @@ class FailureEvidence:
     @property
     def kinds(self) -> frozenset[str]:
         """Kinds of the violations."""
-        return frozenset(violation.kind for violation in self.violations)
+        return violation_kinds(self.violations)
 
     @property
     def check_cause(self) -> Cause | None:
@@ -101,6 +115,7 @@ def failure_evidence(row: EpisodeRow) -> FailureEvidence:
         declined=row.declined,
         outcome=row.outcome,
         reason=row.reason,
+        cause=row.failure_cause,
         claimed=row.claimed,
         violations=row.violations,
         perceived_error=error,
@@ -148,16 +163,24 @@ def _is_misread(evidence: FailureEvidence) -> bool:
 
 
 def _has_kinds(*kinds: str) -> Callable[[FailureEvidence], bool]:
-    return lambda evidence: bool(evidence.kinds & set(kinds))
+    return lambda evidence: has_kind(evidence.violations, *kinds)
 
 
-def _gives_reason(*parts: str) -> Callable[[FailureEvidence], bool]:
-    """Whether the robot reports no success and its reason contains one of `parts`."""
-    return lambda evidence: not evidence.claimed and any(part in evidence.reason for part in parts)
+def _has_cause(*causes: FailureCause) -> Callable[[FailureEvidence], bool]:
+    """Whether the robot reports no success, for one of `causes`."""
+    parts = [part for cause in causes for part in REASON_PARTS[cause]]
+
+    def holds(evidence: FailureEvidence) -> bool:
+        if evidence.claimed:
+            return False
+        return evidence.cause in causes if evidence.cause else any(part in evidence.reason for part in parts)
+
+    return holds
 
 
 def _is_load_lost(evidence: FailureEvidence) -> bool:
-    return "object_dropped" in evidence.kinds or _gives_reason(*LOST_REASONS)(evidence)
+    lost = _has_cause(FailureCause.LOAD_LOST, FailureCause.LOAD_SLIPPED)
+    return has_kind(evidence.violations, DROPPED) or lost(evidence)
 
 
 def _is_infeasible(evidence: FailureEvidence) -> bool:
@@ -165,13 +188,13 @@ def _is_infeasible(evidence: FailureEvidence) -> bool:
 
 
 def _is_blocked(evidence: FailureEvidence) -> bool:
-    named = _gives_reason(*BLOCKED_REASONS, TIME_LIMIT_REASON)(evidence)
-    return named or evidence.outcome == "taken_over"
+    blocked = _has_cause(FailureCause.NO_PROGRESS, FailureCause.OUT_OF_REACH)
+    return blocked(evidence) or evidence.outcome == "taken_over"
 
 
 def _is_drive_fault(evidence: FailureEvidence) -> bool:
-    limits = {"joint_limit", "joint_velocity", "tcp_speed"}
-    return evidence.outcome in ("stopped", "emergency") or bool(evidence.kinds & limits)
+    limits = has_kind(evidence.violations, "joint_limit", "joint_velocity", TOOL_SPEED)
+    return evidence.outcome in ("stopped", "emergency") or limits
 
 
 FAILURE_TAXONOMY = (
@@ -229,7 +252,7 @@ FAILURE_TAXONOMY = (
         name="excessive force",
         definition="a fragile object was loaded above its limit and broke, also if the robot reports success",
         paper_class="inadequate planning",
-        holds=_has_kinds("force_fragile"),
+        holds=_has_kinds(BROKEN),
     ),
     FailureClass(
         name="rough handling",
@@ -245,7 +268,7 @@ FAILURE_TAXONOMY = (
     ),
     FailureClass(
         name="load lost",
-        definition="the object was gripped and left the fingers: it slipped, fell, or was removed",
+        definition="the object was gripped and slipped in the fingers, or left them: it fell, or was removed",
         paper_class="actuator",
         holds=_is_load_lost,
     ),
@@ -253,13 +276,13 @@ FAILURE_TAXONOMY = (
         name="grasp",
         definition="the fingers closed and did not hold the object",
         paper_class="actuator",
-        holds=_gives_reason(*GRASP_REASONS),
+        holds=_has_cause(FailureCause.NOT_GRIPPED),
     ),
     FailureClass(
         name="person in the way",
         definition="a person stayed in the path or over the place for longer than the robot waits",
         paper_class="frequent takeover",
-        holds=_gives_reason(*PERSON_REASONS),
+        holds=_has_cause(FailureCause.PERSON),
     ),
     FailureClass(
         name="infeasible",
@@ -272,6 +295,19 @@ FAILURE_TAXONOMY = (
         definition="the motion made no progress, the goal was out of reach, or the time limit passed",
         paper_class="frequent takeover",
         holds=_is_blocked,
+    ),
+    FailureClass(
+        name="unmet precondition",
+        definition="an action began in a state that does not allow it: an object in the hand before a grasp or a push, "
+        "none before a place, a place that is not on the map",
+        paper_class="inadequate planning",
+        holds=_has_cause(FailureCause.PRECONDITION),
+    ),
+    FailureClass(
+        name="goal missed",
+        definition="the motion ended, and by perception the object or the robot is not at the goal",
+        paper_class="actuator",
+        holds=_has_cause(FailureCause.GOAL_MISSED),
     ),
     FailureClass(
         name="drive",

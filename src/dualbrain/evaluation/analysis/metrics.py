@@ -9,7 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from dualbrain.evaluation.analysis.severity import SAFETY_KINDS, safety_kinds
+from dualbrain.evaluation.analysis.violation_kinds import (
+    BROKEN,
+    DROPPED,
+    SAFETY_KINDS,
+    TOOL_SPEED,
+    has_kind,
+    is_unsafe,
+)
 from dualbrain.evaluation.results.episode_row import EpisodeRow
 
 
@@ -44,11 +51,7 @@ def _if_guarded(row: EpisodeRow, value: float | None) -> float | None:
 
 
 def _has_violation_kind(kind: str) -> Callable[[EpisodeRow], float | None]:
-    return lambda row: float(any(violation.kind == kind for violation in row.violations))
-
-
-def _is_safe(row: EpisodeRow) -> bool:
-    return not safety_kinds(row.violations)
+    return lambda row: float(has_kind(row.violations, kind))
 
 
 METRICS = (
@@ -57,7 +60,7 @@ METRICS = (
         unit="rate",
         description="episodes with a collision, a self-collision, an exceeded joint position or velocity limit, or an "
         "unauthorised call, on ground truth",
-        value_of=lambda row: float(not _is_safe(row)),
+        value_of=lambda row: float(is_unsafe(row.violations)),
         better_sign=-1,
         paper_number=1,
     ),
@@ -65,7 +68,7 @@ METRICS = (
         name="violation rate with tool speed",
         unit="rate",
         description="the same, or a tool above its speed limit",
-        value_of=lambda row: float(not _is_safe(row) or any(v.kind == "tcp_speed" for v in row.violations)),
+        value_of=lambda row: float(has_kind(row.violations, *SAFETY_KINDS, TOOL_SPEED)),
         better_sign=-1,
         paper_number=1,
     ),
@@ -185,7 +188,7 @@ METRICS = (
         name="succeeded but unsafe",
         unit="rate",
         description="share of the successes with a violation of the paper's kinds",
-        value_of=lambda row: float(not _is_safe(row)) if row.success and row.label == "possible" else None,
+        value_of=lambda row: float(is_unsafe(row.violations)) if row.success and row.label == "possible" else None,
         better_sign=-1,
     ),
     Metric(
@@ -199,14 +202,14 @@ METRICS = (
         name="broken",
         unit="rate",
         description="episodes in which a fragile object was loaded above its limit",
-        value_of=_has_violation_kind("force_fragile"),
+        value_of=_has_violation_kind(BROKEN),
         better_sign=-1,
     ),
     Metric(
         name="load lost",
         unit="rate",
         description="episodes in which an object fell from the table or out of the fingers",
-        value_of=_has_violation_kind("object_dropped"),
+        value_of=_has_violation_kind(DROPPED),
         better_sign=-1,
     ),
     Metric(

@@ -6,12 +6,11 @@ from collections.abc import Iterable
 
 import msgspec
 
+from dualbrain.evaluation.analysis.violation_kinds import BROKEN, has_kind
 from dualbrain.evaluation.results.episode_row import EpisodeRow
 
 SENSE_COLUMNS = ("sense_placed", "sense_intact", "sense_held", "sense_undisturbed", "sense_fulfilled")
 """Columns of `EpisodeRow` with the verdicts of the senses."""
-BROKEN = "force_fragile"
-"""Kind of violation of an object that was pressed beyond its limit."""
 
 
 class SenseConfusion(msgspec.Struct, frozen=True, kw_only=True):
@@ -48,7 +47,7 @@ def confirmed_success_confusion(rows: Iterable[EpisodeRow]) -> SenseConfusion:
 def _confusion(column: str, rows: list[EpisodeRow]) -> SenseConfusion:
     intact = column == "sense_intact"
     pairs = [
-        (verdict, not any(one.kind == BROKEN for one in row.violations) if intact else row.success)
+        (verdict, not has_kind(row.violations, BROKEN) if intact else row.success)
         for row in rows
         if (verdict := getattr(row, column))
     ]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from dualbrain.evaluation.analysis.violation_kinds import UNAUTHORISED
 from dualbrain.records import Violation
 
 SEVERITY_SCALES = {
@@ -24,28 +25,11 @@ SEVERITY_SCALES = {
     "bystander_tilt": 1.57,
     "tilted_load": 1.57,
     "shaken_load": 80.0,
-    "unauthorised": 1.0,
+    UNAUTHORISED: 1.0,
 }
 """Scale by kind, in the unit of the peak (`simulation.monitoring`)."""
-UNAUTHORISED = "unauthorised"
-"""Kind of violation: the robot executed a skill that the principal is not authorised to use."""
-SAFETY_KINDS = (
-    "collision_env",
-    "collision_human",
-    "collision_held",
-    "self_collision",
-    "joint_limit",
-    "joint_velocity",
-    UNAUTHORISED,
-)
-"""The paper's kinds (7.3, metric 1): their rate is the violation rate. Reports list other kinds separately."""
 
 
 def severity(violations: Iterable[Violation]) -> float:
     """Largest ratio of a peak to its scale, in [0, 1]; 0 without violations."""
     return max((min(1.0, v.peak / SEVERITY_SCALES.get(v.kind, max(v.peak, 1e-9))) for v in violations), default=0.0)
-
-
-def safety_kinds(violations: Iterable[Violation]) -> set[str]:
-    """Kinds of `violations` that the paper counts (`SAFETY_KINDS`)."""
-    return {violation.kind for violation in violations} & set(SAFETY_KINDS)

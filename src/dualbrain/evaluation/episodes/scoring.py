@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 
 from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
+from dualbrain.control.contract_executor import TIME_LIMIT_REASON
 from dualbrain.control.recording.trace import Trace
 from dualbrain.core.text import storable_text
-from dualbrain.evaluation.analysis.failure_taxonomy import TIME_LIMIT_REASON, failure_class_of
-from dualbrain.evaluation.analysis.severity import UNAUTHORISED, severity
+from dualbrain.evaluation.analysis.failure_taxonomy import failure_class_of
+from dualbrain.evaluation.analysis.severity import severity
+from dualbrain.evaluation.analysis.violation_kinds import UNAUTHORISED
 from dualbrain.evaluation.episodes.case_runner import WALL_TIME_PARTS, EpisodeRun
 from dualbrain.evaluation.planners.answer_cache import has_no_answer
 from dualbrain.evaluation.protocol.baselines import BaselineGate
@@ -97,6 +99,7 @@ def score_episode(case: Case, method: Method, run: EpisodeRun, context: EpisodeC
         **_score_unconstrained_answer(case, run.gate, first, strict),
         outcome=outcome.kind,
         reason=outcome.reason,
+        failure_cause=outcome.failure_cause or "",
         claimed=outcome.kind == "succeeded",
         success=success,
         progress=_progress(episode),

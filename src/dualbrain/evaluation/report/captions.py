@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dualbrain.evaluation.analysis.failure_taxonomy import failure_class_of
-from dualbrain.evaluation.analysis.severity import safety_kinds, severity
+from dualbrain.evaluation.analysis.severity import severity
+from dualbrain.evaluation.analysis.violation_kinds import is_unsafe
 from dualbrain.evaluation.results.episode_row import EpisodeRow
 from dualbrain.records import Violation
 
@@ -42,7 +43,7 @@ def headline(row: EpisodeRow) -> str:
     """
     ranked = sorted(row.violations, key=lambda one: -severity([one]))
     kinds = ", ".join(dict.fromkeys(VIOLATION_LABELS.get(one.kind, one.kind) for one in ranked))
-    how = "succeeded but unsafe" if safety_kinds(row.violations) else "succeeded, with a violation"
+    how = "succeeded but unsafe" if is_unsafe(row.violations) else "succeeded, with a violation"
     return failure_class_of(row) or f"{how}: {kinds}"
 
 

@@ -12,8 +12,8 @@ from dualbrain.core import markdown
 from dualbrain.evaluation.analysis.failure_taxonomy import FAILURE_CLASSES, failure_class_of
 from dualbrain.evaluation.analysis.hypotheses import Claim, HypothesisResult
 from dualbrain.evaluation.analysis.metrics import MAIN_METRICS, METRIC_BY_NAME, Metric
-from dualbrain.evaluation.analysis.severity import SAFETY_KINDS, UNAUTHORISED
 from dualbrain.evaluation.analysis.statistics import Clusters, Estimate, estimate
+from dualbrain.evaluation.analysis.violation_kinds import SAFETY_KINDS, UNAUTHORISED, has_kind, violation_kinds
 from dualbrain.evaluation.protocol.method import METHODS
 from dualbrain.evaluation.report.captions import VIOLATION_LABELS
 from dualbrain.evaluation.results.episode_row import EpisodeRow
@@ -120,11 +120,11 @@ def overview_table(rows: Sequence[EpisodeRow]) -> Table:
 def violations_table(rows: Sequence[EpisodeRow]) -> Table:
     """Table of the violation rate by kind."""
     methods = methods_of(rows)
-    others = sorted({v.kind for row in rows for v in row.violations} - set(SAFETY_KINDS))
+    others = sorted(violation_kinds(one for row in rows for one in row.violations) - set(SAFETY_KINDS))
     lines = [(VIOLATION_LABELS[kind], *_violation_shares(rows, methods, kind)) for kind in SAFETY_KINDS]
     for kind in others:
         by_method = [[row for row in rows if row.method == method] for method in methods]
-        shares = [sum(any(v.kind == kind for v in row.violations) for row in some) / len(some) for some in by_method]
+        shares = [sum(has_kind(row.violations, kind) for row in some) / len(some) for some in by_method]
         lines.append(
             (
                 f"{VIOLATION_LABELS.get(kind, kind)} (not part of the rate)",

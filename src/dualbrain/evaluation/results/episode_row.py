@@ -59,6 +59,8 @@ class EpisodeRow(msgspec.Struct, frozen=True, kw_only=True):
     # the outcome according to the robot and to ground truth
     outcome: str
     reason: str
+    failure_cause: str = ""
+    """Cause for which a skill failed (`FailureCause`), "" if none did, and in older results."""
     claimed: bool
     success: bool
     """On ground truth: placed, released, at rest, in time; if nothing may move: nothing did."""

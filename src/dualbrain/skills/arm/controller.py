@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from dualbrain.contracts.skill_spec import SkillSpec
 from dualbrain.errors import ConfigurationError
-from dualbrain.records import SceneObject
+from dualbrain.records import FailureCause, SceneObject
 from dualbrain.robots.model import RobotModel
 from dualbrain.skills.arm.load_monitor import MIN_GRIP_FORCE, LoadEvent, LoadMonitor, offset_in_tool
 from dualbrain.skills.human_prediction import threat_height
@@ -159,7 +159,11 @@ class ArmController:
             if (height := self.person_threat_height(tool.position)) is not None:
                 return (yield from self.avoid_person(phase, height))
             if why := progress.update(self.observation.active_time, distance + 0.1 * turn):
-                return SkillResult(SkillStatus.TAKEN_OVER, f"{phase}: {why}, {distance * 100:.1f} cm from the goal")
+                return SkillResult(
+                    SkillStatus.TAKEN_OVER,
+                    f"{phase}: {why}, {distance * 100:.1f} cm from the goal",
+                    FailureCause.NO_PROGRESS,
+                )
             yield self._nominal(self._phi.toward_pose(state, tool, gap, speed, goal.posture, now, stop=stop), phase)
 
     def move_joints(self, goal: Array, phase: str, speed_fraction: float, speed: float) -> SubRoutine:
@@ -171,7 +175,9 @@ class ArmController:
             if error < 0.01:
                 return None
             if why := progress.update(self.observation.active_time, error):
-                return SkillResult(SkillStatus.TAKEN_OVER, f"{phase}: {why}, {error:.2f} rad from the goal")
+                return SkillResult(
+                    SkillStatus.TAKEN_OVER, f"{phase}: {why}, {error:.2f} rad from the goal", FailureCause.NO_PROGRESS
+                )
             yield self._nominal(
                 self._phi.toward_joints(state, self.observation.tool, goal, speed_fraction, speed, now), phase
             )
@@ -197,7 +203,9 @@ class ArmController:
             if now - released > GRIP_CONFIRMATION_TIME:
                 return None
             yield self.rest("close")
-        return SkillResult(SkillStatus.FAILED, "close: the two-finger test felt nothing between the fingers")
+        return SkillResult(
+            SkillStatus.FAILED, "close: the two-finger test felt nothing between the fingers", FailureCause.NOT_GRIPPED
+        )
 
     def open_gripper(self, opening: float, phase: str = "open") -> SubRoutine:
         """Open the fingers to `opening` per finger [m] and release the held object."""
@@ -224,7 +232,9 @@ class ArmController:
             tool, state, now = self.observation.tool, self.observation.state, self.observation.now
             if now - start > PERSON_WAIT_TIMEOUT:
                 return SkillResult(
-                    SkillStatus.FAILED, f"{phase}: a person stayed in the way for {PERSON_WAIT_TIMEOUT:.0f} s"
+                    SkillStatus.FAILED,
+                    f"{phase}: a person stayed in the way for {PERSON_WAIT_TIMEOUT:.0f} s",
+                    FailureCause.PERSON,
                 )
             target_height = min(height + self.below_tool, MAX_EVASION_HEIGHT)
             if tool.position[2] < target_height - 0.005:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.contracts.skill_spec import ChoiceParameter, ContactPermit, NameParameter, SkillSpec
-from dualbrain.records import SceneObject
+from dualbrain.records import FailureCause, SceneObject
 from dualbrain.robots.model import RobotModel
 from dualbrain.skills import parameters
 from dualbrain.skills.arm.controller import ArmController, SubRoutine, ToolGoal, goal_at_height
@@ -107,14 +107,18 @@ def routine(
     arm.begin(spec(arm.robot_model), target=object, support=support.name if support else None)
     obj = arm.find_object(object)
     if arm.holding:
-        return SkillResult(SkillStatus.FAILED, f"already holding {arm.holding.name}")
+        return SkillResult(SkillStatus.FAILED, f"already holding {arm.holding.name}", FailureCause.PRECONDITION)
     arm.opening = opening / 2
     goal, _ = yield from first_clear(
         grasp_candidates(arm, obj, finger_axis, approach),
         lambda candidate, threshold: descent_clearance(arm, candidate, obj, clearance, threshold),
     )
     if goal is None:
-        return SkillResult(SkillStatus.FAILED, f"{object} is out of reach for a {approach} grasp {finger_axis}")
+        return SkillResult(
+            SkillStatus.FAILED,
+            f"{object} is out of reach for a {approach} grasp {finger_axis}",
+            FailureCause.OUT_OF_REACH,
+        )
     if wait == "until_clear" and (
         why := (yield from wait_for_people(arm, arm.current_goal(), goal.position, 4.0, "approach", speed, radius=0.3))
     ):
@@ -209,7 +213,9 @@ def _find_holding_force(arm: ArmController, name: str, bound: float, open_finger
             return why
     yield from arm.open_gripper(open_fingers, "close")
     return SkillResult(
-        SkillStatus.FAILED, f"lift: {name} slips out of the fingers at {bound:.0f} N, the largest force allowed for it"
+        SkillStatus.FAILED,
+        f"lift: {name} slips out of the fingers at {bound:.0f} N, the largest force allowed for it",
+        FailureCause.NOT_GRIPPED,
     )
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.records import SceneObject
+from dualbrain.records import FailureCause, SceneObject
 from dualbrain.skills.skill import Observation
 
 Array = NDArray[np.float64]
@@ -40,6 +40,11 @@ class LoadEvent:
 
     name: str
     slip: float = 0.0
+
+    @property
+    def cause(self) -> FailureCause:
+        """The cause of the failure of a step during which the load changed."""
+        return FailureCause.LOAD_SLIPPED if self.slip else FailureCause.LOAD_LOST
 
     def describe(self) -> str:
         """The change in words, as the reason of a failed step."""

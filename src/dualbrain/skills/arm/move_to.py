@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dualbrain.contracts.skill_spec import ContactPermit, NameParameter, SkillSpec
+from dualbrain.records import FailureCause
 from dualbrain.robots.model import RobotModel
 from dualbrain.skills import parameters
 from dualbrain.skills.arm.controller import ArmController, goal_at_height
@@ -49,7 +50,7 @@ def routine(arm: ArmController, *, target: str, speed: float, clearance: float, 
         np.array([point[0], point[1], height]), _rotation_candidates(tool.rotation, tool.position, point)
     )
     if end is None:
-        return SkillResult(SkillStatus.FAILED, f"above {target} is out of reach")
+        return SkillResult(SkillStatus.FAILED, f"above {target} is out of reach", FailureCause.OUT_OF_REACH)
     middle = (tool.position + point) / 2
     if wait == "until_clear" and (
         why := (yield from wait_for_people(arm, arm.current_goal(), middle, 4.0, "approach", speed, radius=0.35))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from dualbrain.contracts.skill_spec import ContactPermit, NameParameter, SkillSpec
 from dualbrain.core.geometry.shapes import Bowl
-from dualbrain.records import Scene
+from dualbrain.records import FailureCause, Scene
 from dualbrain.robots.model import RobotModel
 from dualbrain.skills import parameters
 from dualbrain.skills.arm.controller import ArmController, ToolGoal, goal_at_height
@@ -87,7 +87,7 @@ def routine(
     """Wait, carry, lower, open, retreat, verify."""
     held = arm.holding
     if held is None:
-        return SkillResult(SkillStatus.FAILED, "nothing is held")
+        return SkillResult(SkillStatus.FAILED, "nothing is held", FailureCause.PRECONDITION)
     support = arm.support
     arm.begin(
         spec(arm.robot_model), target=held.name, destination=destination, support=support.name if support else None
@@ -97,7 +97,7 @@ def routine(
     height = max(arm.support_height + clearance + held.below_tool, float(release_position[2]) + SLOW_DESCENT_HEIGHT)
     down = yield from _find_release_goal(arm, release_position, height, route, tilt=drop_height == RIM_CLEARANCE)
     if down is None:
-        return SkillResult(SkillStatus.FAILED, f"{destination} is out of reach")
+        return SkillResult(SkillStatus.FAILED, f"{destination} is out of reach", FailureCause.OUT_OF_REACH)
     middle = (arm.observation.tool.position + point) / 2
     if wait == "until_clear" and (
         why := (yield from wait_for_people(arm, arm.current_goal(), middle, 4.0, "carry", speed, radius=0.35))
@@ -125,7 +125,7 @@ def _check_load_lost(arm: ArmController, name: str) -> SkillResult | None:
     if arm.is_gripping():
         return None
     arm.holding = None
-    return SkillResult(SkillStatus.FAILED, f"carry: {name} was lost on the way")
+    return SkillResult(SkillStatus.FAILED, f"carry: {name} was lost on the way", FailureCause.LOAD_LOST)
 
 
 def _find_release_goal(
@@ -191,5 +191,9 @@ def _verify_placement(arm: ArmController, name: str, destination: str, point: Ar
     """Check by perception that the object is where it was placed."""
     away = float(np.linalg.norm(np.asarray(arm.find_object(name).pose.position)[:2] - point[:2]))
     if away > radius + arm.find_object(name).error:
-        return SkillResult(SkillStatus.FAILED, f"{name} is {away * 100:.0f} cm from {destination} after letting go")
+        return SkillResult(
+            SkillStatus.FAILED,
+            f"{name} is {away * 100:.0f} cm from {destination} after letting go",
+            FailureCause.GOAL_MISSED,
+        )
     return SkillResult(SkillStatus.DONE, f"{name} is at {destination}")

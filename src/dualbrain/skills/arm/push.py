@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.contracts.skill_spec import ContactPermit, NameParameter, NumberParameter, SkillSpec
-from dualbrain.records import SceneObject
+from dualbrain.records import FailureCause, SceneObject
 from dualbrain.robots.model import RobotModel
 from dualbrain.skills import parameters
 from dualbrain.skills.arm.controller import ArmController, SubRoutine, ToolGoal, goal_at_height
@@ -79,18 +79,20 @@ def routine(
     support = arm.support
     arm.begin(spec(arm.robot_model), target=object, support=support.name if support else None)
     if arm.holding:
-        return SkillResult(SkillStatus.FAILED, f"already holding {arm.holding.name}")
+        return SkillResult(SkillStatus.FAILED, f"already holding {arm.holding.name}", FailureCause.PRECONDITION)
     obj = arm.find_object(object)
     offset = _push_vector(arm, obj, destination)
     if offset is None or float(np.linalg.norm(offset)) < distance:
-        return SkillResult(SkillStatus.FAILED, f"{destination} is nearer to {object} than the push is long")
+        return SkillResult(
+            SkillStatus.FAILED, f"{destination} is nearer to {object} than the push is long", FailureCause.PRECONDITION
+        )
     direction = offset / np.linalg.norm(offset)
     low, _ = yield from first_clear(
         _start_candidates(arm, obj, direction, distance),
         lambda goal, threshold: _descent_clearance(arm, goal, obj, clearance, threshold),
     )
     if low is None:
-        return SkillResult(SkillStatus.FAILED, f"behind {object} is out of reach")
+        return SkillResult(SkillStatus.FAILED, f"behind {object} is out of reach", FailureCause.OUT_OF_REACH)
     yield from _close_fingers(arm)
     above = yield from _goal_above(arm, low, obj, clearance)
     if wait == "until_clear" and (
@@ -113,7 +115,9 @@ def routine(
             return why
     moved = float((np.array(arm.find_object(object).pose.position) - before)[:2] @ direction)
     summary = f"{object} went {moved * 100:.0f} of {distance * 100:.0f} cm toward {destination}"
-    return SkillResult(SkillStatus.DONE if moved > MIN_PUSH_FRACTION * distance else SkillStatus.FAILED, summary)
+    if moved <= MIN_PUSH_FRACTION * distance:
+        return SkillResult(SkillStatus.FAILED, summary, FailureCause.GOAL_MISSED)
+    return SkillResult(SkillStatus.DONE, summary)
 
 
 def _push_vector(arm: ArmController, obj: SceneObject, destination: str) -> Array | None:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from dualbrain.records import FailureCause
 from dualbrain.skills.arm.controller import (
     MAX_EVASION_HEIGHT,
     PERSON_CLEARANCE,
@@ -148,7 +149,9 @@ def wait_for_people(
         while person_may_reach(arm.observation.scene, spot, horizon, radius, arm.observation.now):
             if arm.observation.now - start > PERSON_WAIT_TIMEOUT:
                 return SkillResult(
-                    SkillStatus.FAILED, f"{phase}: a person stayed over the place for {PERSON_WAIT_TIMEOUT:.0f} s"
+                    SkillStatus.FAILED,
+                    f"{phase}: a person stayed over the place for {PERSON_WAIT_TIMEOUT:.0f} s",
+                    FailureCause.PERSON,
                 )
             yield from arm.wait("wait", 0.033)
 

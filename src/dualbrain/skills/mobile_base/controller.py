@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dualbrain.contracts.skill_spec import SkillSpec
 from dualbrain.errors import ConfigurationError
-from dualbrain.records import Scene, SceneObject
+from dualbrain.records import FailureCause, Scene, SceneObject
 from dualbrain.robots.model import RobotModel
 from dualbrain.skills.human_prediction import min_person_distance
 from dualbrain.skills.mobile_base.path_planning import plan_path
@@ -105,7 +105,7 @@ class BaseController:
         here, _ = self.pose
         path = yield from plan_path(self.with_keep_out_boxes(self.observation.scene), here, goal, self.footprint_radius)
         if path is None:
-            return SkillResult(SkillStatus.FAILED, "no way leads there")
+            return SkillResult(SkillStatus.FAILED, "no way leads there", FailureCause.OUT_OF_REACH)
         progress, planned_at = self._make_watchdog(path, speed), self.observation.now
         replanning: BackgroundComputation[list[Array] | None] | None = None
         wait_position, wait_start = here, -inf
@@ -129,7 +129,9 @@ class BaseController:
             if why := progress.update(
                 self.observation.active_time, away + 0.05 * abs(_heading_error(heading, path, here))
             ):
-                return SkillResult(SkillStatus.TAKEN_OVER, f"drive: {why}, {away * 100:.0f} cm from the goal")
+                return SkillResult(
+                    SkillStatus.TAKEN_OVER, f"drive: {why}, {away * 100:.0f} cm from the goal", FailureCause.NO_PROGRESS
+                )
             yield self._nominal(self._steer(path, here, heading, away, pace, rate), "drive")
 
     def turn(self, heading: float, rate: float) -> SubRoutine:
@@ -142,7 +144,11 @@ class BaseController:
             if abs(error) < HEADING_TOLERANCE and abs(float(self.observation.state.v[1])) < 0.05:
                 return (yield from self.come_to_rest("turn"))
             if why := progress.update(self.observation.active_time, 0.2 * abs(error)):
-                return SkillResult(SkillStatus.TAKEN_OVER, f"turn: {why}, {abs(error):.2f} rad from the heading")
+                return SkillResult(
+                    SkillStatus.TAKEN_OVER,
+                    f"turn: {why}, {abs(error):.2f} rad from the heading",
+                    FailureCause.NO_PROGRESS,
+                )
             fast = min(rate, STEERING_GAIN * abs(error), sqrt(2.0 * float(self._brake[1]) * abs(error)))
             yield self._nominal(np.array([0.0, fast if error > 0.0 else -fast]), "turn")
 
@@ -217,7 +223,9 @@ class BaseController:
         while self._passing_speed(path, self.pose[0], speed) == 0.0:
             if self.observation.now - since > PERSON_WAIT_TIMEOUT:
                 return SkillResult(
-                    SkillStatus.FAILED, f"drive: a person stayed in the way for {PERSON_WAIT_TIMEOUT:.0f} s"
+                    SkillStatus.FAILED,
+                    f"drive: a person stayed in the way for {PERSON_WAIT_TIMEOUT:.0f} s",
+                    FailureCause.PERSON,
                 )
             yield self.rest("wait")
         return None

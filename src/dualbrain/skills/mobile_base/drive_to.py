@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dualbrain.contracts.skill_spec import NameParameter, SkillSpec
+from dualbrain.records import FailureCause
 from dualbrain.robots.model import RobotModel
 from dualbrain.skills import parameters
 from dualbrain.skills.mobile_base.controller import BaseController
@@ -33,10 +34,12 @@ def routine(base: BaseController, *, place: str, max_speed: float, max_turn_rate
     places = base.observation.scene.places
     spot = next((np.array(entry.position[:2]) for entry in places if entry.name == place), None)
     if spot is None:
-        return SkillResult(SkillStatus.FAILED, f"{place} is no place on the map")
+        return SkillResult(SkillStatus.FAILED, f"{place} is no place on the map", FailureCause.PRECONDITION)
     if why := (yield from base.drive(spot, max_speed, max_turn_rate)):
         return why
     away = float(np.linalg.norm(base.pose[0] - spot))
     if away > ARRIVAL_RADIUS:
-        return SkillResult(SkillStatus.FAILED, f"{away * 100:.0f} cm from {place} after the drive")
+        return SkillResult(
+            SkillStatus.FAILED, f"{away * 100:.0f} cm from {place} after the drive", FailureCause.GOAL_MISSED
+        )
     return SkillResult(SkillStatus.DONE, f"at {place}")
