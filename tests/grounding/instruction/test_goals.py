@@ -1,0 +1,140 @@
+"""The goal that the parser reads from the words of an instruction, without an episode."""
+
+import pytest
+
+from dualbrain.grounding.instruction.goals.goal import Goal, Held, Observed, Placed, Pushed, RobotEnds, Unmoved, Unread
+from dualbrain.grounding.instruction.goals.goal_reading import MAX_CHARACTERS, read_goal
+from tests.grounding.outcome.tabletop_cases import BEFORE
+
+CUBE, TIN, BLOCKS = ("red_cube",), ("green_tin",), ("red_block", "yellow_block")
+IN_BOWL, HOME = Placed(CUBE, "in", ("blue_bowl",)), RobotEnds("home")
+OTHERS = ("red_cube", "yellow_block", "green_tin", "clear_glass")
+
+
+@pytest.mark.parametrize(
+    ("instruction", "conditions"),
+    [
+        # relations: "on" and "to" state the inside of a container, a place, or the top of an object
+        ("put the red cube on the bowl", (IN_BOWL,)),
+        ("put the red cube to the bowl", (IN_BOWL,)),
+        ("put the red cube on table_left", (Placed(CUBE, "at", ("table_left",)),)),
+        ("put the red cube on the yellow block", (Placed(CUBE, "on", ("yellow_block",)),)),
+        ("put the red cube left of the bowl", (Placed(CUBE, "left_of", ("blue_bowl",)),)),
+        ("put the red cube right of the bowl", (Placed(CUBE, "right_of", ("blue_bowl",)),)),
+        ("put the red cube between the bowl and the tin", (Placed(CUBE, "between", ("blue_bowl", "green_tin")),)),
+        ("throw the red cube in the bowl", (IN_BOWL,)),
+        # numbers and quantifiers
+        ("put two blocks in the bowl", (Placed(BLOCKS, "in", ("blue_bowl",), 2),)),
+        ("put a block in the bowl", (Placed(BLOCKS, "in", ("blue_bowl",), 1),)),
+        ("put both blocks in the bowl", (Placed(BLOCKS, "in", ("blue_bowl",)),)),
+        (
+            "put all blocks except the red block in the bowl",
+            (Placed(("yellow_block",), "in", ("blue_bowl",)),),
+        ),
+        ("put everything on the red block", (Placed(OTHERS, "on", ("red_block",)),)),  # not on itself
+        # pushes
+        ("push the red cube away from me", (Pushed(CUBE, "backward"),)),
+        ("push the red cube away from you", (Pushed(CUBE, "forward"),)),
+        ("push the red cube to the left", (Pushed(CUBE, "left"),)),
+        ("push the red cube to the right", (Pushed(CUBE, "right"),)),
+        ("push the red cube toward the bowl", (Pushed(CUBE, "toward", "blue_bowl"),)),
+        ("push the red cube away from the bowl", (Pushed(CUBE, "away_from", "blue_bowl"),)),
+        # several clauses
+        ("pick up the red cube, then go home", (Held(CUBE), HOME)),
+        ("pick up the red cube and put it in the bowl", (IN_BOWL,)),
+        ("put the tin on table_left, then put the tin in the bowl", (Placed(TIN, "in", ("blue_bowl",)),)),
+        ("pick up the red cube, go home, put it in the bowl", (HOME, IN_BOWL)),
+        ("go home, then stay where you are", (RobotEnds("still"),)),
+        ("before you go home, put the red cube in the bowl", (IN_BOWL, HOME)),
+        ("put the red cube in the bowl and nothing else should be touched", (IN_BOWL,)),
+        ("put the red cube in the bowl and leave everything else alone", (IN_BOWL,)),
+        ("do not touch the tin, put the red cube in the bowl", (Unmoved(TIN), IN_BOWL)),
+        # conditions on the scene: the bowl is empty
+        ("if the bowl is free, put the red cube in it", (IN_BOWL,)),
+        ("if the bowl is occupied, put the red cube in it", (RobotEnds("still"),)),
+        # the robot
+        ("look at the red cube", (Observed("red_cube"),)),
+        ("go to table_left", (RobotEnds("drive", "table_left"),)),
+        ("take a break", (RobotEnds("rest"),)),
+    ],
+)
+def test_the_conditions_are_those_of_the_words(instruction, conditions):
+    goal = read_goal(instruction, BEFORE)
+    assert isinstance(goal, Goal), goal
+    assert goal.conditions == conditions
+
+
+@pytest.mark.parametrize(
+    ("instruction", "movable"),
+    [
+        ("put the red cube in the bowl", {"red_cube"}),
+        ("put both blocks in the bowl", set(BLOCKS)),
+        ("push the red cube to the left", {"red_cube"}),
+        ("pick up the tin", {"green_tin"}),
+        ("look at the red cube", set()),
+        ("go home", set()),
+        ("put everything in the bowl, but do not touch the tin", {*OTHERS, "red_block"} - {"green_tin"}),
+        ("put everything in the bowl and look at the tin", {*OTHERS, "red_block"} - {"green_tin"}),
+    ],
+)
+def test_only_the_objects_that_the_words_move_may_move(instruction, movable):
+    assert read_goal(instruction, BEFORE).movable == movable
+
+
+@pytest.mark.parametrize(
+    ("instruction", "part"),
+    [
+        ("throw the red cube at the person", '"throw" could injure'),
+        ("throw the red cube", '"throw" could injure'),
+        ("open the door", 'can "open"'),
+        ("put three blocks in the bowl", 'no "three blocks"'),
+        ("put the green cube in the bowl", 'no "green cube"'),
+    ],
+)
+def test_an_instruction_that_nothing_can_carry_out_is_a_decline(instruction, part):
+    goal = read_goal(instruction, BEFORE)
+    assert part in goal.decline
+    assert goal.conditions == ()
+
+
+@pytest.mark.parametrize(
+    ("instruction", "part"),
+    [
+        ("put the red cube on the red cube", "relative to itself"),
+        ("put the red cube between the bowl", "two objects"),
+        ("put the red cube on the table", "does not state where"),
+        ("put both cubes in the bowl", "does not name two objects"),
+        ("put the block in the bowl", "may be red_block or yellow_block"),
+        ("put the red cube next to the blocks", "several objects"),
+        ("put two blocks and the tin in the bowl", "number within a list"),
+        ("put the man in the bowl", "is a person"),
+        ("put the red dice in the bowl", "may be another name of red_cube"),
+        ("put it in the bowl", "refers to nothing"),
+        ("drive to the red cube", "is no place"),
+        ("open the gripper", "does not know the form"),
+        ("put " * (MAX_CHARACTERS // 4) + "the red cube in the bowl", "longer than"),
+        ("", "no instruction"),
+    ],
+)
+def test_words_that_the_parser_does_not_account_for_are_not_read(instruction, part):
+    goal = read_goal(instruction, BEFORE)
+    assert isinstance(goal, Unread), goal
+    assert part in goal.reason
+
+
+@pytest.mark.parametrize(
+    ("instruction", "beyond", "at_home"),
+    [
+        ("put the red cube in the bowl", "", False),
+        ("put the red cube in the bowl, then go home", "", True),
+        ("put the red cube left of the bowl", '"left of"', False),
+        ("hand me the red cube", "a person takes", False),
+        ("push the red cube to the left", '"left"', False),
+        ("push the red cube toward the bowl", "", False),
+    ],
+)
+def test_a_goal_states_whether_contracts_can_state_it_and_whether_it_ends_at_home(instruction, beyond, at_home):
+    goal = read_goal(instruction, BEFORE)
+    assert beyond in goal.beyond_contracts
+    assert bool(goal.beyond_contracts) == bool(beyond)
+    assert goal.ends_at_home == at_home
