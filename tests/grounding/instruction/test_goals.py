@@ -86,7 +86,7 @@ def test_only_the_objects_that_the_words_move_may_move(instruction, movable):
     [
         ("throw the red cube at the person", '"throw" could injure'),
         ("throw the red cube", '"throw" could injure'),
-        ("open the door", 'can "open"'),
+        ("open the drawer", 'can "open"'),
         ("put three blocks in the bowl", 'no "three blocks"'),
         ("put the green cube in the bowl", 'no "green cube"'),
     ],
