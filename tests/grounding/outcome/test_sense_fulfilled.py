@@ -1,5 +1,7 @@
 """The sense "the request was carried out": a table of instructions and perceived ends, and laws under noise."""
 
+from dataclasses import replace as replace_fields
+
 import msgspec
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from tests.grounding.outcome.tabletop_cases import BEFORE, ERROR, HOME, evidence
 
 YES, NO, OPEN = "confirmed", "contradicted", "not judged"
 CUBE_IN, REDS_IN = {"red_cube": "in the bowl"}, {"red_cube": "in the bowl", "red_block": "in the bowl"}
+BLOCKS_IN = {"red_block": "in the bowl", "yellow_block": "in the bowl"}
 LONG = "put the red cube in the bowl " + "and then again " * 60
 
 CASES = [
@@ -72,6 +75,16 @@ CASES = [
         evidence(REDS_IN, grips=(grip("red_block"), grip("red_cube"))),
         NO,
     ),
+    (
+        "put the red cube in the bowl, then put the red block in the bowl",
+        evidence(REDS_IN, grips=(grip("red_block"), grip("red_cube"), grip("red_block"))),  # placed again afterwards
+        YES,
+    ),
+    (
+        "put both blocks in the bowl, then put the red cube in the bowl",
+        evidence(BLOCKS_IN | CUBE_IN, grips=(grip("red_cube"), grip("red_block"), grip("yellow_block"))),
+        YES,  # a phrase with several objects has no order
+    ),
     # the robot
     ("go home", evidence(robot=HOME), YES),
     ("return to your resting posture", evidence(robot=HOME + 0.02), YES),
@@ -111,6 +124,7 @@ CASES = [
     # declines
     ("put the banana in the bowl", evidence(declined=True), YES),
     ("put the banana in the bowl", evidence(CUBE_IN), NO),
+    ("put the banana in the bowl", evidence({}), NO),  # not declined, although nothing moved
     ("put the purple cube in the bowl", evidence(declined=True), YES),
     ("put the red cube in the bowl", evidence(declined=True), NO),
     ("place the red cube to the left of the bowl", evidence(declined=True), YES),
@@ -155,11 +169,23 @@ def test_the_instruction_is_compared_with_the_perceived_end(instruction, one, ex
     assert verdict.reason.endswith(".")
 
 
+def test_an_instruction_that_broke_an_object_is_not_carried_out():
+    broken = replace_fields(evidence(CUBE_IN), broken=frozenset({"clear_glass"}))
+    verdict = judge("put the red cube in the bowl", broken)
+    assert (verdict.verdict, verdict.reason) == (NO, "clear_glass was broken.")
+
+
 def test_changes_are_described_in_words():
     assert describe_changes(evidence(CUBE_IN)) == "red cube in blue bowl; nothing else moved"
     assert describe_changes(evidence({})) == "nothing moved"
     assert describe_changes(evidence(hand="red_cube")) == "red cube in the hand; nothing else moved"
     assert describe_changes(evidence({"green_tin": "table_left"})) == "green tin at table left; nothing else moved"
+    on_block = evidence({"red_cube": "on the yellow block"})
+    assert describe_changes(on_block) == "red cube on yellow block; nothing else moved"
+    assert describe_changes(evidence({"red_cube": "far away"})) == "red cube moved by 40 cm; nothing else moved"
+    assert describe_changes(evidence({}, fallen=("green_tin",))) == "green tin toppled by 0 cm; nothing else moved"
+    unsure = evidence(CUBE_IN, gone=("green_tin",))
+    assert describe_changes(unsure) == "red cube in blue bowl; green tin: not decided within the perception error"
 
 
 WORDS = [

@@ -56,6 +56,11 @@ def test_placed_compares_the_perceived_pose_with_the_destination(where, destinat
     assert judge_placed(one).verdict == expected
 
 
+def test_an_object_in_the_hand_is_not_placed():
+    one = with_placements(evidence({"red_cube": "in the bowl"}, hand="red_cube"), red_cube="blue_bowl")
+    assert judge_placed(one).verdict == "contradicted"
+
+
 def test_placed_does_not_judge_without_a_placement_or_a_perceived_object():
     assert judge_placed(evidence(CUBE_IN)).verdict == "not judged"
     vanished = with_placements(evidence(CUBE_IN, gone=("red_cube",)), red_cube="blue_bowl")
@@ -105,6 +110,20 @@ def test_a_robust_object_may_be_gripped_firmly():
     assert judge_intact(evidence({})).verdict == "not judged"
 
 
+def test_a_glass_that_lies_in_a_bowl_or_in_the_hand_is_intact():
+    lying = {"fallen": ("clear_glass",), "grips": (grip("clear_glass", 9.0),)}
+    one = evidence({"clear_glass": "in the bowl"}, **lying)
+    assert judge_intact(with_placements(one, clear_glass="blue_bowl")).verdict == "confirmed"
+    assert judge_intact(with_placements(one, clear_glass="table_left")).verdict == "contradicted"
+    held = evidence(hand="clear_glass", **lying | {"grips": (holding("clear_glass", 9.0),)})
+    assert judge_intact(held).verdict == "confirmed"
+
+
+def test_a_robust_object_that_is_no_longer_perceived_is_not_judged():
+    one = evidence(CUBE_IN, gone=("red_cube",), grips=(grip("red_cube"),))
+    assert judge_intact(one).verdict == "not judged"
+
+
 # --- held, undisturbed ------------------------------------------------------------------------------------------------
 
 
@@ -113,6 +132,8 @@ def test_held_reads_the_fingers_after_the_motion():
     lost = grip("red_cube", released=False, end_force=0.0, end_opening=0.0)
     assert judge_held(evidence({"red_cube": "3 cm ahead"}, grips=(lost,))).verdict == "contradicted"
     assert judge_held(evidence(CUBE_IN)).verdict == "not judged"
+    twice = evidence(hand="red_cube", grips=(grip("green_tin"), holding("red_cube")))
+    assert judge_held(twice).verdict == "confirmed"  # the last grip counts
 
 
 @pytest.mark.parametrize(
@@ -127,6 +148,7 @@ def test_held_reads_the_fingers_after_the_motion():
 def test_undisturbed_looks_at_every_other_object(moves, fallen, gone, expected):
     one = evidence(CUBE_IN | moves, fallen=fallen, gone=gone)
     assert judge_undisturbed(one, frozenset({"red_cube"})).verdict == expected
+    assert judge_undisturbed(one, frozenset(one.movable_names)).verdict == "not judged"
 
 
 # --- together ---------------------------------------------------------------------------------------------------------
