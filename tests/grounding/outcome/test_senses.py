@@ -110,7 +110,7 @@ def test_a_robust_object_may_be_gripped_firmly():
     assert judge_intact(evidence({})).verdict == "not judged"
 
 
-def test_a_glass_that_lies_in_a_bowl_or_in_the_hand_is_intact():
+def test_a_toppled_glass_in_a_bowl_or_in_the_hand_is_intact():
     lying = {"fallen": ("clear_glass",), "grips": (grip("clear_glass", 9.0),)}
     one = evidence({"clear_glass": "in the bowl"}, **lying)
     assert judge_intact(with_placements(one, clear_glass="blue_bowl")).verdict == "confirmed"
@@ -222,6 +222,52 @@ def test_no_success_agrees_against_one_sense(bad):
     assert combine_verdicts(Outcome(kind="succeeded", reason=""), verdicts, gripped=True) == "disagrees"
 
 
+def confirmed(*, contradicted=()):
+    """The verdicts of all senses, confirmed except `contradicted`."""
+    return tuple(SenseVerdict(name, "contradicted" if name in contradicted else "confirmed", "") for name in SENSES)
+
+
+@pytest.mark.parametrize(
+    ("kind", "contradicted", "expected"),
+    [
+        ("succeeded", (), "agrees"),
+        ("paused", (), "agrees"),
+        ("slowed", ("undisturbed",), "disagrees"),
+        ("failed", (), "disagrees"),
+        ("taken_over", ("undisturbed",), "none"),  # carried out, with something else disturbed: no clear failure
+        ("failed", ("fulfilled",), "agrees"),
+        ("stopped", ("fulfilled",), "none"),
+        ("declined", (), "none"),
+    ],
+)
+def test_the_senses_agree_or_disagree_with_the_kind_of_the_outcome(kind, contradicted, expected):
+    outcome = Outcome(kind=kind, reason="")
+    assert combine_verdicts(outcome, confirmed(contradicted=contradicted), gripped=True) == expected
+
+
+def test_a_success_needs_the_sense_intact_only_if_something_was_gripped():
+    verdicts = tuple(SenseVerdict(one.sense, "not judged", "") if one.sense == "intact" else one for one in confirmed())
+    outcome = Outcome(kind="succeeded", reason="")
+    assert combine_verdicts(outcome, verdicts, gripped=True) == "none"
+    assert combine_verdicts(outcome, verdicts, gripped=False) == "agrees"
+
+
+@pytest.mark.parametrize(("unjudged", "expected"), [("fulfilled", "agrees"), ("placed", "none")])
+def test_without_an_instruction_the_destination_of_the_contract_is_the_request(unjudged, expected):
+    verdicts = tuple(SenseVerdict(one.sense, "not judged", "") if one.sense == unjudged else one for one in confirmed())
+    outcome = Outcome(kind="succeeded", reason="")
+    assert combine_verdicts(outcome, verdicts, gripped=True, instructed=False) == expected
+
+
+def test_the_objects_of_the_request_may_move_although_the_contract_handles_another():
+    """A contract for another object: the sense "undisturbed" leaves out both, the sense "fulfilled" contradicts."""
+    moves = {"yellow_block": "in the bowl", "red_cube": "3 cm ahead"}
+    steps, grips = put("yellow_block", "blue_bowl"), (grip("yellow_block"),)
+    found = check("put the red cube in the bowl", "succeeded", moves, steps=steps, grips=grips)
+    assert {one.sense: one.verdict for one in found.verdicts}["undisturbed"] == "confirmed"
+    assert found.check == "disagrees"
+
+
 def test_a_box_is_not_a_cylinder_afterwards():
     """A change of the fitted shape alone is no loss of height: depth perception fits a shape to each image."""
     one = glass_moved(force=9.0, after_shape=Box((0.024, 0.024, 0.012)))
@@ -234,3 +280,5 @@ def test_the_hand_that_holds_is_part_of_the_evidence():
         BEFORE, scene_after({}), contract(("grasp", {"object": "red_cube"})), outcome, HOME, HOME, PANDA
     )
     assert one.in_hand == "red_cube"
+    released = msgspec.structs.replace(outcome, grips=(grip("red_cube"),))
+    assert collect_evidence(BEFORE, scene_after({}), contract(), released, HOME, HOME, PANDA).in_hand == ""
