@@ -141,6 +141,7 @@ def test_held_reads_the_fingers_after_the_motion():
     [
         ({}, (), (), "confirmed"),
         ({"green_tin": "far away"}, (), (), "contradicted"),
+        ({"blue_bowl": "far away"}, (), (), "contradicted"),
         ({}, ("green_tin",), (), "contradicted"),
         ({}, (), ("green_tin",), "not judged"),
     ],
