@@ -55,8 +55,8 @@ def condition_holds(condition: Condition, evidence: Evidence) -> bool | None:
             return all_true(_pushed(name, direction, reference, evidence) for name in objects)
         case Unmoved(objects):
             return all_true(negate(moved(name, evidence)) for name in objects)
-        case Observed(name):
-            return False if moved(name, evidence) else None
+        case Observed(name, is_moved):
+            return False if not is_moved and moved(name, evidence) else None
         case RobotEnds():
             return _robot_ends(condition, evidence)
 

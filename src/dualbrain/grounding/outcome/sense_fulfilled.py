@@ -106,7 +106,7 @@ def _expected(condition: Condition) -> str:
             return f"The instruction asks to push {_list(objects)} {_words(direction)} {_words(reference)}".rstrip()
         case Unmoved(objects):
             return f"The instruction asks to leave {_list(objects)} in place"
-        case Observed(name):
+        case Observed(name, _):
             return f"The instruction asks for the empty hand above {_words(name)}"
         case RobotEnds(movement, place):
             return f"The instruction asks the robot to end {movement} {_words(place)}".rstrip()

@@ -69,9 +69,10 @@ class Unmoved:
 
 @dataclass(frozen=True, slots=True)
 class Observed:
-    """The empty hand is above `object_name`, which has not moved."""
+    """The empty hand is above `object_name`, which has not moved unless the goal moves it before (`is_moved`)."""
 
     object_name: str
+    is_moved: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -97,8 +97,9 @@ def _read_text(text: str, scene: Scene, vocabulary: Vocabulary) -> Goal | Unread
         read = _Clauses(_combine(read.conditions, conditions), last or read.last)
     if not read.conditions:
         return Unread("The instruction contains no request that the goal parser knows.")
+    conditions = _observe_moved(read.conditions)
     ordered = re.search(r"\b(?:then|after that|afterwards|once|when) \b", text) is not None
-    return Goal(read.conditions, movable=_movable(read.conditions), ordered=ordered)
+    return Goal(conditions, movable=_movable(conditions), ordered=ordered)
 
 
 def _read_conditional(condition: re.Match[str], scene: Scene, vocabulary: Vocabulary) -> Goal | Unread:
@@ -129,7 +130,12 @@ def strip_fillers(clause: str) -> str:
 
 
 def _combine(before: Sequence[Condition], new: Sequence[Condition]) -> tuple[Condition, ...]:
-    """`before` and `new`; a placement ends the hold of the same objects, and a later placement replaces an earlier."""
+    """`before` and `new`; a placement ends the hold of the same objects, and a later placement replaces an earlier.
+
+    Standing still after another request adds no condition: the robot stops once the request is done.
+    """
+    if before and tuple(new) == (RobotEnds("still"),):
+        return tuple(before)
     placed = {name for one in new if isinstance(one, Placed) for name in one.objects}
     kept = [one for one in before if not (isinstance(one, Held | Placed) and set(one.objects) <= placed)]
     if any(isinstance(one, RobotEnds) for one in new):  # only the last end of the robot remains
@@ -137,8 +143,19 @@ def _combine(before: Sequence[Condition], new: Sequence[Condition]) -> tuple[Con
     return tuple(dict.fromkeys((*kept, *new)))
 
 
+def _moved(conditions: Sequence[Condition]) -> set[str]:
+    return {name for one in conditions if isinstance(one, Placed | Held | Pushed) for name in one.objects}
+
+
+def _observe_moved(conditions: Sequence[Condition]) -> tuple[Condition, ...]:
+    """`conditions`, with the observed objects marked that other conditions move."""
+    moved = _moved(conditions)
+    return tuple(
+        Observed(one.object_name, is_moved=True) if isinstance(one, Observed) and one.object_name in moved else one
+        for one in conditions
+    )
+
+
 def _movable(conditions: Sequence[Condition]) -> frozenset[str]:
-    moved = {name for one in conditions if isinstance(one, Placed | Held | Pushed) for name in one.objects}
     kept = {name for one in conditions if isinstance(one, Unmoved) for name in one.objects}
-    kept |= {one.object_name for one in conditions if isinstance(one, Observed)}
-    return frozenset(moved - kept)
+    return frozenset(_moved(conditions) - kept)
