@@ -19,11 +19,12 @@ from dualbrain.simulation.plant.factory import make_plant
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from dualbrain.skills.registry import skill_registry
 from experiments.engine.experiment import Options, Row, WorkUnit
-from experiments.evaluation.instructions.instruction_set import clause_instructions, content_hash
+from experiments.evaluation.instructions.instruction_set import CLAUSE_FILES, clause_instructions, content_hash
 from experiments.figures.tables import format_proportion, markdown_table
 
 MAX_DECLINED_PLAIN = 2
-INSTRUCTION_FILE = "clauses.toml"
+HELD_OUT = frozenset({"third"})
+"""The sets whose errors are counted and never listed, so that nobody corrects the check by them."""
 
 
 class Clauses:
@@ -31,45 +32,68 @@ class Clauses:
 
     name = "clauses"
     claim = (
-        "Of 60 instructions with a clause that contracts cannot express, the local check declines every one and names "
-        f"the clause; of 60 instructions without such a clause it declines at most {MAX_DECLINED_PLAIN}."
+        "In each of three sets of 60 instructions with a clause that contracts cannot express and 60 without one, the "
+        f"local check declines and names every clause, and declines at most {MAX_DECLINED_PLAIN} of the others."
     )
 
     def units(self, options: Options) -> list[WorkUnit]:
-        """One unit for each instruction."""
+        """One unit for each instruction of each set."""
         del options
-        sets = clause_instructions()
         return [
-            WorkUnit(f"clause {index:02d}", {"set": "clause", "index": index}) for index in range(len(sets.clause))
-        ] + [WorkUnit(f"plain {index:02d}", {"set": "plain", "index": index}) for index in range(len(sets.plain))]
+            WorkUnit(f"{name} {part} {k:02d}", {"collection": name, "set": part, "index": k})
+            for name in CLAUSE_FILES
+            for part in ("clause", "plain")
+            for k in range(len(getattr(clause_instructions(name), part)))
+        ]
 
     def run(self, parameters: dict[str, Any]) -> Row:
         """Check one instruction in its scene."""
-        one = getattr(clause_instructions(), parameters["set"])[parameters["index"]]
-        fields = {"kind": one.kind, "instruction": one.text, "file": content_hash(INSTRUCTION_FILE)}
+        collection = parameters["collection"]
+        one = getattr(clause_instructions(collection), parameters["set"])[parameters["index"]]
+        fields = {"kind": one.kind, "instruction": one.text, "file": content_hash(CLAUSE_FILES[collection])}
         return {**parameters, **fields, "refusal": refusal_of(one.text, perceive(one.scene, one.robot), one.robot)}
 
     def summarize_row(self, row: Row) -> str:
         """Whether the instruction was declined."""
+        if row["collection"] in HELD_OUT:
+            return "checked"
         return f"{row['kind']}: {row['refusal'] or 'passed on'}"
 
     def report(self, rows: list[Row]) -> list[str]:
-        """Declined instructions by kind, and every wrong one."""
-        clause, plain = ([row for row in rows if row["set"] == name] for name in ("clause", "plain"))
-        named, declined = [row for row in clause if is_right(row)], [row for row in plain if row["refusal"]]
-        passed = [row for row in clause if not row["refusal"]]
-        lines = [
-            f"With a clause: declined and named {format_proportion(len(named), len(clause))}; passed on "
-            f"{format_proportion(len(passed), len(clause))}. Without: declined "
-            f"{format_proportion(len(declined), len(plain))}.",
-            "",
-        ]
-        total, right = Counter(row["kind"] for row in clause), Counter(row["kind"] for row in named)
-        head = ("kind of clause", "instructions", "declined and named")
-        lines += markdown_table(head, ((kind, total[kind], right[kind]) for kind in sorted(total)))
-        wrong = [row for row in rows if not is_right(row)]
+        """Declined instructions by set and by kind, and every wrong one of the sets that are not held out."""
+        collections = [name for name in CLAUSE_FILES if any(row["collection"] == name for row in rows)]
+        head = ("set", "with a clause: declined and named", "with a clause: passed on", "without one: declined")
+        lines = markdown_table(
+            head, [(name, *shares([r for r in rows if r["collection"] == name])) for name in collections]
+        )
+        lines += markdown_table(("kind of clause", *collections), rows_by_kind(rows, collections))
+        wrong = [row for row in rows if not is_right(row) and row["collection"] not in HELD_OUT]
         cells = ((row["key"], row["instruction"], row["refusal"] or "passed on") for row in wrong)
         return lines + (markdown_table(("", "instruction", "answer of the check"), cells) if wrong else [])
+
+
+def shares(rows: list[Row]) -> tuple[str, str, str]:
+    """Of the `rows` of one set: clauses that are declined and named, clauses that are passed on, others declined."""
+    clause, plain = ([row for row in rows if row["set"] == part] for part in ("clause", "plain"))
+    counts = (
+        (sum(map(is_right, clause)), len(clause)),
+        (sum(row["refusal"] is None for row in clause), len(clause)),
+        (sum(row["refusal"] is not None for row in plain), len(plain)),
+    )
+    named, passed, declined = (format_proportion(*count) for count in counts)
+    return named, passed, declined
+
+
+def rows_by_kind(rows: list[Row], collections: list[str]) -> list[tuple[str, ...]]:
+    """For each kind of clause: the declined and named ones of all, in each set."""
+    clause = [row for row in rows if row["set"] == "clause"]
+    total = Counter((row["kind"], row["collection"]) for row in clause)
+    right = Counter((row["kind"], row["collection"]) for row in clause if is_right(row))
+    kinds = sorted({row["kind"] for row in clause})
+    return [
+        (kind, *(f"{right[kind, name]} of {total[kind, name]}" if total[kind, name] else "" for name in collections))
+        for kind in kinds
+    ]
 
 
 def refusal_of(text: str, scene: Scene, robot: str) -> str | None:
@@ -82,7 +106,7 @@ def is_right(row: Row) -> bool:
     """A clause is declined and named, and an instruction without a clause is not declined."""
     if row["set"] == "plain":
         return row["refusal"] is None
-    names = clause_instructions().clause[row["index"]].names
+    names = clause_instructions(row["collection"]).clause[row["index"]].names
     return row["refusal"] is not None and any(name in row["refusal"].lower() for name in names)
 
 

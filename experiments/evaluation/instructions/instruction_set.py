@@ -1,4 +1,4 @@
-"""Loads the instruction sets `free.toml` and `clauses.toml`, and checks them against their scenes.
+"""Loads the instruction sets `free.toml` and `clauses*.toml`, and checks them against their scenes.
 
 The rules of judgement are at the head of each file.
 """
@@ -37,6 +37,8 @@ REQUIRED_FIELDS: dict[PredicateKind, tuple[str, ...]] = {
     "unmoved": ("object",),
 }
 """The fields that each kind of predicate needs; `any_of` with `count` may replace `object`."""
+CLAUSE_FILES = {"first": "clauses.toml", "second": "clauses_second.toml", "third": "clauses_third.toml"}
+"""The files of the sets of instructions with and without clauses, by the name of the set."""
 
 
 class Predicate(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, rename={"kind": "is"}):
@@ -104,7 +106,7 @@ class FreeInstructions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
 
 
 class ClauseInstructions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The file `clauses.toml`."""
+    """One of the files of `CLAUSE_FILES`."""
 
     clause: tuple[ClauseInstruction, ...]
     plain: tuple[PlainInstruction, ...]
@@ -120,9 +122,9 @@ def free_instructions() -> FreeInstructions:
 
 
 @cache
-def clause_instructions() -> ClauseInstructions:
-    """The packaged instructions with and without clauses; raises `ConfigurationError` for an invalid file."""
-    return _convert(_read("clauses.toml"), ClauseInstructions)
+def clause_instructions(collection: str) -> ClauseInstructions:
+    """The set of `CLAUSE_FILES` with the name `collection`; raises `ConfigurationError` for an invalid file."""
+    return _convert(_read(CLAUSE_FILES[collection]), ClauseInstructions)
 
 
 def parse_free_instructions(text: str) -> FreeInstructions:

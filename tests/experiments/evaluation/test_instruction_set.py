@@ -9,6 +9,7 @@ import pytest
 from dualbrain.errors import ConfigurationError
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from experiments.evaluation.instructions.instruction_set import (
+    CLAUSE_FILES,
     FreeInstruction,
     check_names,
     clause_instructions,
@@ -27,16 +28,25 @@ def test_every_free_instruction_is_about_its_new_scene(one: FreeInstruction) -> 
 
 
 def test_the_sets_are_complete_and_without_repetition() -> None:
-    free, clauses = free_instructions().instruction, clause_instructions()
-    assert (len(free), len(clauses.clause), len(clauses.plain)) == (80, 60, 60)
-    texts = Counter(one.text.lower() for one in (*clauses.clause, *clauses.plain))
+    free, clauses = free_instructions().instruction, [clause_instructions(name) for name in CLAUSE_FILES]
+    assert len(free) == 80
+    assert {(len(one.clause), len(one.plain)) for one in clauses} == {(60, 60)}
+    texts = Counter(one.text.lower() for each in clauses for one in (*each.clause, *each.plain))
     assert max(texts.values()) == 1
     assert len({one.id for one in free}) == len({one.text.lower() for one in free}) == 80
 
 
-def test_every_clause_instruction_is_about_an_existing_scene() -> None:
-    for one in (*clause_instructions().clause, *clause_instructions().plain):
+@pytest.mark.parametrize("collection", CLAUSE_FILES)
+def test_every_clause_instruction_is_about_an_existing_scene(collection: str) -> None:
+    both = clause_instructions(collection)
+    for one in (*both.clause, *both.plain):
         assert open_scene(one.scene, one.robot).objects
+
+
+@pytest.mark.parametrize("collection", CLAUSE_FILES)
+def test_the_words_that_name_a_clause_are_words_of_the_instruction(collection: str) -> None:
+    for one in clause_instructions(collection).clause:
+        assert any(name in one.text.lower() for name in one.names)
 
 
 VALID = """

@@ -13,14 +13,14 @@ from dualbrain.records import Violation
 from dualbrain.runtime.assembly import SimulatedCell
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from dualbrain.skills.arm.grasp import FRAGILE_FRACTION
-from experiments.engine.experiment import Options
+from experiments.engine.experiment import Options, Row
 from experiments.evaluation import clauses
 from experiments.evaluation.clauses import Clauses
 from experiments.evaluation.demo_sentence import DemoSentence, resolvable_end
 from experiments.evaluation.free_instructions import FreeInstructionsExperiment, judge_row
 from experiments.evaluation.gentle_force import FORCES, TASKS, GentleForce, contract_text
 from experiments.evaluation.instructed_run import instructed_row, open_named_planner, planners_of, run_instruction
-from experiments.evaluation.instructions.instruction_set import clause_instructions
+from experiments.evaluation.instructions.instruction_set import CLAUSE_FILES, clause_instructions
 from experiments.evaluation.outcome_confusion import OutcomeConfusion
 from experiments.figures.tables import format_share_by_scene
 from tests.evaluation.sample_rows import episode_row
@@ -107,14 +107,29 @@ def test_a_clause_must_be_declined_and_named(monkeypatch):
     """A check that declines everything with "when": right for the first clause, wrong for one of another kind."""
     monkeypatch.setattr(clauses, "refusal_of", lambda text, scene, robot: "contracts cannot express “when”")
     experiment = Clauses()
-    last = len(clause_instructions().clause) - 1
+    last = len(clause_instructions("first").clause) - 1
     cases = [("clause", 0), ("clause", last), ("plain", 0)]
-    rows = [{"key": f"{name} {k:02d}", **experiment.run({"set": name, "index": k})} for name, k in cases]
+    rows = [clause_row(experiment, "first", part, k) for part, k in cases]
     assert [clauses.is_right(row) for row in rows] == [True, False, False]
-    report = experiment.report(rows)
-    assert "declined and named 1 of 2" in report[0]
-    assert "passed on 0 of 2" in report[0]
-    assert "Without: declined 1 of 1" in report[0]
+    named, passed, declined = clauses.shares(rows)
+    assert (named[:6], passed[:6], declined[:6]) == ("1 of 2", "0 of 2", "1 of 1")
+    assert f"| first | {named} | {passed} | {declined} |" in experiment.report(rows)
+
+
+def test_the_wrong_instructions_of_the_held_out_set_are_counted_and_not_listed(monkeypatch):
+    monkeypatch.setattr(clauses, "refusal_of", lambda text, scene, robot: None)
+    experiment = Clauses()
+    rows = [clause_row(experiment, name, "clause", 0) for name in CLAUSE_FILES]
+    report = "\n".join(experiment.report(rows))
+    listed = {name: clause_instructions(name).clause[0].text in report for name in CLAUSE_FILES}
+    assert listed == {"first": True, "second": True, "third": False}
+    assert "| third | 0 of 1" in report
+
+
+def clause_row(experiment: Clauses, collection: str, part: str, k: int) -> Row:
+    """The row of instruction `k` of one part of one set."""
+    parameters = {"collection": collection, "set": part, "index": k}
+    return {"key": f"{collection} {part} {k:02d}", **experiment.run(parameters)}
 
 
 @pytest.mark.parametrize("robot", ["panda", "ur5e"])
