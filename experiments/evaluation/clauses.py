@@ -24,7 +24,7 @@ from experiments.figures.tables import format_proportion, markdown_table
 
 MAX_DECLINED_PLAIN = 2
 HELD_OUT = frozenset({"third"})
-"""The sets whose errors are counted and never listed, so that nobody corrects the check by them."""
+"""The sets whose errors are counted and never listed, so that the check is not corrected by them."""
 
 
 class Clauses:

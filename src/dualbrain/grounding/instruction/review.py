@@ -8,9 +8,9 @@ from typing import Literal
 
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.skill_spec import NameParameter
-from dualbrain.grounding.instruction.clauses.clause_patterns import ClauseKind
 from dualbrain.grounding.instruction.clauses.clause_search import Clause, find_clauses
 from dualbrain.grounding.instruction.clauses.expressible import capabilities
+from dualbrain.grounding.instruction.clauses.rules.clause_rule import ClauseKind
 from dualbrain.grounding.instruction.hostile import find_hostile_request
 from dualbrain.grounding.instruction.language import ENGLISH, detect_foreign_language, is_understood
 from dualbrain.grounding.instruction.stop_commands import is_stop_command

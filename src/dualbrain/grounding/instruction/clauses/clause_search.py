@@ -1,6 +1,6 @@
 """Clauses of an instruction that the contracts of a robot cannot express, found before a planner is asked.
 
-The check is local and deterministic. It reads English; its rules know the wordings in `clause_patterns.py`, and a
+The check is local and deterministic. It reads English and knows the wordings in `clause_patterns.py` and in `rules`; a
 clause in other words is not found. An instruction with a clause is declined as a whole, because a robot that does the
 rest would do something else than the instruction asks for.
 """
@@ -13,13 +13,14 @@ from dataclasses import dataclass
 from itertools import chain, islice
 
 from dualbrain.grounding.instruction.clauses import clause_patterns as patterns
-from dualbrain.grounding.instruction.clauses.clause_patterns import ClauseKind, ClauseRule
 from dualbrain.grounding.instruction.clauses.contrasts import mask_contrasts
 from dualbrain.grounding.instruction.clauses.counted_objects import mask_counts
 from dualbrain.grounding.instruction.clauses.descriptions import ambiguous_descriptions, mask_descriptions
 from dualbrain.grounding.instruction.clauses.destinations import mask_sides
 from dualbrain.grounding.instruction.clauses.expressible import Capabilities
 from dualbrain.grounding.instruction.clauses.figures_of_speech import mask_figures
+from dualbrain.grounding.instruction.clauses.rules.all_rules import RULES
+from dualbrain.grounding.instruction.clauses.rules.clause_rule import ClauseKind, ClauseRule
 from dualbrain.grounding.instruction.clauses.scene_words import SceneWords
 from dualbrain.grounding.instruction.names import category_words, mask_places
 from dualbrain.grounding.instruction.words import Words, sentences
@@ -214,7 +215,7 @@ def _alternatives(sentence: str) -> Iterator[tuple[int, int, ClauseKind]]:
 
 
 def _by_rules(sentence: str, abilities: Capabilities) -> Iterator[tuple[int, int, ClauseKind]]:
-    for rule in patterns.RULES:
+    for rule in RULES:
         for match in rule.pattern.finditer(sentence):
             if rule.unless is not None and rule.unless.search(sentence):
                 break

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.skill_spec import NameParameter, NumberParameter, SkillSpec
-from dualbrain.grounding.instruction.clauses.clause_patterns import Capability
+from dualbrain.grounding.instruction.clauses.rules.clause_rule import Capability
 
 HANDOVER_SKILLS = frozenset({"hand_over", "handover", "give"})
 """Names of skills that would hand an object to a person; no registry has one today."""

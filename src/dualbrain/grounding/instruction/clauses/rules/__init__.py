@@ -1,0 +1,1 @@
+"""Rules that one pattern decides, by the kind of the clause."""

@@ -1,0 +1,41 @@
+"""Exclusions without the word not."""
+
+from __future__ import annotations
+
+import re
+
+from dualbrain.grounding.instruction.clauses.rules.clause_rule import ClauseRule
+
+EXCLUSIONS: tuple[ClauseRule, ...] = (
+    ClauseRule(
+        "exclusion",
+        re.compile(
+            r"\b(?:refrain(?:ing)? from|abstain(?:ing)? from|(?:keep|stay) (?:off|out of|away from|clear of)"
+            r"|hands off|forbidden|prohibited|off limits)\b"
+            r"|\b(?:put|place|move|take|bring|drop|grasp|touch|push|pick up|leave) no "
+            r"(?!time|more|longer|notice|offen[cs]e|risks?|chances?|mess|further)\w+"
+        ),
+        re.compile(r"\bout of the way\b|\bkeep (?:yourself )?out of trouble\b"),
+    ),
+    ClauseRule(
+        "exclusion",
+        re.compile(
+            r"\b(?:except(?:ing)?|excluding|exclude|other than|apart from|aside from|instead of|rather than"
+            r"|avoid(?:ing)?|neither|nor|save for|bar the|leaving out|leave out|all but|everything but"
+            r"|anything but|nothing but|every(?:one|thing)? but|but for|barring|skip(?:ping)?|omit)\b"
+            r"|\b(?:and|but|with) no (?!hurry|rush|haste|problems?|worries|one|reason)\w+"
+            r"|\bbut the (?!only\b)(?:\w+ ){1,3}?(?:one|ones)\b|\bno (?:red|blue|green|yellow|orange|purple"
+            r"|teal|white|brown|gray|pink|black) ones?\b"
+        ),
+        re.compile(r"\bwithout (?:any )?exception\b"),
+    ),
+    ClauseRule(
+        "exclusion",
+        re.compile(
+            r"\bleave (?:the|it|all|my)\b[^.;!?]{0,30}\b(?:alone|out|untouched|in place)\b|\b(?:all|every"
+            r"|everything|each)\b[^.!?]{0,80}\bleave (?:the|it|all|my)\b[^.;!?]{0,30}\bwhere (?:it|they) (?:is"
+            r"|are)\b"
+        ),
+        re.compile(r"\bleave (?:it as it is|(?:the rest|all the rest|all else|the others))\b"),
+    ),
+)

@@ -1,0 +1,67 @@
+"""Handing over to a person."""
+
+from __future__ import annotations
+
+import re
+
+from dualbrain.grounding.instruction.clauses.rules.clause_rule import ClauseRule
+
+HANDOVERS: tuple[ClauseRule, ...] = (
+    ClauseRule(
+        "handing over",
+        re.compile(
+            r"\b(?:hand|give|pass|offer|fetch|lend|bring|get|toss|serve|feed|deliver)(?: (?:it|that|this"
+            r"|them))? (?:to )?(?:me|us|him|her|somebody|someone|the (?:person|man|woman|human|user|operator"
+            r"|visitor|child|worker))\b"
+        ),
+        re.compile(
+            r"\bgive me (?:a (?:moment|minute|second|hand|break)|time|the commander|your|the pass)\b"
+            r"|\bget me wrong\b|\bhand me the password\b"
+        ),
+        "hand over",
+    ),
+    ClauseRule(
+        "handing over",
+        re.compile(
+            r"\b(?:hand|give|pass|offer|bring|take|carry|deliver|return|get|move|put|place|drop|hold"
+            r"|lay)\b[^.;!?]{0,80}?\b(?:to|into|in|on|for|out to) "
+            r"(?:me|us|him|her|somebody|someone|the (?:person|man|woman|human|user|operator|visitor|customer"
+            r"|guest|child|worker|colleague|nurse"
+            r"|patient|cook|boss|driver|neighbou?r|lady|gentleman|student|teacher)"
+            r"|my (?:hands?|palm|desk|side|place|lap|brother|sister|mother|father|friend|colleague|boss)"
+            r"|(?:his|their|her) (?:hands?|palm|lap))\b"
+        ),
+        re.compile(r"\bfor (?:me|us|him|her)\b|\bto (?:me|us) (?:that|to)\b|\bmatters to me\b|\bmatter to me\b"),
+        "hand over",
+    ),
+    ClauseRule(
+        "handing over",
+        re.compile(
+            r"(?<!your )(?<!the )(?<!empty )\bhand (?:it|them|that|this|the (?:\w+ ){1,3}?)(?:over|out"
+            r"|across)\b|\bhand ?over\b(?! the)|\bhold (?:it|that|the (?:\w+ ){1,3}?)out\b"
+            r"|\blet (?:me|him|her|us|the (?:person|man|woman|user|operator)) (?:have|take|hold|grab)\b"
+            r"|\bin(?:to)? my hands?\b|\b(?:i|he|she) (?:can|could|may|will) (?:take|grab|receive) it\b"
+            r"|\bso (?:that )?i can (?:take|grab|have|hold)\b"
+        ),
+        re.compile(r"\bhold (?:your|the) hand over\b|\bwithout handing\b|\bneed (?:both )?hands\b"),
+        "hand over",
+    ),
+    ClauseRule(
+        "handing over",
+        re.compile(
+            r"(?:^|[,.;:!?] |\b(?:please|and|then|you|to|now|just) )hand over (?:the|that|this|my|all)\b"
+            r"|\b(?:give|hand|pass) (?:it|that|this|them) (?:over )?here\b"
+        ),
+        None,
+        "hand over",
+    ),
+    ClauseRule(
+        "handing over",
+        re.compile(
+            r"\b(?:can|could|may|might) (?:i|we|he|she) (?:please )?(?:have|get|take) (?:the|that|this|my) "
+            r"(?:\w+ ){0,2}?\w+(?= ?(?:[,.?!;]|please|$))"
+        ),
+        None,
+        "hand over",
+    ),
+)

@@ -1,0 +1,47 @@
+"""Orientations of an object."""
+
+from __future__ import annotations
+
+import re
+
+from dualbrain.grounding.instruction.clauses.rules.clause_rule import ClauseRule
+
+ORIENTATIONS: tuple[ClauseRule, ...] = (
+    ClauseRule(
+        "orientation",
+        re.compile(
+            r"\b(?:upside down|on (?:its|his) (?:side|head|back|end|edge)|face (?:down|up)"
+            r"|the other way (?:round|around)"
+            r"|inside out|tilted|tilt|flip(?:ped)?|turn(?:ed)? (?:it|the (?:\w+ ){1,3})(?:over|round|around|upside)"
+            r"|turn (?:around|round|over)|upright|lying down|lengthwise|at an angle|sideways on|standing up)\b"
+        ),
+        re.compile(r"\bupright on the\b"),
+    ),
+    ClauseRule(
+        "orientation",
+        re.compile(
+            r"\b(?:rotate|turn|spin|twist|flip) (?:it|this|that|the (?:\w+ ){1,3}?)"
+            r"(?:by|through|around|over|clockwise|upside|on|\d+(?:[.,]\d+)?|ninety|half)\b"
+            r"|\b(?:face|facing) (?:towards )?(?:me|him|her|us|the (?:person|man|woman|human|user|operator|camera))\b"
+        ),
+        re.compile(r"\bturn (?:the robot|the arm|the base|it on)\b"),
+    ),
+    ClauseRule("orientation", re.compile(r"\b(?:rotated|facing|degrees)\b"), None, "turn"),
+    ClauseRule(
+        "orientation",
+        re.compile(
+            r"\b(?:turn|rotate|spin|twist|swivel|tip|tilt) (?:it|this|that|the (?:\w+ ){1,3}?)"
+            r"(?: ?(?:so|such) that\b| ?to face\b| ?(?:a (?:bit|little|quarter|half)|slightly)\b)[^.,;:!?]{0,60}"
+            r"|\ba (?:quarter|half|full|complete) (?:turn|rotation)\b|\b(?:spin|twist|swivel) (?:it|the \w+)\b"
+        ),
+        re.compile(r"\bturn (?:the robot|the base|the arm)\b"),
+    ),
+    ClauseRule(
+        "orientation",
+        re.compile(
+            r"\b(?:its|the|their|with) (?:\w+ ){0,3}?(?:side|end|edge|label|handle|lid|opening|spout|neck|logo|face|tip"
+            r"|mouth|cap|corner|base|bottom|picture|writing)s? (?:\w+ )?(?:faces?|facing|points?|pointing|turned"
+            r"|looks?|looking|is up|is down|upwards?|downwards?|uppermost|parallel)\b"
+        ),
+    ),
+)
