@@ -190,9 +190,9 @@ def is_one_edit_away(word: str, known: str) -> bool:
 
 
 def sentences(text: str) -> Iterator[tuple[int, int]]:
-    """Start and end of each sentence of a text in normal form."""
+    """Start and end of each sentence of a text in normal form; the point of a decimal number ends none."""
     start = 0
-    for match in re.finditer(r"[.!?;]", text):
+    for match in re.finditer(r"[.!?;](?!\d)", text):
         yield start, match.end()
         start = match.end()
     if start < len(text):

@@ -17,6 +17,7 @@ DONE = re.compile(
     r"(?:put|placed|dropped|moved)? ?(?:in|inside|into|on|at|to) (?:it|there|the)\b"
     r"|\b(?:path|way|route|coast) is (?:free|clear)\b"
     r"|\b(?:\w+ ){1,3}(?:is|lies) (?:in there|there|in|inside)\b"
+    r"|\byou (?:have|hold|got|grasped|(?:have |are )(?:got|grasped|lifted|holding|picked up)) (?:it|that|this|them)\b"
 )
 """The end of an action of the robot itself: an order that a sequence of skills expresses."""
 OCCUPANCY = re.compile(
@@ -25,17 +26,33 @@ OCCUPANCY = re.compile(
     r"|\bholds? (?:nothing|something|anything)\b"
 )
 """Whether a container holds something, which the planner reads in the scene."""
+FILLED = re.compile(r"\b(?:full|empty)\b")
+LATER_STATE = re.compile(r"\b(?:turns? out|proves?|happens? to)\b")
+"""A state that comes out while the robot acts."""
+_NOT_PERCEIVED = r"(?! (?:\w+ly )?(?:hear|see|feel|sense|detect|find|smell|notice|spot|read|recogni[sz]e|observe)\b)"
+"""After "if you can": without a verb of perception, the words are polite."""
+_HAVE_TIME = (
+    r"(?:have|have got|got|get|find) (?:the |a |some |any )?(?:free |spare |quiet |little )?"
+    r"(?:time|chance|opportunity|(?:second|minute|moment|sec|hand)(?= (?:[,.;:!?]|to|free|spare|please|could|can|would"
+    r"|will|put|take|move|bring|grasp|go)\b| [,.;:!?]|$))"
+)
+_CONVENIENT = (
+    r"(?:ok|okay|fine|alright|all right|possible|convenient|no (?:trouble|bother|problem|burden)"
+    r"|not (?:too much|an? (?:problem|bother|burden)|(?:any|much) (?:trouble|bother)|inconvenient))"
+)
 POLITE_CONDITION = re.compile(
-    r"\bif (?:you (?:can|could|please|would|will|like|want|do not mind|are able|have time|are so kind|may)"
-    r"|possible|necessary|need be|i may|it is (?:ok|okay|possible|convenient|no trouble|not too much)|it suits"
-    r"|that is (?:ok|okay|possible|fine)|you (?:have|find|get) (?:the time|a (?:second|minute|moment|chance))"
-    r"|you are not (?:too )?busy|it is not (?:a problem|(?:any|much) trouble)|i (?:might|could) (?:ask|say|suggest))\b"
+    rf"\bif (?:you (?:(?:can|could|would|will|want|like|may){_NOT_PERCEIVED}|please|do not mind|are able"
+    rf"|are so kind|have nothing (?:else|better|more important)"
+    rf"|would not mind|feel like it|are (?:free|available)|{_HAVE_TIME})"
+    r"|you'd (?:be so|like|please|care|not)|nothing else|only (?:the|it|that|this|you|i)|possible|necessary"
+    r"|need be|i may|(?:it|that) suits"
+    rf"|(?:it|that|this) (?:is|would be) {_CONVENIENT}"
+    r"|you are not (?:too )?busy|i (?:might|could) (?:ask|say|suggest))\b"
     r"|\bunless (?:you (?:do )?mind|i am (?:wrong|mistaken)|it is (?:too much|a problem)"
     r"|that is (?:a problem|too much))\b"
     r"|\bif (?:you ask me|i were you|i (?:remember|recall)|i am (?:not mistaken|honest)|memory serves|anything)\b"
-    r"|\b(?:when|once|as soon as|whenever) (?:you (?:can|could|like|wish|please|are ready|(?:get|find)"
-    r" (?:the time|a (?:chance|minute|second|moment))|have (?:time"
-    r"|a (?:moment|minute)))"
+    rf"|\b(?:when|once|as soon as|whenever) (?:you (?:(?:can|could){_NOT_PERCEIVED}|like|wish|please|{_HAVE_TIME}"
+    r"|are (?:ready|free|available|not busy))"
     r"|possible|convenient|it suits)\b"
 )
 ELLIPTIC_CONDITION = re.compile(r"^(?:if (?:not|so|it is not|something is|that is)|otherwise|else)\b")
@@ -67,10 +84,12 @@ NEXT_WORD = re.compile(
     r"|give|says|tells))?\b.{0,60}?(?:tell you|say|ask|told|need|further|next (?:instruction|command|order))"
 )
 BY_CONSTRUCTION = re.compile(
-    r"\b(?:do|does|must|should|need|have|may|shall|will|can|please|but|and) not "
+    r"\b(?:do|does|must|should|need|have|may|shall|will|would|can|please|but|and) not "
     r"(?:hurry|worry|rush|mind|know|remember|bother|matter|need|have to|break|damage|drop|knock|crush|scratch|harm|hurt"
-    r"|bump|hit|collide|disturb|forget|be (?:too )?(?:fast|slow|rough|hasty)|yet know|squeeze (?:it )?too)\b"
+    r"|bump|hit|collide|disturb|forget|squeeze|shake|be (?:too )?(?:fast|slow|rough|hasty)|yet know"
+    r"|squeeze (?:it )?too)\b"
     r"|\b(?:i|we|they) (?:do|did|can|could|would|will|am|are|have) not\b|\bif not\b|\bor not\b|\bwhy not\b"
+    r"|\bi (?:bet|think|guess|doubt) you (?:can|could|will|would) not\b"
     r"|\bnot (?:a single|the only|too|so|very|be a single|be any|that it matters|yet know|only)\b"
     r"|\bit is not , then\b|\bnot have to\b"
 )
@@ -78,7 +97,8 @@ BY_CONSTRUCTION = re.compile(
 UNTOUCHED = re.compile(r"\bnot (?:touch|grasp|pick|lift|take|grab|move|raise|hold)\b")
 UNLIFTED = re.compile(r"\bnot (?:lift|pick|grasp|raise|grab|hold)\b")
 KEPT = re.compile(
-    r"\bnot (?:put|set|lay|place) (?:it|them|that) (?:down|anywhere|back)\b|\bnot (?:let (?:it )?go"
+    r"\bnot (?:put|set|lay|place) (?:it|them|that) (?:down|anywhere|back)\b"
+    r"(?! (?:in|into|inside|on|onto|at|next|near|beside|behind|to)\b)|\bnot (?:let (?:it )?go"
     r"|let go|drop|release)\b|\bnot put the (?:\w+ ){1,3}down\b"
 )
 LOOKING = re.compile(r"\b(?:look|hover|above|over|point|approach|check|stay above|find)\b")
@@ -95,15 +115,28 @@ CONDITION_WORD = re.compile(
     r"|everything|my|his|her|a|an)|should (?:the|any|there|it|he|she|they|somebody|someone|anyone"
     r"|anybody|people|everyone|i) (?:\w+ ){0,3}?(?:be|have|come"
     r"|get|move|see|want|need|say|fall|stand|arrive|reach|touch|enter|appear|leave|ask|ring|start|happen|approach"
-    r"|nod|wave|shout|call|object|slip))\b"
+    r"|nod|wave|shout|call|object|slip)"
+    r"|as the (?:bell|alarm|light|lamp|clock|music|timer|phone|door|signal|buzzer|siren) \w+s"
+    r"|should you (?:\w+ ){0,2}?(?:hear|see|feel|notice|find|detect|sense|spot)|given that|no sooner than"
+    r"|in the case (?:of|that)|pending|on the (?:off )?chance|failing (?:that|this|which)"
+    r"|subject to|contingent on|conditional on|(?:in|under) (?:that|which) (?:case|condition)"
+    r"|with (?:my|his|her|their|our|\w+'s) (?:\w+ )?(?:permission|approval|consent|ok|okay|agreement|blessing)"
+    r"|(?:up)?on (?:hearing|seeing|noticing|detecting|sensing|receiving|request|demand|(?:my|his|her|the|a) (?:\w+ )?"
+    r"(?:signal|command|whistle|call|cue|nod|request|beep|ring))"
+    r"|at (?:the|my|his|her) (?:\w+ )?(?:sound|signal|sight|whistle|call|cue|nod|request|beep|ring|first sign)"
+    r"|were (?:the|it|he|she|they|somebody|someone|anyone|there) (?:\w+ ){0,2}?to"
+    r"|(?:ask|consult|call|check with|get (?:permission|approval) from) (?:\w+ ){1,3}?(?:first|before|beforehand))\b"
+    r"|(?:^|[.;!?] |\b(?:and|but) )should (?:the|any|there|it|he|she|they|somebody|someone|anyone|anybody|people"
+    r"|everyone|i|my|this|that) [^,.;:!?]{1,60}(?= ,)"
 )
 QUESTION_THEN = re.compile(
     r"\b(?:is|are|has|have|does|did|do|can) [^.?!;]{1,60} \? (?:then|only then|if so|if not|if yes|in that case)\b"
 )
 """A condition as a question and a sentence that answers it."""
 NOT_A_CONDITION = re.compile(
-    r"\b(?:something|anything|nothing|everything|somebody|someone|anyone|nobody|whatever|what|who|where) else\b"
-    r"|\bor else\b$|\belse on the table\b|\bwhatever else\b"
+    r"\b(?:something|anything|nothing|everything|somebody|someone|anyone|nobody|whatever|what|who|\w+where) else\b"
+    r"|(?<!me )(?<!us )\b(?:know|knows|knew|wonder|wondering|sure|certain|doubt|idea|remember|curious) (?:if|when)\b"
+    r"|\bor else\b$|\bor else (?:i|we|you|he|she|it|there)\b|\belse on the table\b|\bwhatever else\b"
 )
 BEFORE_AFTER = re.compile(r"\b(?:before|after)\b")
 UNTIL = re.compile(r"\buntil\b")
@@ -119,6 +152,8 @@ ALLOWED_WITHOUT = re.compile(
 WITHOUT_LIFTING = re.compile(r"^without (?:lifting|grasping|picking|raising|gripping|grabbing)\b")
 WITHOUT_TOUCHING = re.compile(r"^without (?:touching|grasping|picking|gripping|grabbing|contact)\b")
 OR = re.compile(r"\bor\b")
-ALLOWED_OR = re.compile(r"^or (?:if that|so|not|what|whatever|something like|similar|better)\b")
+ALLOWED_OR = re.compile(
+    r"^or (?:else (?:i|we|you|he|she|it|there)|(?:i|we) (?:will|am|are|have to|must)|if that|so|not|what|whatever|something like|similar|better)\b"
+)
 EITHER = re.compile(r"\beither\b|\bwhichever\b|\bone or the other\b")
 WHETHER = re.compile(r"\bwhether\b")

@@ -13,19 +13,21 @@ from dataclasses import dataclass
 from itertools import chain, islice
 
 from dualbrain.grounding.instruction.clauses import clause_patterns as patterns
-from dualbrain.grounding.instruction.clauses.contrasts import mask_contrasts
-from dualbrain.grounding.instruction.clauses.counted_objects import mask_counts
-from dualbrain.grounding.instruction.clauses.descriptions import ambiguous_descriptions, mask_descriptions
-from dualbrain.grounding.instruction.clauses.destinations import mask_sides
 from dualbrain.grounding.instruction.clauses.expressible import Capabilities
-from dualbrain.grounding.instruction.clauses.figures_of_speech import mask_figures
+from dualbrain.grounding.instruction.clauses.masks.contrasts import mask_contrasts, mask_negated_descriptions
+from dualbrain.grounding.instruction.clauses.masks.counted_objects import mask_counts
+from dualbrain.grounding.instruction.clauses.masks.descriptions import ambiguous_descriptions, mask_descriptions
+from dualbrain.grounding.instruction.clauses.masks.destinations import mask_sides
+from dualbrain.grounding.instruction.clauses.masks.figures_of_speech import mask_figures
+from dualbrain.grounding.instruction.clauses.masks.parameter_values import mask_parameter_values
+from dualbrain.grounding.instruction.clauses.object_destinations import object_destinations
 from dualbrain.grounding.instruction.clauses.rules.all_rules import RULES
 from dualbrain.grounding.instruction.clauses.rules.clause_rule import ClauseKind, ClauseRule
 from dualbrain.grounding.instruction.clauses.scene_words import SceneWords
-from dualbrain.grounding.instruction.names import category_words, mask_places
+from dualbrain.grounding.instruction.names import category_words, mask_places, side_pattern
 from dualbrain.grounding.instruction.words import Words, sentences
 
-_BOUNDARY = re.compile(r"[,.;:!?]|$")
+_BOUNDARY = re.compile(r"[,.;:!?](?!\d)|$")
 MAX_CLAUSE, MAX_FOUND = 200, 30
 """Longest quote of a clause [characters], and number of clauses after which the search ends."""
 _LATER_ACTION = re.compile(
@@ -54,6 +56,20 @@ class Clause:
     quote: str
 
 
+@dataclass(frozen=True, slots=True)
+class _Containers:
+    """The words for `all` destinations of a scene, and for those that are no side of a table (`vessels`)."""
+
+    all: frozenset[str]
+    vessels: frozenset[str]
+
+    @staticmethod
+    def of(receptive: Sequence[str]) -> _Containers:
+        """The words for the destinations `receptive`."""
+        vessels = [name for name in receptive if side_pattern(name) is None]
+        return _Containers(category_words(receptive), category_words(vessels))
+
+
 def find_clauses(
     words: Words, abilities: Capabilities, receptive: Sequence[str] = (), graspable: Sequence[str] = ()
 ) -> tuple[Clause, ...]:
@@ -65,19 +81,21 @@ def find_clauses(
     and numbers add nothing. Without them every description and number is a clause.
     """
     text = mask_places(words.text, receptive, sides_alone="occupancy" not in abilities.names)
+    text = mask_parameter_values(text, abilities)
     scene = SceneWords(graspable, receptive)
-    found: list[tuple[int, int, ClauseKind]] = [
-        (start, end, "relative place") for start, end in ambiguous_descriptions(text, scene)
-    ]
+    text = mask_negated_descriptions(text, scene)
+    places = list(ambiguous_descriptions(text, scene))
     for mask in (mask_descriptions, mask_sides, mask_counts, mask_contrasts, mask_figures):
         text = mask(text, scene)
-    containers = category_words(receptive)
+    places += object_destinations(text, scene)
+    found: list[tuple[int, int, ClauseKind]] = [(start, end, "relative place") for start, end in places]
+    containers = _Containers.of(receptive)
     for start, end in sentences(text):
         if len(found) > MAX_FOUND:
             break
         found += _find_in_sentence(text, start, end, abilities, containers)
     for match in patterns.QUESTION_THEN.finditer(text):
-        if not ("occupancy" in abilities.names and _is_about_occupancy(match[0], containers)):
+        if not ("occupancy" in abilities.names and _is_about_occupancy(match[0], text, containers)):
             found.append((match.start(), match.end(), "condition"))
     found = [one for one in found if not any(_is_inside(other, one) for other in found)]
     found.sort(key=lambda clause: (clause[0], -clause[1]))
@@ -101,7 +119,7 @@ def _is_inside(one: tuple[int, int, ClauseKind], other: tuple[int, int, ClauseKi
 
 
 def _find_in_sentence(
-    text: str, start: int, end: int, abilities: Capabilities, containers: frozenset[str]
+    text: str, start: int, end: int, abilities: Capabilities, containers: _Containers
 ) -> Iterator[tuple[int, int, ClauseKind]]:
     sentence = text[start:end]
     searches = (
@@ -123,7 +141,7 @@ def _clause_end(sentence: str, after: int) -> int:
 
 
 def _conditions(
-    sentence: str, text: str, abilities: Capabilities, containers: frozenset[str]
+    sentence: str, text: str, abilities: Capabilities, containers: _Containers
 ) -> Iterator[tuple[int, int, ClauseKind]]:
     occupancy = "occupancy" in abilities.names and patterns.OCCUPANCY.search(text) is not None
     excluded = [match.span() for match in patterns.NOT_A_CONDITION.finditer(sentence)]
@@ -134,21 +152,30 @@ def _conditions(
         clause = sentence[match.start() : end].strip()
         if patterns.POLITE_CONDITION.match(clause):
             continue
-        if occupancy and _is_about_occupancy(clause, containers):
+        if occupancy and _is_about_occupancy(clause, text, containers):
             continue
         if _is_end_of_own_action(clause):
             continue
         yield match.start(), end, "condition"
 
 
-def _is_about_occupancy(clause: str, containers: frozenset[str]) -> bool:
-    """Whether a container is free or full, which the scene shows before the plan; no other subject counts."""
+def _is_about_occupancy(clause: str, text: str, containers: _Containers) -> bool:
+    """Whether a container is free or full, which the scene shows before the plan; no other subject counts.
+
+    "It" is a container only if `text` mentions one, and a state that comes out later is not visible.
+    """
     if patterns.ELLIPTIC_CONDITION.match(clause):
         return True
     if patterns.OCCUPANCY.search(clause) is None or patterns.OTHERS.search(clause) is not None:
         return False
-    subjects = containers | {"it", "that", "there"}
-    return not containers or any(word in subjects or word.startswith("nn") for word in clause.split())
+    if patterns.LATER_STATE.search(clause):
+        return False
+    if not containers.all:
+        return True
+    if patterns.FILLED.search(clause) and containers.vessels.isdisjoint(text.split()):
+        return False
+    subjects = containers.all | {"it", "that", "there"}
+    return any(word in subjects or word.startswith("nn") for word in clause.split())
 
 
 def _is_end_of_own_action(clause: str) -> bool:
@@ -181,6 +208,7 @@ def _untils(sentence: str, text: str, abilities: Capabilities) -> Iterator[tuple
 
 def _negations(sentence: str, text: str, abilities: Capabilities) -> Iterator[tuple[int, int, ClauseKind]]:
     allowed = [match.span() for match in patterns.BY_CONSTRUCTION.finditer(sentence)]
+    allowed += [match.span() for match in patterns.POLITE_CONDITION.finditer(sentence)]
     for pattern, purpose in (
         (patterns.UNTOUCHED, patterns.LOOKING),
         (patterns.UNLIFTED, patterns.PUSHING),

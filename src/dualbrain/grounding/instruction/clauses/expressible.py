@@ -10,6 +10,8 @@ from dualbrain.grounding.instruction.clauses.rules.clause_rule import Capability
 
 HANDOVER_SKILLS = frozenset({"hand_over", "handover", "give"})
 """Names of skills that would hand an object to a person; no registry has one today."""
+UNITS: dict[str, Capability] = {"m/s": "speed", "N": "force"}
+"""Units of parameters, and the capability of a robot whose skills take a number with this unit."""
 HEADING_PARAMETERS = frozenset({"heading", "angle", "yaw"})
 
 
@@ -37,6 +39,10 @@ def capabilities(registry: SkillRegistry) -> Capabilities:
         names.add("occupancy")
     for skill in registry.skills:
         numbers = {parameter.name for parameter in skill.parameters if isinstance(parameter, NumberParameter)}
+        units = {parameter.unit for parameter in skill.parameters if isinstance(parameter, NumberParameter)}
+        names |= {capability for unit, capability in UNITS.items() if unit in units}
+        if "clearance" in numbers:
+            names.add("clearance")
         if "distance" in numbers:
             names.add("push distance")
         if numbers & HEADING_PARAMETERS:

@@ -18,7 +18,9 @@ ClauseKind = Literal[
     "alternative",
     "comparison",
 ]
-Capability = Literal["", "wait", "push distance", "hover", "turn", "occupancy", "hand over", "push"]
+Capability = Literal[
+    "", "wait", "push distance", "hover", "turn", "occupancy", "hand over", "push", "speed", "force", "clearance"
+]
 """What some registries can express: see `expressible.capabilities`."""
 
 

@@ -80,4 +80,26 @@ COMPARISONS: tuple[ClauseRule, ...] = (
             r"|(?<=\bthe )(?:best|worst) (?:one|object|thing|cube|block|tin|can|box|bottle|glass|carton)s?\b"
         ),
     ),
+    ClauseRule(
+        "comparison",
+        re.compile(
+            r"\b(?:that|which|who|whichever|you|i|we|he|she) \w+ (?:the )?(?:most|least|best|worst)\b"
+            r"(?! (?:of all|likely|important)\b)"
+            r"|\bwith the (?:most|least|fewest|best|worst|\w{3,}est) (?!of\b)\w+"
+        ),
+        re.compile(r"\b(?:i|we) (?:need|want|like|love|hate|dislike) (?:the )?(?:most|least|best)\b"),
+    ),
+    ClauseRule(
+        "comparison",
+        re.compile(
+            r"\b(?:than|as|(?<!not )like) (?:you (?:did|do) |i (?:did|do) |we did |in "
+            r"|on )?(?:the )?(?:last time|last run"
+            r"|before|yesterday|previously|the time before|previous (?:time|run))\b"
+            r"|\b(?:half|twice|double|triple|(?:two|three|four|ten) times) (?:as|the|your|its|that)\b"
+            r"|\b(?:above|over|beyond|past|faster than|slower than|more than|harder than) (?:the|your|any) (?:\w+ )?"
+            r"(?:limits?|maximum|normal|usual)\b|\b(?:than|as) (?:you are )?(?:allowed|permitted)\b"
+            r"|\b(?:faster|slower|harder|softer|gentler|quicker|stronger|higher|lower) than (?:before|usual"
+            r"|normal|last)\b"
+        ),
+    ),
 )

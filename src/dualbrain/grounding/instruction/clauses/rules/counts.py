@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from dualbrain.grounding.instruction.clauses.rules.clause_rule import ClauseRule
-from dualbrain.grounding.instruction.clauses.rules.word_classes import NUMBER, THINGS
+from dualbrain.grounding.instruction.clauses.rules.word_classes import NUMBER, PARAMETER_UNIT, THINGS
 
 COUNTS: tuple[ClauseRule, ...] = (
     ClauseRule(
@@ -36,7 +36,7 @@ COUNTS: tuple[ClauseRule, ...] = (
         "count",
         re.compile(
             rf"\b(?:exactly|at most|at least|no more than|no fewer than|up to|only|just|not more than|more than"
-            rf"|less than|fewer than) (?:{NUMBER})\b"
+            rf"|less than|fewer than) (?:{NUMBER})\b(?![.,]\d)(?! (?:{PARAMETER_UNIT})\b)"
         ),
     ),
     ClauseRule(
@@ -56,4 +56,16 @@ COUNTS: tuple[ClauseRule, ...] = (
     ),
     ClauseRule("count", re.compile(rf"\b(?:{NUMBER}|several|a few|many) (?:more )?times?\b")),
     ClauseRule("count", re.compile(r"\b(?:exactly|at most|no more than|not more than) (?:one|a single)\b")),
+    ClauseRule(
+        "count",
+        re.compile(
+            rf"\b(?:{NUMBER}|several|a few|a couple of|couple of|(?:half )?a dozen|a handful of|another|multiple"
+            rf"|many) (?:more |full "
+            r"|quick |complete |further )?(?:rounds|laps|trips|cycles|repetitions|reps|iterations|runs|passes"
+            r"|goes|tries"
+            r"|attempts|circuits|loops|tours|rotations|repeats|lifts|pushes|taps|nudges|shoves)\b"
+            r"|\b(?:dozens? (?:of )?times|dozen times|(?:countless|umpteen|numerous) times)\b"
+            r"|\b\d{1,3} x\b(?! \d)|\bx \d{1,3}\b(?! (?:mm|cm|m)\b)"
+        ),
+    ),
 )

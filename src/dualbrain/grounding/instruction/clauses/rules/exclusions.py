@@ -10,8 +10,11 @@ EXCLUSIONS: tuple[ClauseRule, ...] = (
     ClauseRule(
         "exclusion",
         re.compile(
-            r"\b(?:refrain(?:ing)? from|abstain(?:ing)? from|(?:keep|stay) (?:off|out of|away from|clear of)"
-            r"|hands off|forbidden|prohibited|off limits)\b"
+            r"\b(?:refrain(?:ing)? from|abstain(?:ing)? from|(?:keep|stay)(?: (?:it|them"
+            r"|the (?:\w+ ){0,2}?\w+))? (?:off|out of|away from|clear of)"
+            r"|hands off|forbidden|prohibited|off limits|prevent(?:ing)?|(?:under|in) no circumstances|on no account"
+            r"|at no (?:point|time)|by no means|in no case|with the exception of|steer clear|detour|refuse to"
+            r"|(?:somewhere|anywhere|someplace) else|elsewhere)\b"
             r"|\b(?:put|place|move|take|bring|drop|grasp|touch|push|pick up|leave) no "
             r"(?!time|more|longer|notice|offen[cs]e|risks?|chances?|mess|further)\w+"
         ),
@@ -22,10 +25,12 @@ EXCLUSIONS: tuple[ClauseRule, ...] = (
         re.compile(
             r"\b(?:except(?:ing)?|excluding|exclude|other than|apart from|aside from|instead of|rather than"
             r"|avoid(?:ing)?|neither|nor|save for|bar the|leaving out|leave out|all but|everything but"
-            r"|anything but|nothing but|every(?:one|thing)? but|but for|barring|skip(?:ping)?|omit)\b"
-            r"|\b(?:and|but|with) no (?!hurry|rush|haste|problems?|worries|one|reason)\w+"
+            r"|anything but|nothing but|(?:bar|minus|less) (?:one|two|the)|every(?:one|thing)? but|but for"
+            r"|barring|skip(?:ping)?|omit)\b"
+            r"|\b(?:and|but|with) no (?!more|less|fewer|longer|hurry|rush|haste|problems?|worries|one|reason)\w+"
             r"|\bbut the (?!only\b)(?:\w+ ){1,3}?(?:one|ones)\b|\bno (?:red|blue|green|yellow|orange|purple"
             r"|teal|white|brown|gray|pink|black) ones?\b"
+            r"|\bno (?:lifting|grasping|gripping|pushing|moving|stacking|placing|putting|driving)\b"
         ),
         re.compile(r"\bwithout (?:any )?exception\b"),
     ),

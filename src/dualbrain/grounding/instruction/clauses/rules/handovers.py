@@ -5,17 +5,18 @@ from __future__ import annotations
 import re
 
 from dualbrain.grounding.instruction.clauses.rules.clause_rule import ClauseRule
+from dualbrain.grounding.instruction.clauses.rules.word_classes import PERSON
 
 HANDOVERS: tuple[ClauseRule, ...] = (
     ClauseRule(
         "handing over",
         re.compile(
-            r"\b(?:hand|give|pass|offer|fetch|lend|bring|get|toss|serve|feed|deliver)(?: (?:it|that|this"
+            r"\b(?:hand|give|pass|offer|fetch|lend|bring|get|toss|serve|feed|deliver|reach)(?: (?:it|that|this"
             r"|them))? (?:to )?(?:me|us|him|her|somebody|someone|the (?:person|man|woman|human|user|operator"
             r"|visitor|child|worker))\b"
         ),
         re.compile(
-            r"\bgive me (?:a (?:moment|minute|second|hand|break)|time|the commander|your|the pass)\b"
+            r"\b(?:give|lend) (?:me|us) (?:a (?:moment|minute|second|hand|break)|time|the commander|your|the pass)\b"
             r"|\bget me wrong\b|\bhand me the password\b"
         ),
         "hand over",
@@ -62,6 +63,29 @@ HANDOVERS: tuple[ClauseRule, ...] = (
             r"(?:\w+ ){0,2}?\w+(?= ?(?:[,.?!;]|please|$))"
         ),
         None,
+        "hand over",
+    ),
+    ClauseRule(
+        "handing over",
+        re.compile(
+            rf"\b(?:hand|give|pass|offer|fetch|lend|bring|get|toss|serve|feed|show)(?: (?:it|that|this|them))?"
+            rf"(?: over)?(?: to)? (?:my|our|your|his|her|their|the|that|this) (?:\w+ )?{PERSON}\b(?!'s)"
+            r"|\b(?:give|pass|offer|fetch|lend|bring|serve) (?!the\b|that\b|this\b|my\b|your\b|our\b|its?\b"
+            r"|them\b|these\b"
+            r"|those\b|an?\b|all\b|both\b|every\b|each\b|only\b|just\b|back\b|over\b|down\b|up\b|out\b|in\b|on\b|off\b"
+            r"|along\b|forward\b|away\b|here\b|there\b|home\b|around\b|away\b|either\b|any\b|some\b|what\b|by\b"
+            r"|through\b|past\b|near\b|under\b|between\b|with\b|from\b|to\b|for\b|at\b|towards\b|across\b"
+            r"|into\b|onto\b|inside\b|as\b|and\b|or\b|not\b|now\b|please\b|right\b|left\b|also\b|once\b|(?:some"
+            r"|any|every)thing\b|nothing\b|\w+ly\b)"
+            r"(?P<name>[a-z]\w{1,15}) (?:the|that|this|my|some) \w+"
+            rf"|\b(?:present|deliver|pass|hand|extend|offer|show|bring|carry|slide)\b[^.;!?]{{0,60}}? to "
+            rf"(?:the|my|our|his|her|their|that|this) (?:\w+ )?{PERSON}\b(?!'s)"
+            r"|\b(?:in|into|on|onto|from|to|out of) (?:my|his|her|their|somebody's"
+            r"|someone's) (?:\w+ )?(?:hands?|palms?|lap)\b"
+            r"|\blet (?!it\b|the\b|go\b|them\b|us\b|that\b|this\b)\w+ (?:have|take|hold|keep|get|grab) "
+            r"(?:it|the|that|this)\b|\bhold out\b"
+        ),
+        re.compile(r"\bgive (?:god|heaven|way)\b"),
         "hand over",
     ),
 )

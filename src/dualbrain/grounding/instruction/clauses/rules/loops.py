@@ -13,7 +13,8 @@ LOOPS: tuple[ClauseRule, ...] = (
         "loop",
         re.compile(r"\bwhile\b(?! you are at it)"),
         re.compile(
-            r"\b(?:a|once in a|little|worth) while\b|\bwhile you are at it\b|\bcareful(?:ly)? while (?:moving"
+            r"\b(?:a|once in a|little|worth) while\b|\bwhile you are at it\b|\bwhile being \w+(?= [.,;!?]|$)"
+            r"|\bcareful(?:ly)? while (?:moving"
             r"|doing|you|putting|carrying|placing|driving|going)\b"
         ),
     ),
@@ -24,7 +25,8 @@ LOOPS: tuple[ClauseRule, ...] = (
             r"|continuously|continually|constantly|permanently|non ?stop|perpetually|endlessly"
             r"|back and forth|to and fro|up and down|round and round|in (?:a )?(?:loops?|circles?|rounds)|patrol"
             r"|alternate(?:ly)?|alternating|on repeat|periodically|regularly|one more time|once more|once again"
-            r"|all day|all night|as often as|do (?:it|this|that) again|and again|again until)\b"
+            r"|all day|all night|day in(?: ,)? day out|time after time|and so forth|like clockwork|as often as"
+            r"|do (?:it|this|that) again|and again|again until)\b"
         ),
         POLITE_CONDITION,
     ),

@@ -130,4 +130,35 @@ RELATIVE_PLACES: tuple[ClauseRule, ...] = (
             r"|\b(?:lean|prop|stand|rest)\b[^.,;:!?]{0,60}\bagainst\b"
         ),
     ),
+    ClauseRule(
+        "relative place",
+        re.compile(
+            r"(?<!, )(?<!is )(?<!stay )(?<!you )\bwhere(?:ver)? (?:you|i|we|he|she|they|it|there|nobody|no one"
+            r"|somebody|someone)"
+            r" (?!(?:are|started|start|began|begin|stand|rest|wait|park|were|stop|came from|belongs?|goes|is|was)\b)\w+"
+            r"|(?<!, )(?<!is )\bwhere(?:ver)? (?:it|they) (?:came from|comes? from)\b|\bwherever (?:it|there"
+            r"|you|they)\b"
+            r"|\b(?:its|their) (?:original|previous|former|old|initial|usual|proper|rightful|last|own|first) "
+            r"(?:place|spot|position|location|pose)\b"
+            r"|\bthe (?:same |very )?(?:place|spot|position|location) (?:that |which |from which |where )?"
+            r"(?:you|i|we|he|she|it|they) (?!(?:started|began|are)\b)\w+"
+        ),
+    ),
+    ClauseRule(
+        "relative place",
+        re.compile(
+            r"\b(?:in|into|as|to|to form|make|build|form|create|assemble|construct) an? (?:\w+ )?(?:heap|pile"
+            r"|stack|tower"
+            r"|row|line|column|circle|ring|pyramid|triangle|square|rectangle|pattern|grid|cluster|arc|wall|bridge|cross"
+            r"|formation)\b|\b(?:pile|stack|heap) (?:up|the|them|all|it|these|those|both)\b"
+            r"|\b(?:evenly|equidistant|equally spaced|spaced|spread (?:out|them|the|all)|scatter)\b"
+            r"|\batop\b|\b(?:the way|as) (?:it|they|everything|things) (?:was|were|used to be)\b"
+            r"|\bmirror (?:the|it)\b|\bwithin (?:\w+ )?reach\b|\bon the far end\b|\bleave (?:a|some) (?:gap"
+            r"|space|room)\b"
+            r"|\bcover (?:it|them|the (?:\w+ ){1,3}?)(?: ?up)? ?(?:with|by)\b"
+            r"|\b(?:bit|little|touch|tad|slightly) (?:(?:to the|more|further|over to the) )?(?:left|right)\b"
+            rf"|\b{AMOUNT} (?:hand|finger|thumb|palm)(?:'s|s)? ?(?:breadths?|widths?)\b"
+        ),
+        re.compile(r"\bhand ?(?:'s|s)? breadth closer\b"),
+    ),
 )

@@ -39,7 +39,10 @@ TIMES: tuple[ClauseRule, ...] = (
         "time",
         re.compile(
             r"\b(?:tomorrow|tonight|the day after|next (?:week|month|year|monday|tuesday|wednesday|thursday|friday"
-            r"|saturday|sunday|morning)|this (?:evening|afternoon)|later today|at the same time|simultaneously"
+            r"|saturday|sunday|morning)|this (?:evening|afternoon)|later today|simultaneously"
+            r"|at (?:exactly |precisely )?(?:the )?(?:very |exact |exactly the |precisely the )?same (?:time"
+            r"|moment|instant|second)"
+            r"|concurrently|synchronously|in (?:sync|unison|synchrony)|all at once"
             r"|meanwhile"
             r"|in the meantime|at the end of the day|on (?:the count of|my (?:command|signal|mark)|a signal)"
             r"|on (?:monday|tuesday|wednesday|thursday|friday|saturday|sunday)"
@@ -73,5 +76,13 @@ TIMES: tuple[ClauseRule, ...] = (
         re.compile(rf"\bfor (?:about |another |exactly |at least )?{AMOUNT} {TIME_UNIT}\b"),
         None,
         "wait",
+    ),
+    ClauseRule(
+        "time",
+        re.compile(
+            rf"\b(?:{NUMBER}|half an?|an|several|a few|a couple of|a (?:good|full|whole|quarter of an)) "
+            r"(?:minutes?|hours?|days?|weeks?|months?)\b|\b(?:more|less|longer) than a (?:minute|day|week)\b"
+        ),
+        re.compile(r"\b(?:take|taking|need) (?:you )?(?:a few|several|a couple of) (?:minutes|hours)\b"),
     ),
 )

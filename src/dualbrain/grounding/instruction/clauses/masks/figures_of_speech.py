@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+from dualbrain.grounding.instruction.clauses.rules.word_classes import PERSON
 from dualbrain.grounding.instruction.clauses.scene_words import SceneWords, fill, first_matches
 
 _IDIOMS = re.compile(
@@ -33,7 +34,14 @@ _IDIOMS = re.compile(
     r"|ready or not|give or take|no ifs (?:, ands )?or buts|on second thought|on the other hand|not to worry"
     r"|on top of (?:that|everything)|next to nothing|behind schedule|between you and me|rain or shine"
     r"|in the middle of (?:something|it all|a (?:call|meeting)|my \w+|cooking|lunch|work)|before i forget"
-    r"|before you know it|time and time again i)\b"
+    r"|before you know it|time and time again i|without (?:any )?further ado|beyond (?:any )?(?:doubt|question)"
+    r"|well or badly|right or wrong|most of all"
+    r"|(?:once more|once again|one more time) i (?:ask|beg|say|tell)|both (?:of your )?(?:hands|fingers|jaws)"
+    r"|no , not (?:that|this|so)(?= ?[,.;:!?]))\b"
+    r"|\bjust in case(?= ?[,.;:!?]|$)|\bin case (?:you|anyone|anybody) (?:have|has|had|did|do|are|is)(?: not)? "
+    r"(?:noticed|know|seen|heard|forgotten|wondering|interested)\b"
+    r"|\bnot to be (?:\w+ ){1,3}?,? ?(?=but\b)|\bno (?:problem|worries|rush|hurry|matter|big deal) if [^.,;:!?]{1,60}"
+    r"|\btake as long as (?:you (?:need|like|want|wish|please)|it takes|necessary)\b"
     r"|\b(?:(?:i|we|it) )?(?:would|will|it'd) (?:really )?(?:be (?:so |very |really |most )?(?:great|nice|glad|happy"
     r"|grateful|good|lovely|helpful|perfect|wonderful|pleased|better|best|delighted|thankful|obliged|kind of you)"
     r"|appreciate it|like it|love it|help)(?: (?:a lot|me))? if (?=(?:you|the|it|we|that|this|my|i)\b)"
@@ -68,6 +76,40 @@ _REQUEST = re.compile(
 """Words of a main clause that may itself be the request: then its condition counts."""
 
 
+_OTHER_SUBJECT = re.compile(
+    r"^ ?(?:(?:so|because|since|and|but|well|look|listen) )*(?:(?:i|we) (?:already |only |just )?(?:have|had|am|are|was"
+    r"|were|will (?:be|come|leave|return|go)|told|asked|said|waited|tried|spent|lost)"
+    r"|you (?:should have|were|had|took|have been)|(?:he|she|they|it|this|that|there|guests|people|visitors|somebody"
+    rf"|someone|everybody|everyone|nobody|dinner|lunch|(?:my|our|the) (?:\w+ )?{PERSON}) (?:already |only "
+    rf"|just )?(?:is|are"
+    r"|was|were|has|have|had|will|took|takes|comes?|came|arrives?|leaves?|left|said|told|asked|happened|happens"
+    r"|starts?))\b"
+)
+"""The beginning of a remark about the past, the present or another person."""
+_SEGMENT = re.compile(r"[^,;:!?.]+")
+_DEPENDENCE = re.compile(
+    r"\b(?:if|unless|when|whenever|once|until|while|before|after|as soon as|then|by then|afterwards|every time"
+    r"|each time)\b"
+)
+"""Words by which a request depends on the remark beside it."""
+
+
+def _mask_remarks_on_others(text: str, scene: SceneWords) -> str:
+    """`text` with the letter x in place of each clause about the past or about others, beside a request."""
+    for match in first_matches(_SEGMENT, text):
+        segment = match[0]
+        rest = text[: match.start()] + text[match.end() :]
+        if (
+            _OTHER_SUBJECT.match(segment)
+            and not _REQUEST.search(re.sub(r"\byou should have\b", "", segment))
+            and not _DEPENDENCE.search(segment + rest[match.start() : match.start() + _REACH])
+            and not scene.mentions(segment, scene.names)
+            and _has_request(rest, scene)
+        ):
+            text = fill(text, match.start(), match.end())
+    return text
+
+
 def mask_figures(text: str, scene: SceneWords) -> str:
     """`text` with the letter x in place of words that look like a clause and belong to no request.
 
@@ -87,7 +129,7 @@ def mask_figures(text: str, scene: SceneWords) -> str:
             continue
         if _STATE.search(remark) and not _REQUEST.search(remark) and _has_request(_following(text, match), scene):
             text = fill(text, match.start("condition"), match.end())
-    return text
+    return _mask_remarks_on_others(text, scene)
 
 
 def _following(text: str, match: re.Match[str]) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-from dualbrain.grounding.instruction.clauses.destinations import SIDE, SIDE_PART
+from dualbrain.grounding.instruction.clauses.masks.destinations import SIDE, SIDE_PART
 from dualbrain.grounding.instruction.clauses.scene_words import SceneWords, fill, first_matches, noun_phrase_before
 
 _END = (

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 from dualbrain.grounding.instruction.clauses.scene_words import SceneWords, fill, first_matches
+from dualbrain.grounding.instruction.names import COLORS, GENERIC, name_words
 
 _NOUN = r"(?:the|that|this|my) (?:\w+ ){0,3}?\w+"
 _NEXT = (
@@ -22,6 +23,37 @@ _GROUP = re.compile(
     r"\b(?:all|every|everything|everyone|each|any|anything|anywhere|somewhere|whatever|whichever|ones|only|nothing|most"
     r"|some|both|rest|others?)\b"
 )
+
+
+_NEGATED = re.compile(
+    rf"\b(?P<noun>(?:the|that|this) (?:\w+ ){{0,2}}?\w+) (?P<not>(?:that|which) (?:is|are) (?:not|neither) "
+    rf"(?P<excluded>(?:an? |the )?\w+(?: (?:or|nor) (?:an? |the )?\w+)?)){_NEXT}"
+)
+_ARTICLES = frozenset({"a", "an", "the", "or", "nor"})
+
+
+def mask_negated_descriptions(text: str, scene: SceneWords) -> str:
+    """`text` with the letter x in place of each negation that leaves one object: "the block that is not red"."""
+    for match in first_matches(_NEGATED, text):
+        if len(_remaining(match, scene)) == 1:
+            text = fill(text, match.start("not"), match.end("not"))
+    return text
+
+
+def _remaining(match: re.Match[str], scene: SceneWords) -> set[str]:
+    """The objects of the scene that the noun means, without those that the negation excludes; empty if unknown."""
+    noun = match["noun"].rsplit(" ", 1)[-1]
+    meant = scene.mentions(match["noun"], scene.graspable)
+    left = set(scene.graspable) if noun in GENERIC else {name for one in meant for name in one.names}
+    for word in match["excluded"].split():
+        if word in _ARTICLES:
+            continue
+        excluded = {name for name in scene.graspable if word in COLORS and word in name_words(name)}
+        excluded |= {name for one in scene.mentions(word, scene.graspable) for name in one.names}
+        if not excluded:
+            return set()
+        left -= excluded
+    return left
 
 
 def mask_contrasts(text: str, scene: SceneWords) -> str:
