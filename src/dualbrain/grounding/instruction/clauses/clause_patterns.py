@@ -14,9 +14,9 @@ DONE = re.compile(
     r"\b(?:you|that|this|it|which|one|everything) (?:is |are |has |have )?(?:been )?(?:done|finished)\b"
     r"|\byou (?:have )?(?:put|placed|dropped|moved|brought|finished|stored|been at|been to|delivered|reached|arrive)\b"
     r"|\b(?:it|that|(?:the |this |that )?(?:\w+ ){1,4}?)(?:is|lies|sits|rests|stands|has been|lands|reaches) ?"
-    r"(?:put|placed|dropped|moved)? ?(?:in|inside|into|on|at|to) (?:it|there|the)\b"
+    r"(?:put|placed|dropped|moved)? ?(?:in|inside|into|on|at|to) (?:it|there|the|n{4,})\b"
     r"|\b(?:path|way|route|coast) is (?:free|clear)\b"
-    r"|\b(?:\w+ ){1,3}(?:is|lies) (?:in there|there|in|inside)\b"
+    r"|\b(?:\w+ ){1,3}(?:is|lies|stands|sits) (?:in there|there|in|inside|n{4,})\b"
     r"|\byou (?:have|hold|got|grasped|(?:have |are )(?:got|grasped|lifted|holding|picked up)) (?:it|that|this|them)\b"
 )
 """The end of an action of the robot itself: an order that a sequence of skills expresses."""
@@ -92,6 +92,7 @@ BY_CONSTRUCTION = re.compile(
     r"|\bi (?:bet|think|guess|doubt) you (?:can|could|will|would) not\b"
     r"|\bnot (?:a single|the only|too|so|very|be a single|be any|that it matters|yet know|only)\b"
     r"|\bit is not , then\b|\bnot have to\b"
+    r"|\b(?:not|never) (?:go|move|drive|travel|grip|press|squeeze|hold|exceed|use)(?: it| the \w+)? x{4,}"
 )
 """Negations that every contract observes, or that ask for nothing."""
 UNTOUCHED = re.compile(r"\bnot (?:touch|grasp|pick|lift|take|grab|move|raise|hold)\b")
@@ -108,7 +109,8 @@ STANDING = re.compile(rf"\bnot (?:move|drive|go)(?: for (?:\w+ )?{NUMBER}| any (
 ORDERED = re.compile(r"\bnot (?:\w+ ){1,8}(?:before|until) (?:you have|the|it)\b|\bbut not until\b|\bonly when it\b")
 
 CONDITION_WORD = re.compile(
-    r"\b(?:if|unless|in case|in the event|provided|providing|assuming|supposing|as long as|so long as|on condition"
+    r"\b(?:if|unless|in case|in the event|provided|providing|assuming|supposing|(?<!i )(?:suppose|imagine)"
+    r"|as long as|so long as|on condition"
     r"|depending on|only when|otherwise|else|when|as soon as"
     r"|the (?:moment|minute|second|instant) (?:the|i|you|he|she|they|we|it|that|someone|somebody|there|my|his|her|a)"
     r"|once (?:i|you|he|she|they|we|it|that|this|the|somebody|someone|everyone|everybody|nobody|there|all|both"
@@ -122,8 +124,9 @@ CONDITION_WORD = re.compile(
     r"|subject to|contingent on|conditional on|(?:in|under) (?:that|which) (?:case|condition)"
     r"|with (?:my|his|her|their|our|\w+'s) (?:\w+ )?(?:permission|approval|consent|ok|okay|agreement|blessing)"
     r"|(?:up)?on (?:hearing|seeing|noticing|detecting|sensing|receiving|request|demand|(?:my|his|her|the|a) (?:\w+ )?"
-    r"(?:signal|command|whistle|call|cue|nod|request|beep|ring))"
-    r"|at (?:the|my|his|her) (?:\w+ )?(?:sound|signal|sight|whistle|call|cue|nod|request|beep|ring|first sign)"
+    r"(?:signal|command|whistle|call|cue|nod|request|beep|ring|word|mark))"
+    r"|at (?:the|my|his|her) (?:\w+ )?(?:sound|signal|sight|whistle|call|cue|nod|request|beep|ring|first sign"
+    r"|command|word|mark|stroke)"
     r"|were (?:the|it|he|she|they|somebody|someone|anyone|there) (?:\w+ ){0,2}?to"
     r"|(?:ask|consult|call|check with|get (?:permission|approval) from) (?:\w+ ){1,3}?(?:first|before|beforehand))\b"
     r"|(?:^|[.;!?] |\b(?:and|but) )should (?:the|any|there|it|he|she|they|somebody|someone|anyone|anybody|people"
@@ -136,7 +139,8 @@ QUESTION_THEN = re.compile(
 NOT_A_CONDITION = re.compile(
     r"\b(?:something|anything|nothing|everything|somebody|someone|anyone|nobody|whatever|what|who|\w+where) else\b"
     r"|(?<!me )(?<!us )\b(?:know|knows|knew|wonder|wondering|sure|certain|doubt|idea|remember|curious) (?:if|when)\b"
-    r"|\bor else\b$|\bor else (?:i|we|you|he|she|it|there)\b|\belse on the table\b|\bwhatever else\b"
+    r"|\bwhat if (?:you|we)\b|\bor else\b$|\bor else (?:i|we|you|he|she|it|there)\b|\belse on the table\b"
+    r"|\bwhatever else\b"
 )
 BEFORE_AFTER = re.compile(r"\b(?:before|after)\b")
 UNTIL = re.compile(r"\buntil\b")
@@ -145,15 +149,18 @@ NOT = re.compile(r"\bnot\b|\bnever\b")
 WITHOUT = re.compile(r"\bwithout\b")
 ALLOWED_WITHOUT = re.compile(
     r"^without (?:touching|bumping|knocking|hitting|breaking|dropping|damaging|disturbing|colliding|hurting|scratching"
-    r"|crushing|disrupting|harming|spilling|moving) (?:into |with |over |down )?"
+    r"|crushing|disrupting|harming|spilling|moving|squeezing|shaking|tipping) (?:into |with |over |down )?"
     r"(?:it|anything|anyone|anybody|something|anything else|any other|the others|others|the other|people)\b"
-    r"|^without (?:haste|hurry|rush|rushing|hurrying|delay|any|problems?|dropping|damage|breaking|contact)\b"
+    r"|^without (?:you|me|fail|fuss|noise|a (?:sound|word|scratch|fuss|doubt|problem)|making (?:any )?(?:noise"
+    r"|sound|mess)"
+    r"|haste|hurry|rush|rushing|hurrying|delay|any|problems?|dropping|damage|breaking|contact)\b"
 )
 WITHOUT_LIFTING = re.compile(r"^without (?:lifting|grasping|picking|raising|gripping|grabbing)\b")
 WITHOUT_TOUCHING = re.compile(r"^without (?:touching|grasping|picking|gripping|grabbing|contact)\b")
 OR = re.compile(r"\bor\b")
 ALLOWED_OR = re.compile(
-    r"^or (?:else (?:i|we|you|he|she|it|there)|(?:i|we) (?:will|am|are|have to|must)|if that|so|not|what|whatever|something like|similar|better)\b"
+    r"^or (?:else (?:i|we|you|he|she|it|there)|(?:i|we) (?:will|am|are|have to|must)|if that|so|not|what"
+    r"|whatever|something like|similar|better)\b"
 )
 EITHER = re.compile(r"\beither\b|\bwhichever\b|\bone or the other\b")
 WHETHER = re.compile(r"\bwhether\b")

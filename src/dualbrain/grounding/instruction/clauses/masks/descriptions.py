@@ -58,7 +58,8 @@ _TAKE = re.compile(r"\b(?:take|get|fetch|collect|choose|use|see|want|mean)\b")
 _DRIVE = re.compile(r"\b(?:drive|go|head|return|come|roll|navigate|travel|proceed|stop|park|continue|visit|reach)\b")
 _PUT_IT = re.compile(
     r"^ ?(?:,|;|\.|:|and|then)(?: (?:and|then|please))* "
-    r"(?:put|place|drop|set|move|bring|lay|carry|stow|deposit|stand|take|transfer) (?:it|that|this)\b"
+    r"(?:put|place|drop|set|move|bring|lay|carry|stow|deposit|stand|take|transfer|grasp|grab|lift|hold|pick up"
+    r"|push) (?:it|that|this)\b"
 )
 _INTO = re.compile(r"^ (?:please )?(?:in|into|inside|onto|to|over to)\b")
 _INTO_LATER = re.compile(r"^ ?(?:[,:] )?(?:please )?(?:in|into|inside|onto|to|on|at|over to)\b")

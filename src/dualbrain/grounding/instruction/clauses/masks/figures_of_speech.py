@@ -38,7 +38,8 @@ _IDIOMS = re.compile(
     r"|well or badly|right or wrong|most of all"
     r"|(?:once more|once again|one more time) i (?:ask|beg|say|tell)|both (?:of your )?(?:hands|fingers|jaws)"
     r"|no , not (?:that|this|so)(?= ?[,.;:!?]))\b"
-    r"|\bjust in case(?= ?[,.;:!?]|$)|\bin case (?:you|anyone|anybody) (?:have|has|had|did|do|are|is)(?: not)? "
+    r"|\b(?:is|was) not it (?:about |high )?time\b|\bhow come [^.;!?]{1,60}|\bjust in case(?= ?[,.;:!?]|$)"
+    r"|\bin case (?:you|anyone|anybody) (?:have|has|had|did|do|are|is)(?: not)? "
     r"(?:noticed|know|seen|heard|forgotten|wondering|interested)\b"
     r"|\bnot to be (?:\w+ ){1,3}?,? ?(?=but\b)|\bno (?:problem|worries|rush|hurry|matter|big deal) if [^.,;:!?]{1,60}"
     r"|\btake as long as (?:you (?:need|like|want|wish|please)|it takes|necessary)\b"
@@ -57,8 +58,9 @@ _NOT_LEFT = re.compile(
 _NOT_SO = re.compile(
     r"(?:^|[.,;:!?] |\b(?:because|since|but) )(?P<state>(?:it|this|that|they|the (?:\w+ ){0,2}?\w+) (?:is|are|was) not"
     r"(?: yet| quite| really| currently| even| very| that)?"
-    r" (?:in|on|at|where|inside|there|here|far|hard|difficult|heavy|urgent|tidy|pretty|nice|clean|much|complicated"
-    r"|dangerous|fragile|hot|sharp|rocket science|well|safe|good)\b)"
+    r" (?:(?:in|on|at|where|inside|there|here|far|hard|difficult|heavy|urgent|tidy|pretty|nice|clean|much|complicated"
+    r"|dangerous|fragile|hot|sharp|rocket science|well|safe|good)\b"
+    r"|(?!to\b|going\b|allowed\b|permitted\b|supposed\b|meant\b|coming\b|touched\b|moved\b)(?:\w+ ){0,2}\w+(?= ?,)))"
 )
 _REMARK = re.compile(
     r"(?:^|[.;!?] ?)(?P<remark>(?:the|this|that|it|my|our|i|we|everything|nothing|things|people|a|an) [^.,;:!?]{0,60}?)"
@@ -78,7 +80,7 @@ _REQUEST = re.compile(
 
 _OTHER_SUBJECT = re.compile(
     r"^ ?(?:(?:so|because|since|and|but|well|look|listen) )*(?:(?:i|we) (?:already |only |just )?(?:have|had|am|are|was"
-    r"|were|will (?:be|come|leave|return|go)|told|asked|said|waited|tried|spent|lost)"
+    r"|were|will (?:be|come|leave|return|go)|(?:can|could|do|did) not|told|asked|said|waited|tried|spent|lost)"
     r"|you (?:should have|were|had|took|have been)|(?:he|she|they|it|this|that|there|guests|people|visitors|somebody"
     rf"|someone|everybody|everyone|nobody|dinner|lunch|(?:my|our|the) (?:\w+ )?{PERSON}) (?:already |only "
     rf"|just )?(?:is|are"
@@ -100,14 +102,28 @@ def _mask_remarks_on_others(text: str, scene: SceneWords) -> str:
         segment = match[0]
         rest = text[: match.start()] + text[match.end() :]
         if (
-            _OTHER_SUBJECT.match(segment)
-            and not _REQUEST.search(re.sub(r"\byou should have\b", "", segment))
+            (subject := _OTHER_SUBJECT.match(segment))
+            and not _REQUEST.search(re.sub(r"\byou\b", "", segment[subject.end() :]))
             and not _DEPENDENCE.search(segment + rest[match.start() : match.start() + _REACH])
             and not scene.mentions(segment, scene.names)
             and _has_request(rest, scene)
         ):
             text = fill(text, match.start(), match.end())
     return text
+
+
+_MANNER = re.compile(
+    r"\b(?:be|go|move|drive|stay|remain) (?:very |extra |more |especially )?(?:careful|gentle|slow|slowly"
+    r"|gently|carefully"
+    r"|soft|softly|quiet|steady|cautious)\b|\btake care\b|\b(?:not|never) (?:go|move|drive|grip|press|squeeze"
+    r"|hold|exceed)\b"
+)
+_DURING_ACTION = re.compile(
+    r"\b(?:when|while) (?:you are )?(?:putting|placing|carrying|moving|gripping|grasping|driving|lifting"
+    r"|lowering|pushing"
+    r"|releasing|setting|holding)\b"
+)
+"""The action of the robot itself that a manner belongs to: "when gripping the glass, be gentle"."""
 
 
 def mask_figures(text: str, scene: SceneWords) -> str:
@@ -117,6 +133,15 @@ def mask_figures(text: str, scene: SceneWords) -> str:
     """
     for match in first_matches(_IDIOMS, text):
         text = fill(text, match.start(), match.end())
+    text = _mask_states(text, scene)
+    if _MANNER.search(text):
+        for match in first_matches(_DURING_ACTION, text):
+            text = fill(text, match.start(), match.end())
+    return _mask_remarks_on_others(text, scene)
+
+
+def _mask_states(text: str, scene: SceneWords) -> str:
+    """`text` with the letter x in place of the states that are a reason for the request after them."""
     for match in first_matches(_NOT_LEFT, text):
         if scene.has_destination(_following(text, match)):
             text = fill(text, match.start(), match.end())
@@ -129,7 +154,7 @@ def mask_figures(text: str, scene: SceneWords) -> str:
             continue
         if _STATE.search(remark) and not _REQUEST.search(remark) and _has_request(_following(text, match), scene):
             text = fill(text, match.start("condition"), match.end())
-    return _mask_remarks_on_others(text, scene)
+    return text
 
 
 def _following(text: str, match: re.Match[str]) -> str:

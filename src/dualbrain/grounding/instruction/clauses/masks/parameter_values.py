@@ -10,7 +10,8 @@ from dualbrain.grounding.instruction.clauses.rules.word_classes import NUMBER
 from dualbrain.grounding.instruction.clauses.scene_words import fill, first_matches
 
 _BOUND = (
-    r"(?:(?:at most|at least|no (?:more|less) than|not more than|less than|under|below|up to|about|around|exactly"
+    r"(?:(?:at most|at least|no (?:more|less) than|not more than|less than|under|below|above|faster than"
+    r"|slower than|harder than|up to|about|around|exactly"
     r"|only|just|a maximum of|a minimum of) )?"
 )
 _LENGTH = r"(?:mm|cm|m|millimet(?:er|re)s?|centimet(?:er|re)s?|met(?:er|re)s?)"

@@ -85,6 +85,10 @@ COMPARISONS: tuple[ClauseRule, ...] = (
         re.compile(
             r"\b(?:that|which|who|whichever|you|i|we|he|she) \w+ (?:the )?(?:most|least|best|worst)\b"
             r"(?! (?:of all|likely|important)\b)"
+            r"|\b(?:most|least) (?!likely|probably|certainly|definitely|kindly|humbly)\w+ly\b"
+            r"|(?<=\bthe )(?!corner|center|order|number|remainder|border|power|cover|layer|owner|member|manner"
+            r"|other|another|either"
+            r"|water|paper|finger|upper|lower)\w{3,}er of (?:the|them|these|those)\b"
             r"|\bwith the (?:most|least|fewest|best|worst|\w{3,}est) (?!of\b)\w+"
         ),
         re.compile(r"\b(?:i|we) (?:need|want|like|love|hate|dislike) (?:the )?(?:most|least|best)\b"),

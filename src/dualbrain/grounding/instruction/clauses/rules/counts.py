@@ -44,7 +44,7 @@ COUNTS: tuple[ClauseRule, ...] = (
         re.compile(r"\bboth\b"),
         re.compile(
             r"\bboth done\b|\bboth (?:of )?the [^.;!?]{1,50} and (?:the |a )?\w+|\bneed both\b|\bboth hands\b"
-            r"|(?:[;,]|^) ?both (?:go|goes|into|in|belong|should|of them)\b"
+            r"|(?:[;,:]|^) ?both (?:go|goes|into|in|belong|should|of them)\b"
         ),
     ),
     ClauseRule(

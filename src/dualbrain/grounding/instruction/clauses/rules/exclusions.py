@@ -15,6 +15,7 @@ EXCLUSIONS: tuple[ClauseRule, ...] = (
             r"|hands off|forbidden|prohibited|off limits|prevent(?:ing)?|(?:under|in) no circumstances|on no account"
             r"|at no (?:point|time)|by no means|in no case|with the exception of|steer clear|detour|refuse to"
             r"|(?:somewhere|anywhere|someplace) else|elsewhere)\b"
+            r"|\b(?:put|place|take|bring|drop|pick up) nothing\b"
             r"|\b(?:put|place|move|take|bring|drop|grasp|touch|push|pick up|leave) no "
             r"(?!time|more|longer|notice|offen[cs]e|risks?|chances?|mess|further)\w+"
         ),

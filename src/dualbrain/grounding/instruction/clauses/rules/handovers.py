@@ -16,7 +16,8 @@ HANDOVERS: tuple[ClauseRule, ...] = (
             r"|visitor|child|worker))\b"
         ),
         re.compile(
-            r"\b(?:give|lend) (?:me|us) (?:a (?:moment|minute|second|hand|break)|time|the commander|your|the pass)\b"
+            r"\b(?:give|lend) (?:me|us) (?:a (?:smile|wave|chance|moment|minute|second|hand|break)|time"
+            r"|the commander|your|the pass)\b"
             r"|\bget me wrong\b|\bhand me the password\b"
         ),
         "hand over",
@@ -78,8 +79,9 @@ HANDOVERS: tuple[ClauseRule, ...] = (
             r"|into\b|onto\b|inside\b|as\b|and\b|or\b|not\b|now\b|please\b|right\b|left\b|also\b|once\b|(?:some"
             r"|any|every)thing\b|nothing\b|\w+ly\b)"
             r"(?P<name>[a-z]\w{1,15}) (?:the|that|this|my|some) \w+"
-            rf"|\b(?:present|deliver|pass|hand|extend|offer|show|bring|carry|slide)\b[^.;!?]{{0,60}}? to "
-            rf"(?:the|my|our|his|her|their|that|this) (?:\w+ )?{PERSON}\b(?!'s)"
+            rf"|\b(?:present|deliver|give|return|take|pass|hand|extend|offer|show|bring|carry"
+            rf"|slide)\b[^.;!?]{{0,60}}? to "
+            rf"(?:the|my|our|his|her|its|their|that|this) (?:\w+ )?{PERSON}\b(?!'s)"
             r"|\b(?:in|into|on|onto|from|to|out of) (?:my|his|her|their|somebody's"
             r"|someone's) (?:\w+ )?(?:hands?|palms?|lap)\b"
             r"|\blet (?!it\b|the\b|go\b|them\b|us\b|that\b|this\b)\w+ (?:have|take|hold|keep|get|grab) "

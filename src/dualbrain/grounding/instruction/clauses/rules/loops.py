@@ -13,7 +13,9 @@ LOOPS: tuple[ClauseRule, ...] = (
         "loop",
         re.compile(r"\bwhile\b(?! you are at it)"),
         re.compile(
-            r"\b(?:a|once in a|little|worth) while\b|\bwhile you are at it\b|\bwhile being \w+(?= [.,;!?]|$)"
+            r"\b(?:a|once in a|little|worth) while\b|\bwhile you are at it\b|\bwhile (?:i am (?:thinking of it"
+            r"|at it)|i (?:think of it|remember)|we are at it|you are (?:there|up|here))\b"
+            r"|\bwhile being \w+(?= [.,;!?]|$)"
             r"|\bcareful(?:ly)? while (?:moving"
             r"|doing|you|putting|carrying|placing|driving|going)\b"
         ),

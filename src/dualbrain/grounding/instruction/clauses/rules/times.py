@@ -44,7 +44,8 @@ TIMES: tuple[ClauseRule, ...] = (
             r"|moment|instant|second)"
             r"|concurrently|synchronously|in (?:sync|unison|synchrony)|all at once"
             r"|meanwhile"
-            r"|in the meantime|at the end of the day|on (?:the count of|my (?:command|signal|mark)|a signal)"
+            r"|in the meantime|in the (?:morning|evening|afternoon)|over the course of|on (?:the count of"
+            r"|my (?:command|signal|mark)|a signal)"
             r"|on (?:monday|tuesday|wednesday|thursday|friday|saturday|sunday)"
             r"|in parallel|during)\b"
         ),
@@ -81,7 +82,8 @@ TIMES: tuple[ClauseRule, ...] = (
         "time",
         re.compile(
             rf"\b(?:{NUMBER}|half an?|an|several|a few|a couple of|a (?:good|full|whole|quarter of an)) "
-            r"(?:minutes?|hours?|days?|weeks?|months?)\b|\b(?:more|less|longer) than a (?:minute|day|week)\b"
+            r"(?:minutes?|hours?|days?|weeks?|months?)\b(?! (?:ago|old)\b)|\b(?:more|less"
+            r"|longer) than a (?:minute|day|week)\b"
         ),
         re.compile(r"\b(?:take|taking|need) (?:you )?(?:a few|several|a couple of) (?:minutes|hours)\b"),
     ),

@@ -25,7 +25,7 @@ PERSON = (
     r"|customer|client|patient|nurse|doctor|surgeon|cook|chef|boss|driver|neighbou?r|lady|gentleman|guy|girl|boy|baby"
     r"|student|teacher|technician|engineer|supervisor|manager|assistant|friends?|sister|brother|mother|father"
     r"|mum|mom|dad"
-    r"|wife|husband|partner|daughter|son|grandma|grandpa|aunt|uncle|cousin|team|crew|waiter)"
+    r"|wife|husband|partner|daughter|son|grandma|grandpa|aunt|uncle|cousin|owner|team|crew|waiter)"
 )
 THINGS = (
     r"(?:things|objects|items|pieces|ones|blocks|cubes|cans|tins|boxes|cartons|bottles|glasses|parcels|crates|cups"
