@@ -86,7 +86,8 @@ NEXT_WORD = re.compile(
 BY_CONSTRUCTION = re.compile(
     r"\b(?:do|does|must|should|need|have|may|shall|will|would|can|please|but|and) not "
     r"(?:hurry|worry|rush|mind|know|remember|bother|matter|need|have to|break|damage|drop|knock|crush|scratch|harm|hurt"
-    r"|bump|hit|collide|disturb|forget|squeeze|shake|be (?:too )?(?:fast|slow|rough|hasty)|yet know"
+    r"|bump|hit|collide|disturb|forget|squeeze|shake|tip|topple|fall|slip|be (?:too )?(?:fast|slow|rough|hasty)"
+    r"|yet know"
     r"|squeeze (?:it )?too)\b"
     r"|\b(?:i|we|they) (?:do|did|can|could|would|will|am|are|have) not\b|\bif not\b|\bor not\b|\bwhy not\b"
     r"|\bi (?:bet|think|guess|doubt) you (?:can|could|will|would) not\b"

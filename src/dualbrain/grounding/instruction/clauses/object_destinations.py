@@ -33,9 +33,8 @@ def object_destinations(text: str, scene: SceneWords) -> Iterator[tuple[int, int
         segment = before[starts[-1] if starts else 0 :]
         if not _has_object(segment, scene) or _HAND.search(segment):
             continue
-        after = _SEGMENT_START.split(text[match.end() : match.end() + 100], maxsplit=1)[0]
         verbless = match[0].startswith("onto")
-        if (_PLACING.search(segment) or verbless) and not scene.has_destination(after) and _is_object(match, scene):
+        if (_PLACING.search(segment) or verbless) and _is_object(match, scene):
             yield match.start(), match.end()
 
 
