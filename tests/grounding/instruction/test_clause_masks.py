@@ -109,3 +109,24 @@ def test_an_object_that_describes_another_one_is_no_destination():
 )
 def test_a_manner_may_belong_to_an_action_of_the_robot(text, found):
     assert kinds(text) == found
+
+
+@pytest.mark.parametrize("text", ["give the red cube to Anna", "take the glass over to Tom, please"])
+def test_a_recipient_may_have_a_name(text):
+    assert kinds(text) == ["handing over"]
+    assert kinds(text.lower()) == []  # "anna" may be a place that the robot does not know
+
+
+def test_a_name_of_the_scene_is_no_recipient():
+    assert kinds("take the cube to Shelf", receptive=("shelf",)) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("after the green tin, put the red cube in the bowl", []),
+        ("after the news starts, put the red cube in the bowl", ["time"]),
+    ],
+)
+def test_only_a_name_of_the_scene_is_an_action_of_the_robot(text, found):
+    assert kinds(text) == found

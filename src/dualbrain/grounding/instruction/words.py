@@ -43,6 +43,10 @@ _CONTRACTIONS = {
     "you're": "you are",
     "you've": "you have",
     "i've": "i have",
+    "we're": "we are",
+    "we've": "we have",
+    "they're": "they are",
+    "they've": "they have",
     "w/o": "without",
 }
 _MISSPELLINGS = {

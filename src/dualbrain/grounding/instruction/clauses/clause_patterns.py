@@ -15,7 +15,7 @@ DONE = re.compile(
     r"|\byou (?:have )?(?:put|placed|dropped|moved|brought|finished|stored|been at|been to|delivered|reached|arrive)\b"
     r"|\b(?:it|that|(?:the |this |that )?(?:\w+ ){1,4}?)(?:is|lies|sits|rests|stands|has been|lands|reaches) ?"
     r"(?:put|placed|dropped|moved)? ?(?:in|inside|into|on|at|to) (?:it|there|the|n{4,})\b"
-    r"|\b(?:path|way|route|coast) is (?:free|clear)\b"
+    r"|^(?:when|once|as soon as) (?:done|finished)\b|\b(?:path|way|route|coast) is (?:free|clear)\b"
     r"|\b(?:\w+ ){1,3}(?:is|lies|stands|sits) (?:in there|there|in|inside|n{4,})\b"
     r"|\byou (?:have|hold|got|grasped|(?:have |are )(?:got|grasped|lifted|holding|picked up)) (?:it|that|this|them)\b"
 )
@@ -53,7 +53,7 @@ POLITE_CONDITION = re.compile(
     r"|\bif (?:you ask me|i were you|i (?:remember|recall)|i am (?:not mistaken|honest)|memory serves|anything)\b"
     rf"|\b(?:when|once|as soon as|whenever) (?:you (?:(?:can|could){_NOT_PERCEIVED}|like|wish|please|{_HAVE_TIME}"
     r"|are (?:ready|free|available|not busy))"
-    r"|possible|convenient|it suits)\b"
+    r"|possible|convenient|ready|it suits)\b"
 )
 ELLIPTIC_CONDITION = re.compile(r"^(?:if (?:not|so|it is not|something is|that is)|otherwise|else)\b")
 ROBOT_VERB = (
@@ -68,9 +68,11 @@ ROBOT_ACTION = re.compile(
     r"|^(?:before|after) (?:going|putting|placing|moving|bringing|driving|returning|carrying|picking|grasping|dropping"
     r"|pushing|taking|retracting|visiting|doing|releasing|you are (?:done|finished))\b|^before they come\b"
     r"|^(?:before|after) (?:that|this|which) (?:the|to|you|put|bring|go|drive|move|take|place|carry|return|drop)\b"
-    r"|^(?:before|after) (?:the )?(?:\w+ ){0,2}\w+$"
+    r"|^after (?:the other|another)\b"
 )
-"""An action of the robot itself beside "before" or "after"; the last form is a name alone ("after the shelf")."""
+"""An action of the robot itself beside "before" or "after"."""
+NAME_ALONE = re.compile(r"^(?:before|after) (?P<article>the )?(?:\w+ ){0,2}\w+$")
+"""A name beside "before" or "after" ("after the shelf"): an action of the robot if it is a name of the scene."""
 OTHERS = re.compile(
     r"\b(?:i|he|she|they|him|her|somebody|someone|anyone|anybody|everyone|everybody|nobody|no one|people|person|man"
     r"|woman|human|child|kids?|user|operator|visitor|worker|colleague|guests?|customer|sister|brother|mother|father"
@@ -92,7 +94,11 @@ BY_CONSTRUCTION = re.compile(
     r"|\b(?:i|we|they) (?:do|did|can|could|would|will|am|are|have) not\b|\bif not\b|\bor not\b|\bwhy not\b"
     r"|\bi (?:bet|think|guess|doubt) you (?:can|could|will|would) not\b"
     r"|\bnot (?:a single|the only|too|so|very|be a single|be any|that it matters|yet know|only)\b"
-    r"|\bit is not , then\b|\bnot have to\b"
+    r"|\b(?:try|sure|careful|care|attempt|effort) not to (?:break|damage|drop|knock|crush|scratch|harm|hurt"
+    r"|bump|hit|collide"
+    r"|disturb|squeeze|shake|tip|topple|slip|touch|spill)\b|\byou (?:have|did) not (?:\w+ ){1,8}?yet\b"
+    r"|\bnot let (?:it|them|the (?:\w+ ){1,3}?) ?(?:slip|fall|drop|tip|break|topple)\b|\bit is not , then\b"
+    r"|\bnot have to\b"
     r"|\b(?:not|never) (?:go|move|drive|travel|grip|press|squeeze|hold|exceed|use)(?: it| the \w+)? x{4,}"
 )
 """Negations that every contract observes, or that ask for nothing."""
@@ -120,7 +126,8 @@ CONDITION_WORD = re.compile(
     r"|get|move|see|want|need|say|fall|stand|arrive|reach|touch|enter|appear|leave|ask|ring|start|happen|approach"
     r"|nod|wave|shout|call|object|slip)"
     r"|as the (?:bell|alarm|light|lamp|clock|music|timer|phone|door|signal|buzzer|siren) \w+s"
-    r"|should you (?:\w+ ){0,2}?(?:hear|see|feel|notice|find|detect|sense|spot)|given that|no sooner than"
+    r"|should you (?:\w+ ){0,2}?(?:hear|see|feel|notice|find|detect|sense|spot)|given that|(?:check|see"
+    r"|find out|test|verify|determine|look) (?:\w+ )?whether|no sooner than"
     r"|in the case (?:of|that)|pending|on the (?:off )?chance|failing (?:that|this|which)"
     r"|subject to|contingent on|conditional on|(?:in|under) (?:that|which) (?:case|condition)"
     r"|with (?:my|his|her|their|our|\w+'s) (?:\w+ )?(?:permission|approval|consent|ok|okay|agreement|blessing)"

@@ -8,7 +8,7 @@ rest would do something else than the instruction asks for.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, islice
 
@@ -21,6 +21,7 @@ from dualbrain.grounding.instruction.clauses.masks.destinations import mask_side
 from dualbrain.grounding.instruction.clauses.masks.figures_of_speech import mask_figures
 from dualbrain.grounding.instruction.clauses.masks.parameter_values import mask_parameter_values
 from dualbrain.grounding.instruction.clauses.object_destinations import object_destinations
+from dualbrain.grounding.instruction.clauses.recipients import recipients_by_name
 from dualbrain.grounding.instruction.clauses.rules.all_rules import RULES
 from dualbrain.grounding.instruction.clauses.rules.clause_rule import ClauseKind, ClauseRule
 from dualbrain.grounding.instruction.clauses.scene_words import SceneWords
@@ -88,12 +89,16 @@ def find_clauses(
     for mask in (mask_descriptions, mask_sides, mask_counts, mask_contrasts, mask_figures):
         text = mask(text, scene)
     places += object_destinations(text, scene)
-    found: list[tuple[int, int, ClauseKind]] = [(start, end, "relative place") for start, end in places]
+    located: tuple[tuple[ClauseKind, Iterable[tuple[int, int]]], ...] = (
+        ("relative place", places),
+        ("handing over", recipients_by_name(words, scene)),
+    )
+    found = [(start, end, kind) for kind, spans in located for start, end in spans]
     containers = _Containers.of(receptive)
     for start, end in sentences(text):
         if len(found) > MAX_FOUND:
             break
-        found += _find_in_sentence(text, start, end, abilities, containers)
+        found += _find_in_sentence(text, start, end, abilities, scene)
     for match in patterns.QUESTION_THEN.finditer(text):
         if not ("occupancy" in abilities.names and _is_about_occupancy(match[0], text, containers)):
             found.append((match.start(), match.end(), "condition"))
@@ -119,12 +124,13 @@ def _is_inside(one: tuple[int, int, ClauseKind], other: tuple[int, int, ClauseKi
 
 
 def _find_in_sentence(
-    text: str, start: int, end: int, abilities: Capabilities, containers: _Containers
+    text: str, start: int, end: int, abilities: Capabilities, scene: SceneWords
 ) -> Iterator[tuple[int, int, ClauseKind]]:
     sentence = text[start:end]
+    containers = _Containers.of(scene.receptive)
     searches = (
         _conditions(sentence, text, abilities, containers),
-        _orders(sentence),
+        _orders(sentence, scene),
         _untils(sentence, text, abilities),
         _negations(sentence, text, abilities),
         _alternatives(sentence),
@@ -184,11 +190,14 @@ def _is_end_of_own_action(clause: str) -> bool:
     return patterns.DONE.search(clause) is not None and patterns.OTHERS.search(clause) is None
 
 
-def _orders(sentence: str) -> Iterator[tuple[int, int, ClauseKind]]:
+def _orders(sentence: str, scene: SceneWords) -> Iterator[tuple[int, int, ClauseKind]]:
     for match in patterns.BEFORE_AFTER.finditer(sentence):
         end = _clause_end(sentence, match.end())
         clause = sentence[match.start() : end].strip()
         own = patterns.ROBOT_ACTION.search(clause) or patterns.DONE.search(clause)
+        if alone := patterns.NAME_ALONE.search(clause):
+            unknown = scene.graspable and alone["article"] and not scene.mentions(clause, scene.names)
+            own = own or not unknown
         foreign = patterns.OTHERS.search(clause) and not clause.startswith(("before they come", "before we start"))
         if foreign or not own:
             yield match.start(), end, "time"

@@ -32,7 +32,7 @@ _HERE = (
 )
 _POSITION = (
     rf"(?P<side>{_HERE}|{_SIDE})|(?P<relation>{_RELATION} (?:it|them|{_THING})"
-    rf"|(?:in )?between (?:them|the two (?:\w+ ){{0,2}}?\w+|{_THING} and {_THING}))"
+    rf"|(?:in )?between (?:them|{_THING} and {_THING}|the (?:two )?(?:\w+ ){{0,2}}?\w+))"
 )
 _ADVERBS = (
     r"(?: (?:now|currently|presently|right now|over|just|still|standing|lying|sitting|placed|located|resting|there|here"

@@ -38,6 +38,14 @@ _IDIOMS = re.compile(
     r"|well or badly|right or wrong|most of all"
     r"|(?:once more|once again|one more time) i (?:ask|beg|say|tell)|both (?:of your )?(?:hands|fingers|jaws)"
     r"|no , not (?:that|this|so)(?= ?[,.;:!?]))\b"
+    r"|\b(?:been|was|were|am|are|is) (?:\w+ ){0,2}?(?:all day|all night|forever)\b"
+    r"|\b(?:has|have|had) been [^,.;:!?]{0,30}?\bfor (?:\w+ ){1,3}?(?:seconds|minutes|hours|days|weeks|months"
+    r"|years|ages)\b"
+    r"|\b(?:(?:every|each) (?:single )?time|whenever) (?:i|we|he|she|they) (?!say|says|see|tell|notice|hear"
+    r"|think|call|feel"
+    r"|find|decide|want|need)[^,.;:!?]{1,40}? (?:there (?:is|are)|the (?:\w+ ){1,3}?(?:is|lies|stands|sits))\b"
+    r"|\b(?:keep|stay) (?:well )?(?:clear of|away from) (?:the |any |that )?(?:persons?|people|humans?|him|her"
+    r"|operator)\b"
     r"|\b(?:is|was) not it (?:about |high )?time\b|\bhow come [^.;!?]{1,60}|\bjust in case(?= ?[,.;:!?]|$)"
     r"|\bin case (?:you|anyone|anybody) (?:have|has|had|did|do|are|is)(?: not)? "
     r"(?:noticed|know|seen|heard|forgotten|wondering|interested)\b"
@@ -115,13 +123,16 @@ def _mask_remarks_on_others(text: str, scene: SceneWords) -> str:
 _MANNER = re.compile(
     r"\b(?:be|go|move|drive|stay|remain) (?:very |extra |more |especially )?(?:careful|gentle|slow|slowly"
     r"|gently|carefully"
-    r"|soft|softly|quiet|steady|cautious)\b|\btake care\b|\b(?:not|never) (?:go|move|drive|grip|press|squeeze"
+    r"|soft|softly|quiet|steady|cautious)\b|\btake care\b|\b(?:keep|stay) (?:well )?(?:clear of|away from)\b"
+    r"|\b(?:try|sure|careful|care) not to\b|\b(?:not"
+    r"|never) (?:go|move|drive|grip|press|squeeze"
     r"|hold|exceed)\b"
 )
 _DURING_ACTION = re.compile(
-    r"\b(?:when|while) (?:you are )?(?:putting|placing|carrying|moving|gripping|grasping|driving|lifting"
+    r"\b(?:when|while) (?:you (?:put|place|carry|move|grip|grasp|lift|drive|push|release|hold)\b"
+    r"|(?:you are )?(?:putting|placing|carrying|moving|gripping|grasping|driving|lifting"
     r"|lowering|pushing"
-    r"|releasing|setting|holding)\b"
+    r"|releasing|setting|holding)\b)"
 )
 """The action of the robot itself that a manner belongs to: "when gripping the glass, be gentle"."""
 
@@ -131,10 +142,11 @@ def mask_figures(text: str, scene: SceneWords) -> str:
 
     A remark on the present state counts only in front of a request that stands in its own clause.
     """
+    has_manner = _MANNER.search(text) is not None
     for match in first_matches(_IDIOMS, text):
         text = fill(text, match.start(), match.end())
     text = _mask_states(text, scene)
-    if _MANNER.search(text):
+    if has_manner:
         for match in first_matches(_DURING_ACTION, text):
             text = fill(text, match.start(), match.end())
     return _mask_remarks_on_others(text, scene)

@@ -89,6 +89,9 @@ COMPARISONS: tuple[ClauseRule, ...] = (
             r"|(?<=\bthe )(?!corner|center|order|number|remainder|border|power|cover|layer|owner|member|manner"
             r"|other|another|either"
             r"|water|paper|finger|upper|lower)\w{3,}er of (?:the|them|these|those)\b"
+            r"|\bfrom (?:the )?(?:small|large|big|light|heavy|dark|bright|short|tall|low|high|thin|thick|narrow"
+            r"|wide)\w* to\b"
+            r"|\b(?:that|which|whichever) (?:is|are|looks?|seems?|weighs?|holds?) (?:less|more) \w+"
             r"|\bwith the (?:most|least|fewest|best|worst|\w{3,}est) (?!of\b)\w+"
         ),
         re.compile(r"\b(?:i|we) (?:need|want|like|love|hate|dislike) (?:the )?(?:most|least|best)\b"),

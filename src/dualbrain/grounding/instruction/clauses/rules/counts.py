@@ -50,7 +50,8 @@ COUNTS: tuple[ClauseRule, ...] = (
     ClauseRule(
         "count",
         re.compile(
-            r"\bthe (?:first|last) (?:two|three|four|five)\b|\bhalf of\b|\bone each\b|\bin pairs\b"
+            r"\b(?:a|one|two) (?:third|quarter|fifth|tenth)s? of (?:the|them|these|those|my|our|all)\b"
+            r"|\bthe (?:first|last) (?:two|three|four|five)\b|\bhalf of\b|\bone each\b|\bin pairs\b"
             r"|\ba pair of\b|\bcount (?:to|the|from|down)\b"
         ),
     ),

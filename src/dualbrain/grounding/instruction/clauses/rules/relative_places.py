@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from dualbrain.grounding.instruction.clauses.rules.clause_rule import ClauseRule
-from dualbrain.grounding.instruction.clauses.rules.word_classes import AMOUNT, LENGTH_UNIT, MOVE
+from dualbrain.grounding.instruction.clauses.rules.word_classes import AMOUNT, CLOSER_BY_PUSH, LENGTH_UNIT, MOVE
 
 RELATIVE_PLACES: tuple[ClauseRule, ...] = (
     ClauseRule(
@@ -153,7 +153,10 @@ RELATIVE_PLACES: tuple[ClauseRule, ...] = (
             r"|formation)\b|\b(?:pile|stack|heap) (?:up|the|them|all|it|these|those|both)\b"
             r"|\b(?:evenly|equidistant|equally spaced|spaced|spread (?:out|them|the|all)|scatter)\b"
             r"|\b(?:put|place|bring|set|gather)\b[^.,;:!?]{0,60}? together\b(?! (?:in|into|on|onto|at|to)\b)"
-            r"|\bwith the (?:others?|rest)\b(?! of\b)|\batop\b|\b(?:the way|as) (?:it|they|everything"
+            r"|\bwith the (?:others?|rest)\b(?! of\b)|\balign(?:ed|ing)?\b|\barm's length\b|\bin the shadow of\b"
+            r"|\b(?:put|place|set|move|drop|lay|bring|push)\b[^.,;:!?]{0,60}? where (?:the|my"
+            r"|that) (?:\w+ ){1,3}?(?:is|are"
+            r"|stands?|lies|sits)\b|\batop\b|\b(?:the way|as) (?:it|they|everything"
             r"|things) (?:was|were|used to be)\b"
             r"|\bmirror (?:the|it)\b|\bwithin (?:\w+ )?reach\b|\bon the far end\b|\bleave (?:a|some) (?:gap"
             r"|space|room)\b"
@@ -162,5 +165,10 @@ RELATIVE_PLACES: tuple[ClauseRule, ...] = (
             rf"|\b{AMOUNT} (?:hand|finger|thumb|palm)(?:'s|s)? ?(?:breadths?|widths?)\b"
         ),
         re.compile(r"\bhand ?(?:'s|s)? breadth closer\b"),
+    ),
+    ClauseRule(
+        "relative place",
+        re.compile(r"\b(?:closer|nearer) to\b"),
+        re.compile(CLOSER_BY_PUSH + r"|\bcloser to (?:done|finished|home)\b"),
     ),
 )

@@ -19,6 +19,13 @@ TIMES: tuple[ClauseRule, ...] = (
             r"|need you) [^.;!?]{0,60}\bin (?:about )?an? (?:minute|moment|second|hour)\b"
         ),
     ),
+    ClauseRule(
+        "time",
+        re.compile(
+            rf"\b(?:take|taking|spend|spending|use|allow|lasts?|lasting|need) (?:(?!and|hold|for|break|rest"
+            rf"|pause|wait|a\b)\w+ ){{0,4}}?{NUMBER} {TIME_UNIT}\b"
+        ),
+    ),
     ClauseRule("time", re.compile(r"\b(?:in|within|after) (?:a )?(?:half|quarter)(?: of)?(?: an)? hour\b")),
     ClauseRule(
         "time",
@@ -42,7 +49,8 @@ TIMES: tuple[ClauseRule, ...] = (
             r"|saturday|sunday|morning)|this (?:evening|afternoon)|later today|simultaneously"
             r"|at (?:exactly |precisely )?(?:the )?(?:very |exact |exactly the |precisely the )?same (?:time"
             r"|moment|instant|second)"
-            r"|concurrently|synchronously|in (?:sync|unison|synchrony)|all at once"
+            r"|synchroni[sz]e\w*|in (?:time|step|rhythm) with|(?:in|within|over) the next (?:\w+ )?(?:seconds?"
+            r"|minutes?|hours?|days?)|concurrently|synchronously|in (?:sync|unison|synchrony)|all at once"
             r"|meanwhile"
             r"|in the meantime|in the (?:morning|evening|afternoon)|over the course of|on (?:the count of"
             r"|my (?:command|signal|mark)|a signal)"

@@ -7,7 +7,7 @@ NUMBER = (
 AMOUNT = rf"(?:{NUMBER}|an?|one|half an?|a few|several|some|a couple of|a dozen|few|couple of)"
 TIME_UNIT = r"(?:s|secs?|seconds?|mins?|minutes?|h|hours?|days?|weeks?)"
 PARAMETER_UNIT = (
-    r"(?:mm|cm|dm|m|n|rad|s|secs?|seconds?|newtons?|radians?|degrees?|percent|%|millimet(?:er|re)s?"
+    r"(?:mm|cm|dm|m|n|rad|newtons?|radians?|degrees?|percent|%|millimet(?:er|re)s?"
     r"|centimet(?:er|re)s?|met(?:er|re)s?)"
 )
 """Units of the numbers that a skill takes, and of the limits that an instruction states for them."""
