@@ -57,7 +57,7 @@ def test_politeness_is_no_condition(polite):
     assert kinds(f"{polite}, put the red cube in the bowl") == []
 
 
-@pytest.mark.parametrize("event", ["if you can hear music", "when you have a second tin", "once you're called"])
+@pytest.mark.parametrize("event", ["if you can see smoke", "when you have a second tin", "once you're called"])
 def test_a_condition_that_begins_like_politeness_is_one(event):
     assert kinds(f"{event}, put the red cube in the bowl") == ["condition"]
 

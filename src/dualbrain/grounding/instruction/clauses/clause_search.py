@@ -93,7 +93,7 @@ def find_clauses(
         ("relative place", places),
         ("handing over", recipients_by_name(words, scene)),
     )
-    found = [(start, end, kind) for kind, spans in located for start, end in spans]
+    found: list[tuple[int, int, ClauseKind]] = [(a, b, kind) for kind, spans in located for a, b in spans]
     containers = _Containers.of(receptive)
     for start, end in sentences(text):
         if len(found) > MAX_FOUND:
