@@ -133,6 +133,7 @@ def _decide(
         instruction=request.instruction,
         instruction_check=request.instruction_check,
         withheld=(),
+        unfinished=(executor.held_object or "") if request.continuation else "",
         context=context,
         executor=executor,
         gate=open_gate(request, executor, context),

@@ -19,6 +19,9 @@ from dualbrain.records import Proposal
 from dualbrain.runtime.planning.episode_request import InstructionCheck
 from dualbrain.runtime.planning.planner_request import PlanningContext
 
+IDLE_SKILLS = ("hold",)
+"""Skills that change nothing."""
+
 
 def proposal_bytes(proposal: Proposal) -> bytes:
     """The text of a proposal as bytes, also where a planner returned bytes that are no text."""
@@ -48,6 +51,17 @@ def reject_before_gate(proposal: Proposal, instruction: str, withheld: tuple[str
         return rejected
     contract = _decode(proposal) if withheld else None
     return None if contract is None else reject_recalled_step(msgspec.to_builtins(contract), withheld, instruction)
+
+
+def reject_idle(proposal: Proposal, held: str) -> Rejected | None:
+    """The rejection of a contract that only waits while the object `held` of the failed contract is in the hand."""
+    contract = _decode(proposal)
+    if contract is None or any(action.skill not in IDLE_SKILLS for action in contract.action_sequence):
+        return None
+    hint = f"{held} is in the hand and the instruction is not done: place or release it first"
+    return Rejected(
+        stage="envelope", pointer="/action_sequence/0/skill", got="hold", allowed="a skill that moves", hint=hint
+    )
 
 
 def reject_mismatch(

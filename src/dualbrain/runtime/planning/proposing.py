@@ -23,7 +23,12 @@ from dualbrain.runtime.planning.episode_request import EpisodeRequest, Instructi
 from dualbrain.runtime.planning.local_answer import local_proposal
 from dualbrain.runtime.planning.planner_request import PlanningContext
 from dualbrain.runtime.planning.planning_time import PlanningClock
-from dualbrain.runtime.planning.proposal_checks import proposal_bytes, reject_before_gate, reject_mismatch
+from dualbrain.runtime.planning.proposal_checks import (
+    proposal_bytes,
+    reject_before_gate,
+    reject_idle,
+    reject_mismatch,
+)
 from dualbrain.runtime.planning.verdict_text import format_attempt
 
 CONTINUATION = "continuation of "
@@ -36,12 +41,14 @@ CONTRACT_LIFETIME = 660.0
 class ProposalChecker:
     """Checks the proposals for one instruction: its words (see `InstructionCheck`), then the gate.
 
-    `withheld` are the skills of recalled steps that the instruction does not contain.
+    `withheld` are the skills of recalled steps that the instruction does not contain. `unfinished` is the object in the
+    hand that the failed contract before was to put down, "" without one.
     """
 
     instruction: str
     instruction_check: InstructionCheck
     withheld: tuple[str, ...]
+    unfinished: str
     context: PlanningContext
     executor: Executor
     gate: ContractGate
@@ -59,6 +66,7 @@ class ProposalChecker:
     def _verdict(self, proposal: Proposal, shot: int, requested_at: float) -> Verdict:
         return (
             reject_before_gate(proposal, self.instruction, self.withheld)
+            or (reject_idle(proposal, self.unfinished) if self.unfinished else None)
             or reject_mismatch(proposal, self.instruction, self.context, self.instruction_check)
             or self.gate.check(
                 proposal_bytes(proposal),
