@@ -34,7 +34,6 @@ OTHERS = ("red_cube", "yellow_block", "green_tin", "clear_glass")
         ("put everything on the red block", (Placed(OTHERS, "on", ("red_block",)),)),  # not on itself
         # an object that is observed after it was placed; a stop after another request
         ("put the red cube in the bowl, then look at the red cube", (IN_BOWL, Observed("red_cube", is_moved=True))),
-        ("look at the red cube", (Observed("red_cube"),)),
         ("go home, then stop", (HOME,)),
         ("put the red cube in the bowl and then stop", (IN_BOWL,)),
         # pushes
