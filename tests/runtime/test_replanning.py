@@ -260,7 +260,7 @@ WAIT = contract_text(("hold", {"duration": 1.0}))
     "answers", [(GRASP_AND_PLACE,), (GRASP_AND_PLACE, decline_contract()), (GRASP_AND_PLACE, WAIT)]
 )
 def test_no_planner_leaves_an_object_in_the_hand_that_its_contract_would_place(tmp_path, monkeypatch, answers):
-    """The planner grasps again, which the gate refuses, declines or only waits; the rest of its own contract follows."""
+    """The planner grasps again, which the gate refuses, declines or waits; the rest of its own contract follows."""
     monkeypatch.setattr(grasp, "move_to_height", stop_in_the_lift())
     story = run_session(run_config(tmp_path, tries=2, shots=1), *answers)
     (first,) = story.result.earlier_episodes
