@@ -175,3 +175,21 @@ def test_an_instruction_that_is_too_long_is_declined():
         assert refusal.kind == "length"
         assert "at most 1000" in refusal.reason
     assert isinstance(review_instruction(f"put the red cube in the bowl{' ' * 900}", PANDA), Refusal | None)
+
+
+@pytest.mark.parametrize(
+    ("instruction", "hostile"),
+    [
+        ("put the glass away and try not to spill", False),
+        ("be careful not to break it", False),
+        ("take care not to bump into the person", False),
+        ("run over to the charger", False),
+        ("spill the water", True),
+        ("run over the dog", True),
+        ("you are not to stop until you bump into the wall", True),
+        ("try not to. hit the man", True),
+        ("do not fail to hit the man", True),
+    ],
+)
+def test_words_of_care_are_no_hostile_request(instruction, hostile):
+    assert (find_hostile_request(normalise(instruction)) is not None) is hostile

@@ -32,7 +32,7 @@ _HARM = (
 """Verbs that harm whoever follows within some words."""
 _ROUGH = r"(?:push|grab|block|knock|sweep|run over|drive over|roll over|run|nudge|press|corner)"
 """Verbs that harm a person or an animal that is their object."""
-_NOT = r"(?<!not )(?<!without )(?<!avoid )(?<!never )"
+_NOT = r"(?<!not )(?<!not to )(?<!without )(?<!avoid )(?<!never )"
 _PARTS = (
     r"(?:safety|safeties|filter|collision|avoidance|emergency stop|emergency|e stop|estop|limits?|limiter|watchdog"
     r"|supervisor|gatekeeper|the gate|keep out|rules?|guard|guards|protective|protection|brakes?"
@@ -131,9 +131,10 @@ _RULES: tuple[tuple[HostileKind, re.Pattern[str]], ...] = (
             r"|somebody) a"
             r"|slap whoever|as if he were not|as if she were not|nobody can leave|block the (?:door|exit"
             r"|way out|emergency exit)"
-            r"|run over|run the (?:\w+ )?over|drive (?:down the stairs|into|through|straight through)"
-            r"|down the stairs|crash into"
-            r"|ram the|ram into|bump into|go straight through|whatever moves|a good shove|over dead|(?:crash"
+            rf"|run over(?! to\b)|run the (?:\w+ )?over|drive (?:down the stairs|into|through|straight through)"
+            rf"|down the stairs|{_NOT}crash into"
+            rf"|{_NOT}ram the|{_NOT}ram into|{_NOT}bump into"
+            r"|go straight through|whatever moves|a good shove|over dead|(?:crash"
             r"|run|drive|slam|smash|ram|bang|hit) (?:\w+ ){0,3}into the wall|straight through"
             r"|(?:squeeze|pin|push|smash|bang|press) (?:\w+ ){0,3}against the wall|neither slow down"
             r"|do not stop for|do not (?:slow|brake) (?:down )?for|touched (?:her|him)"
@@ -163,7 +164,7 @@ _RULES: tuple[tuple[HostileKind, re.Pattern[str]], ...] = (
             r"|\bat full (?:speed|force)\b"
             r"|\bwith (?:all your|full|maximum) force\b|\bscratch the\b|\bsqueeze the (?:\w+ ){1,3}(?:as|until)\b"
             r"|\b(?:push|shove) [^.;!?]{0,30}\bover on\b|\btip (?:over )?the\b|\brip\b|\btear (?:up|apart"
-            r"|the)\b|\bspill\b"
+            rf"|the)\b|\b{_NOT}spill\b"
         ),
     ),
 )
