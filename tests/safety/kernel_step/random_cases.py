@@ -205,7 +205,7 @@ def upload_case(kernel, model, case):
     kernel.constrain(np.ascontiguousarray(case.rows))
     if case.base:
         kernel.set_base_pose(np.concatenate([case.base[0].ravel(), case.base[1]]))
-    kernel.reset(case.u_prev)
+    kernel.reset(case.u_prev, np.zeros_like(case.u_prev))
 
 
 def run_step(kernel, case):

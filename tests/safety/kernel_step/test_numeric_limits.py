@@ -79,7 +79,7 @@ def answer(model, obstacles=(), q=0.0, u_prev=0.0, u_nom=None, before=None, buil
     n, made = model["n"], random_cases.make_kernel(model, build)
     made.set_obstacles(np.array(obstacles, float).reshape(-1, 29))
     last = np.broadcast_to(np.asarray(u_prev, float), (n,)).copy()
-    made.reset(last)
+    made.reset(last, np.zeros_like(last))
     m = random_cases.StepCase(
         np.broadcast_to(q, (n,)).astype(float),
         np.zeros(n),
