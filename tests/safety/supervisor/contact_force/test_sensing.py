@@ -94,9 +94,12 @@ def test_packets_carry_readings_and_older_packets_none():
     assert np.array_equal(back.torques, sent.torques)
     assert back.wrench is None
     whole = msgspec.msgpack.decode(encode(StatePacket.from_state(sent)))
-    old = decode_from_robot(msgspec.msgpack.encode(whole[:-2])).to_robot_state()
-    assert (old.torques, old.wrench) == (None, None)
+    old = decode_from_robot(msgspec.msgpack.encode(whole[:-4])).to_robot_state()
+    assert (old.torques, old.wrench, old.desired_v, old.desired_a) == (None, None, None, None)
     assert np.array_equal(old.q, sent.q)
+    without_command = decode_from_robot(msgspec.msgpack.encode(whole[:-2])).to_robot_state()
+    assert np.array_equal(without_command.torques, sent.torques)
+    assert without_command.desired_v is None
 
 
 def test_recordings_from_before_force_sensing_are_read():
