@@ -73,9 +73,11 @@ class Session:
         self.lower = np.array([joint.lower.value for joint in self.robot_model.joints])
         self.upper = np.array([joint.upper.value for joint in self.robot_model.joints])
         self.driver = FrankaDriver(import_franka_sdk(), address, self.robot_model, hand=False, realtime="ignore")
-        self.driver.enable()
         self._filter = SafetyFilter(self.robot_model, FilterConfig(jerk_limits=jerk_limits))
         self._filter.observe([Obstacle("floor", HalfSpace(), Pose((0.0, 0.0, 0.0)))])
+        self._filter(self.driver.read().q, np.zeros(7), np.zeros(7))  # the first step is slower than a period
+        self._filter.reset()
+        self.driver.enable()
         self.status: Counter[str] = Counter()
         self.causes: Counter[str] = Counter()
         self.q = self.driver.read().q
