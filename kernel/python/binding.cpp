@@ -1,10 +1,11 @@
-// The Python module: the Kernel class, the constants of the build, the functions for unit tests and the testing
-// library.
+// The Python module: the Kernel class, the dynamics of an arm, the constants of the build, the functions for unit tests
+// and the testing library.
 #include <nanobind/nanobind.h>
 
 #include "kernel.h"
 
 void import_numpy();                // step.cpp
+void bind_dynamics(nb::module_ &m); // dynamics.cpp
 void bind_units(nb::module_ &m);    // unit_access.cpp
 void bind_testing(nb::module_ &m);  // testing_binding.cpp
 
@@ -49,6 +50,7 @@ NB_MODULE(DBK_MODULE, m) {
                                    nb::capsule(k.ctx.get(), kBuild));
            })
       .def("time_steps", &Kernel::time_steps);
+  bind_dynamics(m);
   bind_units(m);
   bind_testing(m);
 }

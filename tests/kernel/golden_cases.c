@@ -2,6 +2,8 @@
 #include "golden_cases.h"
 
 #include "arm.h"
+#include "dynamics/dbk_contact_force.h"
+#include "dynamics/dbk_inverse_dynamics.h"
 #include "model/dbk_kinematics.h"
 #include "qp/dbk_qp.h"
 
@@ -745,6 +747,59 @@ static void programs(golden_result *g) {
   }
 }
 
+static void mix_wrench(golden_result *g, const dbk_contact_force *contact, int32_t n) {
+  mix(g, contact->force, sizeof contact->force);
+  for (int i = 0; i < 3; ++i) { mix(g, contact->map[i], (size_t)n * sizeof contact->map[0][0]); }
+  mix_real(g, contact->unexplained);
+}
+
+/* torques and contact forces of an arm with six revolute joints and a prismatic one */
+static void dynamics(golden_result *g) {
+  dbk_dynamics arm;
+  uint64_t state = 330;
+  start();
+  memset(&arm, 0, sizeof arm);
+  arm.n = model.n;
+  memcpy(arm.joint_rotation, model.joint_rotation, sizeof arm.joint_rotation);
+  memcpy(arm.joint_offset, model.joint_offset, sizeof arm.joint_offset);
+  arm.joint_kind[3] = DBK_PRISMATIC;
+  for (int i = 0; i < arm.n; ++i) {
+    arm.body[i].mass = random_between(&state, 0.5, 4.0);
+    for (int e = 0; e < 3; ++e) { arm.body[i].centre[e] = random_between(&state, -0.1, 0.1); }
+    for (int e = 0; e < 6; ++e) { arm.body[i].inertia[e] = random_between(&state, 0.001, 0.02); }
+    arm.rotor_inertia[i] = random_between(&state, 0.0, 0.2);
+    arm.damping[i] = random_between(&state, 0.0, 1.0);
+  }
+  for (int t = 0; t < 200; ++t) {
+    dbk_real q[DBK_MAX_DOF] = {0}, v[DBK_MAX_DOF] = {0}, a[DBK_MAX_DOF] = {0}, linear[3][DBK_MAX_DOF],
+             angular[3][DBK_MAX_DOF], points[4][3];
+    const int32_t joints[4] = {3, 4, 6, 7};
+    dbk_frame_motion base = {{0}, {0}, {0, 0, (dbk_real)9.81}};
+    dbk_arm_torque torque;
+    dbk_contact_force contact;
+    for (int i = 0; i < arm.n; ++i) {
+      q[i] = random_between(&state, -2.0, 2.0);
+      v[i] = random_between(&state, -1.0, 1.0);
+      a[i] = random_between(&state, -5.0, 5.0);
+      for (int e = 0; e < 3; ++e) {
+        linear[e][i] = random_between(&state, -0.6, 0.6);
+        angular[e][i] = random_between(&state, -1.0, 1.0);
+      }
+    }
+    for (int i = 0; i < 12; ++i) { points[i / 3][i % 3] = random_between(&state, -0.5, 0.5); }
+    base.spin[2] = random_between(&state, -1.0, 1.0);
+    dbk_inverse_dynamics(&arm, &base, q, v, a, &torque);
+    mix(g, torque.own, (size_t)arm.n * sizeof torque.own[0]);
+    mix(g, torque.per_load, (size_t)arm.n * sizeof torque.per_load[0]);
+    mix(g, torque.wrist, sizeof torque.wrist);
+    mix(g, torque.wrist_per_load, sizeof torque.wrist_per_load);
+    mix_int(g, dbk_locate_contact(arm.n, (const dbk_real(*)[DBK_MAX_DOF])linear, (const dbk_real(*)[DBK_MAX_DOF])angular,
+                                  points[0], 4, (const dbk_real(*)[3])points, joints, torque.own, (dbk_real)0.0025,
+                                  &contact));
+    mix_wrench(g, &contact, arm.n);
+  }
+}
+
 /* --- the table ---------------------------------------------------------------------------------------------------- */
 
 static const struct {
@@ -775,6 +830,7 @@ static const struct {
     {"speed_limits", speed_limits},
     {"parts", parts},
     {"programs", programs},
+    {"dynamics", dynamics},
 };
 
 const int golden_count = sizeof table / sizeof table[0];

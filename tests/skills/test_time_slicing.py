@@ -79,6 +79,9 @@ class CountingMotionModel:
     def spheres(self, q, opening):
         return self._safety.spheres(q, opening)
 
+    def damped_least_squares(self, *args):
+        return self._safety.damped_least_squares(*args)
+
     @property
     def keep_out_boxes(self):
         return self._safety.keep_out_boxes

@@ -3,29 +3,11 @@
 
 #include <vector>
 
-#include "conversion/buffers.h"
+#include "conversion/entries.h"
 
 namespace nb = nanobind;
 
 namespace {
-
-std::vector<double> values(const nb::dict &d, const char *key) {
-  const Array a = nb::cast<Array>(d[key]);
-  return {a.data(), a.data() + a.size()};
-}
-
-void fill(const nb::dict &d, const char *key, dbk_real *to, size_t max_count) {
-  const std::vector<double> v = values(d, key);
-  expect(v.size() <= max_count, key);
-  for (size_t i = 0; i < v.size(); ++i) { to[i] = static_cast<dbk_real>(v[i]); }
-}
-
-size_t fill(const nb::dict &d, const char *key, int32_t *to, size_t max_count) {
-  const std::vector<double> v = values(d, key);
-  expect(v.size() <= max_count, key);
-  for (size_t i = 0; i < v.size(); ++i) { to[i] = static_cast<int32_t>(v[i]); }
-  return v.size();
-}
 
 dbk_real number(const nb::dict &d, const char *key) { return static_cast<dbk_real>(nb::cast<double>(d[key])); }
 

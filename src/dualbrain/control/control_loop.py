@@ -24,7 +24,7 @@ from dualbrain.safety.barriers.traversable_region import traversable_region
 from dualbrain.safety.barriers.workspace import plane
 from dualbrain.safety.cbf.filter import FilterResult, SafetyFilter
 from dualbrain.safety.cbf.grasped_object import cover_with_spheres
-from dualbrain.safety.cbf.obstacles import Contact, Obstacle, PersonLimits, obstacles_from_scene
+from dualbrain.safety.cbf.obstacles import Contact, Obstacle, PersonLimits, obstacles_from_checked_scene
 from dualbrain.safety.supervisor.actions import NO_ACTION, SupervisorDecision
 from dualbrain.safety.supervisor.conditions import Condition
 from dualbrain.safety.supervisor.controller import SafetyController
@@ -460,7 +460,7 @@ class ControlLoop:
             | self._residual_contacts.object_names
             | self._mapped_obstacles()
         )
-        obstacles = obstacles_from_scene(self.scene, known=known, held=held, persons=self.config.persons)
+        obstacles = obstacles_from_checked_scene(self.scene, known=known, held=held, persons=self.config.persons)
         stamp = effective_stamp(self.scene)
         if self.config.keep_margins:
             obstacles = self._estimate(obstacles, grasped=grasped)

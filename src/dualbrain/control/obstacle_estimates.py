@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from math import inf
+from math import asin, dist, hypot, inf
 
 import msgspec
 import numpy as np
@@ -244,17 +244,17 @@ def _contradicts(new: Obstacle, prior: Obstacle) -> bool:
 
 
 def _distance(a: Obstacle, b: Obstacle) -> float:
-    return float(np.linalg.norm(np.subtract(a.pose.position, b.pose.position)))
+    return dist(a.pose.position, b.pose.position)
 
 
 def _turn(a: Obstacle, b: Obstacle) -> float:
     """Upper bound of the motion [m] of a point of the shape by the turn between two orientations."""
-    first, second = np.asarray(a.pose.quaternion), np.asarray(b.pose.quaternion)
-    chord = min(float(np.linalg.norm(first - second)), float(np.linalg.norm(first + second)))
-    angle = 4.0 * float(np.arcsin(min(1.0, 0.5 * chord)))
-    if angle == 0.0 or isinstance(a.shape, Sphere):
+    first, second = a.pose.quaternion, b.pose.quaternion
+    if first == second or isinstance(a.shape, Sphere):
         return 0.0
-    return angle * _extent(a)
+    w, x, y, z = second
+    chord = min(dist(first, second), dist(first, (-w, -x, -y, -z)))
+    return 4.0 * asin(min(1.0, 0.5 * chord)) * _extent(a)
 
 
 def _extent(obstacle: Obstacle) -> float:
@@ -265,7 +265,7 @@ def _extent(obstacle: Obstacle) -> float:
         case Capsule(radius=radius, half_length=half_length):
             return radius + half_length
         case Box(half_extents=half_extents):
-            return float(np.linalg.norm(half_extents))
+            return hypot(*half_extents)
         case _:
             return inf
 

@@ -8,7 +8,7 @@ with fresh noise, passes.
 
 from __future__ import annotations
 
-import numpy as np
+from math import dist, inf
 
 from dualbrain.errors import GeometryError
 from dualbrain.records import Scene, SceneObject
@@ -44,7 +44,7 @@ class SceneMonitor:
         """Start without a scene; `limits` are by default those of `MonitorLimits()`."""
         self._limits = limits or MonitorLimits()
         self._last: dict[str, SceneObject] = {}
-        self._stamp = -np.inf
+        self._stamp = -inf
         self._moving = self._frozen = False
         self._frozen_detector = FrozenSensorDetector()
 
@@ -75,7 +75,7 @@ class SceneMonitor:
         last = self._last.get(obj.name)
         if last is None:
             return True
-        moved = float(np.linalg.norm(np.subtract(obj.pose.position, last.pose.position)))
+        moved = dist(obj.pose.position, last.pose.position)
         noise = obj.error + last.error + FIXED_TOLERANCE
         if obj.role in FIXED_ROLES:
             return moved <= noise

@@ -118,6 +118,10 @@ class PartMotionModel:
         """Boxes that the site keeps closed, in the world frame, for the base."""
         return self._motion.keep_out_boxes
 
+    def damped_least_squares(self, J: Array, damping: float, task: Array, free: Array) -> Array:
+        """The joint motion of this part that moves the tool by `task`; `J` has the columns of this part."""
+        return self._motion.damped_least_squares(J, damping, task, free)
+
     def project(self, state: RobotState, u_desired: Array, u_nom_prev: Array, now: float) -> Array:
         """Projection of the desired control of this part; the desired control of the other part is zero."""
         assert self._state is not None

@@ -145,6 +145,14 @@ class MotionModel(Protocol):
         """Centres (k, 3) [m], radii (k,) [m] and group of every sphere; spheres of a grasped object are last."""
         ...
 
+    def damped_least_squares(self, J: Array, damping: float, task: Array, free: Array) -> Array:
+        """Jᵀ (J Jᵀ + λ² 1)⁻¹ (task − J free) + free (n,): the joint motion that moves the tool by `task` (6,).
+
+        `J` (6, n) is the Jacobian of the tool, `damping` is λ² > 0: the motion is finite at singular postures, at the
+        price of a small error of the task. `free` (n,) acts within the null space of J.
+        """
+        ...
+
     @property
     def keep_out_boxes(self) -> tuple[SceneObject, ...]:
         """Boxes that the site file keeps closed; they are not part of the perceived scene."""

@@ -45,6 +45,17 @@ def test_rows_remain_valid_while_the_trace_grows() -> None:
     assert np.all(trace["n_rows"] == 90)
 
 
+def test_a_column_is_the_same_with_and_without_all_rows() -> None:
+    trace = Trace(7)
+    append_ticks(trace, BLOCK_ROWS + 10)
+    before = {name: trace[name] for name in trace.columns}
+    rows = trace.rows
+    for name, where in trace.columns.items():
+        expected = rows[:, where] if where.stop - where.start > 1 else rows[:, where.start]
+        np.testing.assert_array_equal(before[name], expected)
+        np.testing.assert_array_equal(trace[name], expected)
+
+
 def test_extend_continues_a_trace() -> None:
     whole, parts = Trace(7), Trace(7)
     append_ticks(whole, 300)

@@ -81,3 +81,23 @@ def test_the_numpy_oracle_agrees_with_mujoco(panda, rng, random_posture):
         mujoco.mj_forward(model, data)
         for k, name in enumerate(mujoco_oracle.sphere_names(panda)):
             np.testing.assert_allclose(centres[t, k], data.geom_xpos[model.geom(name).id], atol=1e-9)
+
+
+def test_the_damped_motion_is_the_least_squares_solution(panda, rng, random_posture):
+    safety = SafetyFilter(panda)
+    for damping in (1e-6, 1e-4, 1e-2):
+        J = safety.tool(random_posture(rng)).jacobian
+        task, free = rng.normal(size=6), rng.normal(size=7)
+        u = safety.damped_least_squares(J, damping, task, free)
+        stacked = np.vstack([J, math.sqrt(damping) * np.eye(7)])
+        expected, *_ = np.linalg.lstsq(stacked, np.concatenate([task - J @ free, np.zeros(7)]), rcond=None)
+        np.testing.assert_allclose(u - free, expected, atol=1e-7 * max(1.0, np.abs(expected).max()))
+
+
+def test_a_singular_jacobian_gives_a_finite_motion_and_nan_gives_nan(panda, rng):
+    safety = SafetyFilter(panda)
+    task, free = rng.normal(size=6), rng.normal(size=7)
+    assert np.array_equal(safety.damped_least_squares(np.zeros((6, 7)), 1e-4, task, free), free)
+    assert np.isnan(safety.damped_least_squares(np.full((6, 7), np.nan), 1e-4, task, free)).all()
+    with pytest.raises(ValueError, match="jacobian"):
+        safety.damped_least_squares(np.zeros((6, 6)), 1e-4, task, free)

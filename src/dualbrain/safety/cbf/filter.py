@@ -19,6 +19,7 @@ from dualbrain.robots.differential_drive import integrate_arc
 from dualbrain.robots.interface import RobotState
 from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.batch import BatchResult, run_batch
+from dualbrain.safety.cbf.compiled import _kernel64_wide as dynamics
 from dualbrain.safety.cbf.config import FilterConfig
 from dualbrain.safety.cbf.kernel import (
     MAX_OBSTACLES,
@@ -569,6 +570,19 @@ class SafetyFilter:
         n, flat = self._n, np.empty(12 + 6 * self._n)
         self._kernel.tool(self._chain_q(validation.as_real_array("configuration q", q, (self._nq,))), flat)
         return ToolState(flat[:3], flat[3:12].reshape(3, 3), flat[12:].reshape(6, n))
+
+    def damped_least_squares(self, J: Array, damping: float, task: Array, free: Array) -> Array:
+        """Jᵀ (J Jᵀ + λ² 1)⁻¹ (task − J free) + free (n,): the joint motion that moves the tool by `task` (6,).
+
+        `J` (6, n) is the Jacobian of the tool, `damping` is λ² > 0, and `free` (n,) acts within the null space of J.
+        Numbers that are not finite give a motion that is not finite. Compiled: `np.linalg.solve` takes 20 µs longer.
+
+        Raises:
+            ValueError: an array does not have its shape.
+        """
+        u = np.empty(len(free))
+        dynamics.damped_step(J, damping, task, free, u)
+        return u
 
     def spheres(self, q: ArrayLike, opening: float | None) -> tuple[Array, Array, tuple[str, ...]]:
         """Centres (k, 3) [m], radii (k,) [m] and group of every sphere at q, with `opening` [m] per finger.

@@ -269,10 +269,23 @@ def obstacles_from_scene(
         GeometryError: an object has a number, shape or pose that is not usable, or a stamp after that of the scene.
     """
     validation.check_length("clearance", clearance)
-    usable = check_scene(scene)
+    return obstacles_from_checked_scene(
+        check_scene(scene), known=known, held=held, clearance=clearance, persons=persons
+    )
+
+
+def obstacles_from_checked_scene(
+    scene: Scene,
+    *,
+    known: Collection[str],
+    held: str | None,
+    clearance: float = 0.0,
+    persons: PersonLimits | None = None,
+) -> tuple[Obstacle, ...]:
+    """As `obstacles_from_scene`, for a scene that has passed `check_scene`; the filter checks the obstacles again."""
     return tuple(
-        _to_obstacle(obj, usable.stamp, obj.name in known, clearance, persons)
-        for obj in usable.objects
+        _to_obstacle(obj, scene.stamp, obj.name in known, clearance, persons)
+        for obj in scene.objects
         if obj.name != held
     )
 

@@ -12,11 +12,13 @@ the third joint cannot be resolved; its torque then counts as a force at the nea
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import hypot
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.robots.model import RobotModel
+from dualbrain.safety.cbf.compiled import _kernel64_wide as compiled
 
 Array = NDArray[np.float64]
 
@@ -59,52 +61,68 @@ class ContactForce:
         )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ForceSolution:
+    """A force (3,) [N] at `place`, and the map (3, n) from the external torque to it.
+
+    `unexplained` is the share of the squared torque that the force leaves.
+    """
+
+    vector: Array
+    torque_to_force: Array
+    unexplained: float
+    place: str
+
+
 class ForceSolver:
     """Solves for the force at the tool or at a link of one robot."""
 
     def __init__(self, robot_model: RobotModel, first_joint: int) -> None:
         """`first_joint` is the index of the arm's first joint among the controls."""
         sensing = robot_model.force_sensing
-        self._first, self._n = first_joint, robot_model.n - first_joint
+        self._n = robot_model.n - first_joint
         links = [link for link in robot_model.links for sphere in robot_model.spheres if sphere.link == link.name]
         self._links = [link.name for link in links]
         joints_before = np.array([link.frame - first_joint for link in links])
         self._eligible = np.flatnonzero(joints_before >= LEAST_JOINTS)
-        self._moved = np.arange(self._n) < joints_before[self._eligible][:, None]
-        self._prismatic = np.array([joint.kind == "prismatic" for joint in robot_model.joints[first_joint:]])
+        self._joints_before = joints_before[self._eligible].astype(np.int32)
         margin = np.array(sensing.accuracy) + NOISE_FACTOR * np.array(sensing.noise) if sensing else np.zeros(0)
         self._margin = margin[first_joint:]
         self.wrist_uncertainty = float(np.linalg.norm(margin[:3]))
         """The largest error [N] of the force of a wrist sensor."""
 
-    def at_tool(self, residual: Array, jacobian: Array) -> tuple[Array, Array, float]:
-        """Force (3,), the map (3, n) from torque to force, and the share of `residual` (n,) that stays unexplained.
+    def at_tool(self, torque: Array, jacobian: Array) -> ForceSolution:
+        """The force at the tool for the external `torque` (n,), with the Jacobian (6, n) of the tool frame.
 
-        `jacobian` (3, n) is that of the tool's position for the joints of the arm.
+        The Jacobian of a mobile robot has the columns of its base first.
         """
-        solve = np.linalg.solve(jacobian @ jacobian.T + DAMPING**2 * np.eye(3), jacobian).astype(np.float64)
-        force = solve @ residual
-        left = residual - jacobian.T @ force
-        size = float(residual @ residual)
-        return force, solve, float(left @ left) / size if size > 0.0 else 0.0
+        flat = self._buffer()
+        compiled.contact_force(jacobian, torque, DAMPING**2, flat)
+        return self._solution(flat, torque, TOOL)
 
-    def uncertainty(self, solve: Array) -> float:
-        """The largest force [N] that noise and accuracy of the sensor cause, for a map (3, n) from torque to force."""
-        return float(np.linalg.norm(np.abs(solve) @ self._margin))
+    def at_links(self, torque: Array, jacobian: Array, tool: Array, centres: Array) -> ForceSolution:
+        """The force at the collision sphere that explains the external `torque` (n,) best.
 
-    def at_links(self, residual: Array, jacobian: Array, tool: Array, centres: Array) -> tuple[Array, Array, str]:
-        """Force (3,), its map (3, n) and the link of the collision sphere that explains `residual` (n,) best.
-
-        `jacobian` (6, n) is that of the tool frame at `tool` (3,), `centres` (k, 3) are those of the robot's spheres.
+        `jacobian` is that of the tool frame at `tool` (3,), `centres` (k, 3) are those of the robot's spheres.
         """
-        arms = centres[self._eligible] - tool
-        turning = np.where(self._prismatic, 0.0, jacobian[3:])
-        moved = np.cross(turning.T[None], arms[:, None])  # (k, n, 3)
-        levers = (jacobian[:3].T[None] + moved) * self._moved[:, :, None]
-        gram = levers.transpose(0, 2, 1) @ levers + DAMPING**2 * np.eye(3)
-        solve = np.linalg.solve(gram, levers.transpose(0, 2, 1)).astype(np.float64)
-        forces = solve @ residual
-        left = residual - (levers @ forces[:, :, None])[:, :, 0]
-        cost = np.sum(left**2, axis=1) + DAMPING**2 * np.sum(forces**2, axis=1)
-        best = int(np.argmin(cost))
-        return forces[best], solve[best], self._links[int(self._eligible[best])]
+        flat = self._buffer()
+        points = centres[self._eligible]
+        best = compiled.locate_contact(jacobian, tool, points, self._joints_before, torque, DAMPING**2, flat)
+        return self._solution(flat, torque, self._links[int(self._eligible[best])])
+
+    def uncertainty(self, solution: ForceSolution) -> float:
+        """The largest force [N] that noise and accuracy of the sensor cause."""
+        x, y, z = (np.abs(solution.torque_to_force) @ self._margin).tolist()
+        return hypot(x, y, z)
+
+    def _buffer(self) -> Array:
+        return np.empty(4 + 3 * self._n)
+
+    def _solution(self, flat: Array, torque: Array, place: str) -> ForceSolution:
+        size, left = float(torque @ torque), flat[-1].item()
+        return ForceSolution(
+            vector=flat[:3],
+            torque_to_force=flat[3:-1].reshape(3, self._n),
+            unexplained=left / size if size > 0.0 else 0.0,
+            place=place,
+        )

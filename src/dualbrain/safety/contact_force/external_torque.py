@@ -114,15 +114,18 @@ class ExternalTorque:
         if not 0.0 < gap <= MAX_GAP_WINDOWS * WINDOW:
             return False
         first, n = self.dynamics.first_joint, self.dynamics.n
-        before, after = previous.v[first:], state.v[first:]
-        moved = (state.q[len(state.q) - n :] - previous.q[len(previous.q) - n :]) / gap
-        error = np.abs(moved - 0.5 * (before + after)) - 0.5 * np.abs(after - before)
-        return bool(error.max() <= MAX_VELOCITY_GAP)
+        moved = (state.q - previous.q).tolist()[len(state.q) - n :]
+        before, after = previous.v.tolist()[first:], state.v.tolist()[first:]
+        for change, slow, fast in zip(moved, before, after, strict=True):
+            error = abs(change / gap - 0.5 * (slow + fast)) - 0.5 * abs(fast - slow)
+            if not error <= MAX_VELOCITY_GAP:
+                return False
+        return True
 
     def _reading(self, state: RobotState) -> Array | None:
         """The arm's torques, or the wrench at the wrist; None without a usable one."""
         reading = state.wrench if self.at_wrist else state.torques
-        if reading is None or not state.drive_enabled or not isfinite(float(reading.sum())):
+        if reading is None or not state.drive_enabled or not all(map(isfinite, reading.tolist())):
             return None
         return reading if self.at_wrist else reading[self.dynamics.first_joint :]
 
@@ -130,12 +133,7 @@ class ExternalTorque:
         """Add the residual of a window to the filtered one, and remove the load."""
         first, last, reading = window
         time = last.stamp - first.stamp
-        expected = self.dynamics.torque(
-            0.5 * (first.q + last.q),
-            0.5 * (first.v + last.v),
-            (last.v - first.v) / time,
-            loaded=self._held_since is not None,
-        )
+        expected = self.dynamics.torque(0.5 * (first.q + last.q), 0.5 * (first.v + last.v), (last.v - first.v) / time)
         own, per_load = self._expectation(expected)
         new = own - reading
         share = 1.0 - exp(-time / FILTER_TIME)

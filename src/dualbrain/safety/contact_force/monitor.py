@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import hypot
+
 import numpy as np
 
 from dualbrain.robots.interface import Array, RobotState
@@ -92,25 +94,23 @@ class ContactForceMonitor:
     def _estimate(self, state: RobotState, residual: Array) -> ContactForce:
         """The contact force that explains `residual`, of the joints (n,) or at the wrist (6,)."""
         tool = self._safety.tool(state.q)
-        jacobian = tool.jacobian[:, self._first :]
         if self.external_torque.at_wrist:
             force = tool.rotation @ (self._last_frame_to_tool.T @ residual[:3])
-            self.joint_torque = jacobian[:3].T @ force
+            self.joint_torque = tool.jacobian[:3, self._first :].T @ force
             return self._contact_force(state, force, self._solver.wrist_uncertainty, TOOL)
         self.joint_torque = residual
-        vector, solve, unexplained = self._solver.at_tool(residual, jacobian[:3])
-        place = TOOL
-        if unexplained > UNEXPLAINED_SHARE and np.abs(residual).max() > LEAST_TORQUE:
+        solution = self._solver.at_tool(residual, tool.jacobian)
+        if solution.unexplained > UNEXPLAINED_SHARE and np.abs(residual).max() > LEAST_TORQUE:
             centres, _, _ = self._safety.spheres(state.q, state.opening)
-            vector, solve, place = self._solver.at_links(residual, jacobian, tool.position, centres)
-        return self._contact_force(state, vector, self._solver.uncertainty(solve), place)
+            solution = self._solver.at_links(residual, tool.jacobian, tool.position, centres)
+        return self._contact_force(state, solution.vector, self._solver.uncertainty(solution), solution.place)
 
     def _contact_force(self, state: RobotState, vector: Array, uncertainty: float, place: str) -> ContactForce:
         x, y, z = vector.tolist()
         return ContactForce(
             stamp=state.stamp,
             vector=(x, y, z),
-            magnitude=float(np.linalg.norm(vector)),
+            magnitude=hypot(x, y, z),
             place=place,
             uncertainty=uncertainty,
             load=self.external_torque.load,

@@ -69,7 +69,7 @@ class ArmController:
     def __init__(self, robot_model: RobotModel, motion: MotionModel) -> None:
         """Use `motion` for kinematics and projection; call `observe` before every step of a routine."""
         self.robot_model = robot_model
-        self.kinematics = InverseKinematics(robot_model, motion.tool)
+        self.kinematics = InverseKinematics(robot_model, motion)
         self.holding: HeldObject | None = None
         self.opening = robot_model.gripper.opening.value
         self.force = robot_model.gripper.force_min.value

@@ -17,7 +17,7 @@ from dualbrain.core.geometry.rotations import rotation_error
 from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Pose, Sphere
 from dualbrain.records import Scene, SceneObject
 from dualbrain.robots.model import RobotModel
-from dualbrain.skills.kinematics.inverse_kinematics import damped_step, norm
+from dualbrain.skills.kinematics.inverse_kinematics import DAMPING, norm
 from dualbrain.skills.skill import MotionModel, PermittedContact
 from dualbrain.skills.time_slicing import SlicedComputation
 
@@ -150,7 +150,7 @@ class ClearancePredictor:
         share = min(1.0, STEP_LENGTH / remaining)
         pull = goal.posture - q if self._redundant else np.zeros_like(q)
         pull *= min(1.0, MAX_POSTURE_DRIFT * share * remaining / ROTATION_LEVER / (norm(pull) + 1e-9))
-        q = q + damped_step(tool.jacobian, share * twist, pull)
+        q = q + self._motion.damped_least_squares(tool.jacobian, DAMPING, share * twist, pull)
         return np.minimum(np.maximum(q, self._lower), self._upper)
 
     def _collision_objects(self, q: Array, context: PredictionContext) -> SlicedComputation[list[CollisionObject]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from math import sqrt
 
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dualbrain.core.geometry.rotations import rotation_error
 from dualbrain.robots.model import RobotModel
-from dualbrain.skills.skill import ToolState
+from dualbrain.skills.skill import MotionModel
 from dualbrain.skills.time_slicing import SlicedComputation
 
 Array = NDArray[np.float64]
@@ -24,16 +24,16 @@ MAX_STEPS, MAX_STEPS_PER_CANDIDATE = 60, 20
 
 Of the poses that are reached within 60 steps, 99 % are reached within 20 (Panda, FR3, UR5e; random poses).
 """
-DAMPING = 1e-4 * np.eye(6)
+DAMPING = 1e-4
 """Damping of the inverse at singular poses [m²]."""
 
 
 class InverseKinematics:
     """Damped least squares within the joint limits, from given start postures."""
 
-    def __init__(self, robot_model: RobotModel, tool: Callable[[Array], ToolState], *, inset: float = 0.08) -> None:
-        """Use the limits of `robot_model`, reduced by `inset` [rad], and the forward kinematics `tool`."""
-        self._tool = tool
+    def __init__(self, robot_model: RobotModel, motion: MotionModel, *, inset: float = 0.08) -> None:
+        """Use the limits of `robot_model`, reduced by `inset` [rad], and the kinematics of `motion`."""
+        self._motion = motion
         self._lower = np.array([joint.lower.value for joint in robot_model.joints]) + inset
         self._upper = np.array([joint.upper.value for joint in robot_model.joints]) - inset
         self._home = np.array(robot_model.home)
@@ -76,19 +76,14 @@ class InverseKinematics:
         error = np.empty(6)
         for _ in range(steps):
             yield
-            tool = self._tool(q)
+            tool = self._motion.tool(q)
             error[:3], error[3:] = position - tool.position, rotation_error(tool.rotation, rotation)
             if norm(error[:3]) < POSITION_TOLERANCE and norm(error[3:]) < ROTATION_TOLERANCE:
                 return q
-            step = damped_step(tool.jacobian, error, 0.05 * (self._home - q))
+            step = self._motion.damped_least_squares(tool.jacobian, DAMPING, error, 0.05 * (self._home - q))
             q = q + step * min(1.0, 0.4 / (float(np.abs(step).max()) + 1e-12))
             q = np.minimum(np.maximum(q, self._lower), self._upper)
         return None
-
-
-def damped_step(J: Array, task: Array, free: Array) -> Array:
-    """Damped J⁺(task − J free) + free (n,) [rad]: moves the tool by `task` (6,) and the null space by `free` (n,)."""
-    return J.T @ np.linalg.solve(J @ J.T + DAMPING, task - J @ free) + free
 
 
 def norm(vector: Array) -> float:

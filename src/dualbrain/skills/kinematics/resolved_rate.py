@@ -78,7 +78,7 @@ class ResolvedRate:
         self._dt = robot_model.period
         self._u_max = self._gains.speed_fraction * np.array([joint.velocity.value for joint in robot_model.joints])
         self._brake = 0.6 * np.array([joint.acceleration.value for joint in robot_model.joints])
-        self._damping = self._gains.damping**2 * np.eye(6)
+        self._damping = self._gains.damping**2
         self._posture_gain = self._gains.posture if robot_model.n > 6 else 0.0
         self._twist = np.zeros(6)
         self._u_nom = self._u_nom_prev = np.zeros(robot_model.n)
@@ -142,10 +142,9 @@ class ResolvedRate:
         _step_toward(self._twist[3:], turn, gains.angular_acceleration * self._dt)
 
     def _resolve(self, state: RobotState, tool: ToolState, posture: Array, now: float) -> Array:
-        J = tool.jacobian
         drift = self._posture_gain * (posture - state.q)
         drift *= min(1.0, 0.5 / (sqrt(float(drift @ drift)) + 1e-9))
-        desired = drift + J.T @ np.linalg.solve(J @ J.T + self._damping, self._twist - J @ drift)
+        desired = self._motion.damped_least_squares(tool.jacobian, self._damping, self._twist, drift)
         excess = float((np.abs(desired) / self._u_max).max())
         return self._project(state, desired / excess if excess > 1.0 else desired, now)
 

@@ -9,6 +9,7 @@ from dualbrain.robots.interface import Command
 from dualbrain.robots.loader import load_robot
 from dualbrain.robots.model import ForceSensing
 from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.safety.contact_force.estimate import DAMPING, LEAST_JOINTS, ForceSolver
 from dualbrain.safety.contact_force.limits import ContactForceLimits
 from dualbrain.safety.contact_force.monitor import ContactForceMonitor
 from dualbrain.safety.contact_force.permitted_speed import PermittedSpeed, speed_scale
@@ -168,3 +169,28 @@ def test_the_retreat_moves_the_contact_along_the_force_and_follows_the_arm():
     pushing, yielding = -0.2 * np.sign(torque), 0.2 * np.sign(torque)
     assert np.array_equal(retreat.yielding_control(state, pushing), state.v)
     assert np.array_equal(retreat.yielding_control(state, yielding), yielding)
+
+
+def test_the_place_of_a_contact_is_the_sphere_of_least_cost():
+    robot_model = load_robot("panda")
+    safety, solver = SafetyFilter(robot_model), ForceSolver(robot_model, 0)
+    tool = safety.tool(robot_model.home)
+    centres, _, _ = safety.spheres(robot_model.home, 0.04)
+    links = [link for link in robot_model.links for sphere in robot_model.spheres if sphere.link == link.name]
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        torque = rng.normal(0.0, 10.0, 7)
+        costs = {}
+        for link, centre in zip(links, centres, strict=True):
+            if link.frame < LEAST_JOINTS:
+                continue
+            moved = np.arange(7) < link.frame
+            J = (tool.jacobian[:3] + np.cross(tool.jacobian[3:].T, centre - tool.position).T) * moved
+            stacked = np.vstack([J.T, DAMPING * np.eye(3)])
+            force, *_ = np.linalg.lstsq(stacked, np.r_[torque, np.zeros(3)], rcond=None)
+            cost = float(np.sum((torque - J.T @ force) ** 2) + DAMPING**2 * force @ force)
+            costs[cost] = link.name, force
+        found = solver.at_links(torque, tool.jacobian, tool.position, centres)
+        place, force = costs[min(costs)]
+        assert found.place == place
+        np.testing.assert_allclose(found.vector, force, atol=1e-6 * np.linalg.norm(force))

@@ -10,6 +10,7 @@ from __future__ import annotations
 import errno
 import os
 import secrets
+import select
 import socket
 import stat
 from collections.abc import Iterator
@@ -67,6 +68,11 @@ class Connection:
         self._sent = 0
         self._unsent = bytearray()
         self._window_start, self._frames_in_window = 0.0, 0
+
+    @property
+    def has_frame(self) -> bool:
+        """Whether a complete frame has been received and not returned yet."""
+        return self._decoder.has_frame
 
     def send(self, message: Message) -> None:
         """Queue a message and send as much as is possible without waiting."""
@@ -164,19 +170,22 @@ class SocketServer:
         self._listener.listen(BACKLOG)
         self._listener.setblocking(False)
         self.connections: list[Connection] = []
+        self._readable = select.poll()
+        self._readable.register(self._listener, select.POLLIN)
         self._n_accepted = self._first_index = 0
 
     def receive(self, now: float) -> Iterator[tuple[Connection, int, Message]]:
         """Messages of all connections in turn, within the budget of a tick; `now` [s] is a monotonic clock."""
-        for _ in range(ACCEPTED_PER_TICK):
-            if not self._accept_connection(now):
-                break
+        readable = {descriptor for descriptor, _ in self._readable.poll(0)}  # a quarter of the time of one failed call
+        if self._listener.fileno() in readable:
+            self._accept_waiting(now)
         if not self.connections:
             return
         self._first_index = (self._first_index + 1) % len(self.connections)
         for connection in [*self.connections[self._first_index :], *self.connections[: self._first_index]]:
-            for sequence, message in connection.receive(now):
-                yield connection, sequence, message
+            if connection.has_frame or connection.socket.fileno() in readable:
+                for sequence, message in connection.receive(now):
+                    yield connection, sequence, message
 
     def failed_connections(self) -> list[Connection]:
         """Close, remove and return the connections that have a fault."""
@@ -184,8 +193,7 @@ class SocketServer:
         for connection in failed:
             if not connection.fault.startswith(DISCONNECTED):
                 connection.send(RequestRefused(connection.fault))
-            connection.close()
-            self.connections.remove(connection)
+            self._remove(connection)
         return failed
 
     def broadcast(self, message: Message) -> None:
@@ -221,9 +229,18 @@ class SocketServer:
     def _make_room(self) -> None:
         """Close connections that are neither commander nor operator until there is room for one more."""
         while len(self.connections) >= MAX_CONNECTIONS:
-            oldest = self._replaceable()[0]
-            oldest.close()
-            self.connections.remove(oldest)
+            self._remove(self._replaceable()[0])
+
+    def _remove(self, connection: Connection) -> None:
+        self._readable.unregister(connection.socket)
+        connection.close()
+        self.connections.remove(connection)
+
+    def _accept_waiting(self, now: float) -> None:
+        """Accept the clients that wait, within the budget of a tick."""
+        for _ in range(ACCEPTED_PER_TICK):
+            if not self._accept_connection(now):
+                return
 
     def _accept_connection(self, now: float) -> bool:
         """Accept a connection of the same user; returns whether another client may wait."""
@@ -240,6 +257,7 @@ class SocketServer:
         connection = Connection(accepted, self._n_accepted)
         connection.last_received_at = now
         self.connections.append(connection)
+        self._readable.register(accepted, select.POLLIN)
         connection.send(Challenge(connection.nonce))
         return True
 

@@ -1,7 +1,11 @@
+from dualbrain.safety.cbf.compiled._kernel import Dynamics as Dynamics
 from dualbrain.safety.cbf.compiled._kernel import Kernel as Kernel
 from dualbrain.safety.cbf.compiled._kernel import ReferenceDistance as ReferenceDistance
+from dualbrain.safety.cbf.compiled._kernel import contact_force as contact_force
+from dualbrain.safety.cbf.compiled._kernel import damped_step as damped_step
 from dualbrain.safety.cbf.compiled._kernel import distance as distance
 from dualbrain.safety.cbf.compiled._kernel import flags as flags
+from dualbrain.safety.cbf.compiled._kernel import locate_contact as locate_contact
 from dualbrain.safety.cbf.compiled._kernel import max_joints as max_joints
 from dualbrain.safety.cbf.compiled._kernel import max_links as max_links
 from dualbrain.safety.cbf.compiled._kernel import max_pairs as max_pairs
