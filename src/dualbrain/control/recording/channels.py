@@ -73,8 +73,11 @@ class FilterCall(msgspec.Struct, frozen=True):
     arguments: dict[str, Any]
 
 
-class Ticks(msgspec.Struct, frozen=True, kw_only=True):
-    """Consecutive ticks by column, as `trace.columns` names them; `phases` decodes the phase codes."""
+class Ticks(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """Consecutive ticks by column, as `trace.columns` names them; `phases` decodes the phase codes.
+
+    A `width` of None is not written: `encode` searches for NaN only if there is a null.
+    """
 
     t: float
     n: int

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 import time
+from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -43,6 +44,10 @@ REPLY_TIMEOUT = 5.0
 """Longest wait for a short reply [s]."""
 CONTRACT_LIFETIME = 60.0
 """Time from the issue to the expiry of a contract that the gate has not accepted [s]."""
+CLOCK_REPORTS = 20
+"""Number of status reports from which the gatekeeper's time is estimated: those of one second."""
+CLOCK_ALLOWANCE = 0.02
+"""Time [s] that the gatekeeper's clock may lose between two status reports."""
 CLOSED_BY_GATEKEEPER = "the gatekeeper closed the connection"
 M = TypeVar("M", bound=Message)
 
@@ -83,7 +88,7 @@ class GatekeeperClient:
         self.status: StatusReport | None = None
         self.disconnected = Signal()
         self.disconnect_reason = ""
-        self._clock_offset = 0.0
+        self._clock_offsets: deque[float] = deque(maxlen=CLOCK_REPORTS)
         self.nonce = b""
         Thread(target=self._read_messages, name="gatekeeper client", daemon=True).start()
         try:
@@ -91,7 +96,7 @@ class GatekeeperClient:
         except ConnectionLostError:
             self.close()
             raise
-        self._clock_offset = self.welcome.now - time.monotonic()
+        self._follow_clock(self.welcome.now)
         if self.welcome.role == "commander":
             Thread(target=self._send_heartbeats, name="heartbeat", daemon=True).start()
 
@@ -104,8 +109,16 @@ class GatekeeperClient:
 
     @property
     def now(self) -> float:
-        """Estimate of the gatekeeper's time [s]."""
-        return time.monotonic() + self._clock_offset
+        """Lower bound of the gatekeeper's time [s].
+
+        The clock of a robot is not that of this host: it drifts, and a simulator that the host stops loses time. The
+        slowest of the last reports counts, because a contract with a later stamp comes from the future.
+        """
+        return time.monotonic() + min(tuple(self._clock_offsets)) - CLOCK_ALLOWANCE
+
+    def _follow_clock(self, now: float) -> None:
+        """Note the gatekeeper's time `now` [s] in a message that has just arrived."""
+        self._clock_offsets.append(now - time.monotonic())
 
     def send(self, message: Message) -> int:
         """Send a message; returns its sequence number. Raises `ConnectionLostError`."""
@@ -243,6 +256,7 @@ class GatekeeperClient:
                 self.disconnect_reason = message
             case StatusReport():
                 self.status = message
+                self._follow_clock(message.now)
             case EventReport() | TickReport():
                 if self._on_report:
                     self._on_report(message)

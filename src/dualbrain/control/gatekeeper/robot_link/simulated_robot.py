@@ -33,8 +33,11 @@ WATCHDOG_TIMEOUT = 0.1
 """Time [s] without a valid command after which the drive is switched off."""
 AFTERMATH_TIME = 1.0
 """Simulated time [s] after the link is closed."""
-MAX_LAG = 0.1
-"""Delay [s] of the simulation beyond which it is resynchronized with the clock instead of catching up."""
+MAX_LAG_PERIODS = 2.0
+"""Delay of the simulation [periods] beyond which it is resynchronized with the clock instead of catching up.
+
+A host that stops this process stops simulated time. The robot moves on during a delay of the gatekeeper, as a real one.
+"""
 PERCEPTION_PERIOD = 0.033
 """Time between two perceived scenes [s]."""
 
@@ -118,7 +121,7 @@ class RobotProcess:
             ahead = due - time.monotonic()
             if ahead > 0.0:
                 self._wait(ahead, due)
-            elif ahead < -MAX_LAG:
+            elif ahead < -MAX_LAG_PERIODS * self._period:
                 due, self._resynchronizations = time.monotonic(), self._resynchronizations + 1
         self._write_report()
 
