@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import Counter
 from collections.abc import Callable
 from typing import Any
@@ -10,6 +11,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from dualbrain.control.gatekeeper.robot_link.driver_process import REPLY_FRACTION
 from dualbrain.core.geometry.shapes import HalfSpace
 from dualbrain.drivers.franka import FrankaDriver, import_franka_sdk
 from dualbrain.records import Pose
@@ -37,6 +39,8 @@ HOME_GAIN, HOME_SECONDS = 3.0, 2.0
 CONTROL_UNITS, CONTROL_SECONDS = 3, 2.0
 HOLD_TICKS = 400
 """Ticks for which a random wish is held."""
+REPLY_TIME = REPLY_FRACTION * FrankaDriver.timing.period
+"""Time [s] after a state beyond which its command is not sent, as in the driver process; the arm continues by itself."""
 REACHED, FULL_SPEED = 0.05, 0.8
 """An approach ends this close to the end of a joint [rad], after at least this share of its velocity limit."""
 EXPECTED_ERROR = "joint_motion_generator_acceleration_discontinuity"
@@ -82,7 +86,7 @@ class Session:
         self.causes: Counter[str] = Counter()
         self.q = self.driver.read().q
         self.ticks, self.jerk_dropped, self.largest_jerk, self.states_missed = 0, 0, 0.0, 0
-        self.commands_lost = 0
+        self.commands_lost = self.commands_late = 0
         self._u = self._u_before = np.zeros(7)
         self.first_stop, self.success_rate = "", 1.0
         self._sequence = self.driver.read().sequence
@@ -90,13 +94,16 @@ class Session:
     def tick(self, wish: Array) -> bool:
         """One period with the nominal control `wish` (7,) [rad/s]; False if the arm has aborted the motion."""
         self.driver.wait()
-        state = self.driver.read()
+        received, state = time.monotonic(), self.driver.read()
         if self.driver.faults():
             return False
         if not state.executes(self._u) and state.desired_v is not None and state.desired_a is not None:
             self._continue(state.desired_v, state.desired_a)
         result = self._filter(state.q, state.v, wish)
-        self.driver.write(Command(result.u, 0.0, 0.0))
+        if time.monotonic() - received < REPLY_TIME:
+            self.driver.write(Command(result.u, 0.0, 0.0))
+        else:
+            self.commands_late += 1
         jerk = np.abs(result.u - 2.0 * self._u + self._u_before) / self.j_max / self.robot_model.period**2
         self._u_before, self._u = self._u, result.u
         self.largest_jerk = max(self.largest_jerk, float(jerk.max()))
@@ -130,6 +137,7 @@ class Session:
             "largest_jerk": self.largest_jerk,
             "states_missed": self.states_missed,
             "commands_lost": self.commands_lost,
+            "commands_late": self.commands_late,
             "causes": dict(self.causes),
             "first_stop": self.first_stop,
             "success_rate": self.success_rate,
@@ -226,12 +234,13 @@ class FrankaLimits:
             "sessions",
             "simulated time",
             "approaches",
-            "reflexes (after late packets)",
+            "reflexes (after lost packets)",
             "largest jerk, share of the filter's limit",
             "jerk limit dropped",
             "status " + " / ".join(status.name for status in FilterStatus),
             "states missed",
             "commands lost",
+            "not sent, because late",
         )
         reflexes = [
             (row["key"], "; ".join(row["faults"]), row["ticks"], f"{row['success_rate']:.0%}")
@@ -242,7 +251,7 @@ class FrankaLimits:
         lines = [*markdown_table(head, [cell for cell in cells if cell]), ""]
         lines += [f"Sessions without jerk limits that ended with `{EXPECTED_ERROR}`: {named}.", ""]
         return lines + (
-            markdown_table(("session", "reflex", "tick", "commands received in time, of the last 100"), reflexes)
+            markdown_table(("session", "reflex", "tick", "commands received, of the last 100"), reflexes)
             if reflexes
             else ["No reflex."]
         )
@@ -273,4 +282,5 @@ def _line(kind: str, rows: list[Row]) -> tuple[object, ...]:
         " / ".join(str(status[one.name]) for one in FilterStatus),
         sum(row["states_missed"] for row in rows),
         sum(row.get("commands_lost", 0) for row in rows),
+        sum(row.get("commands_late", 0) for row in rows),
     )

@@ -39,7 +39,7 @@ def server_command(folder: Path = FOLDER) -> list[str]:
     mark, command = folder / "made-from", folder / "venv" / "bin" / "run-franka-sim-server"
     if not (mark.exists() and mark.read_text() == digest() and command.exists()):
         raise MissingDependencyError("The environment of franka-sim", fix=f"Create it with `{COMMAND}`.")
-    return [str(folder / "venv" / "bin" / "python"), str(command)]
+    return [str(folder / "venv" / "bin" / "python"), str(HERE / "late_commands.py")]
 
 
 def model_file(folder: Path = FOLDER) -> Path:
