@@ -11,7 +11,7 @@ killed. The declared limits are sums of times that the code declares, not of mea
     stop        HEARTBEAT_TIMEOUT (a commander without a heartbeat for so long is lost), and report
     flood       twice the time in which MAX_FRAMES_PER_SECOND frames are read at FRAMES_PER_TICK per tick (the counting
                 window may end in between), and the limit of malformed bytes
-    gatekeeper  WATCHDOG_TIMEOUT of the robot process, and MAX_LAG, by which the robot process may lag behind the clock
+    gatekeeper  WATCHDOG_TIMEOUT of the robot process, and LAG_ALLOWANCE, by which the host may delay the robot process
 
 Each failure is injected at each of the worst moments, after a random wait of up to 0.1 s. Meanwhile the commander
 writes its ledger: every episode whose storage was acknowledged must be in it afterwards, with a valid hash chain. The
@@ -37,7 +37,7 @@ import numpy as np
 
 from dualbrain.control.gatekeeper.gatekeeper import HEARTBEAT_TIMEOUT, STATUS_PERIOD
 from dualbrain.control.gatekeeper.protocol.server import FRAMES_PER_TICK, MAX_FRAMES_PER_SECOND
-from dualbrain.control.gatekeeper.robot_link.simulated_robot import MAX_LAG, WATCHDOG_TIMEOUT
+from dualbrain.control.gatekeeper.robot_link.simulated_robot import WATCHDOG_TIMEOUT
 from dualbrain.evaluation.fault_injection.faults import MIN_PEAK_SPEED, MOMENT_PHASES, MOMENTS
 from dualbrain.safety.supervisor.actions import SafetyAction
 from dualbrain.safety.supervisor.timing import SIMULATED
@@ -51,6 +51,8 @@ FAILURE_MODES = ("kill", "stop", "flood", "rubbish", "gatekeeper")
 ACKNOWLEDGEMENT_MOMENT = "between write and acknowledgement"
 """Here: the commander has sent the contract and has not received an answer."""
 N_REPEATS = 4
+LAG_ALLOWANCE = 0.1
+"""Time [s] by which the host may delay the robot process."""
 MAX_STALL = SIMULATED.tick_lost_after
 REPORT_DELAY = STATUS_PERIOD + 2.0 * MAX_STALL
 FLOOD_DETECTION_TIME = MAX_FRAMES_PER_SECOND / FRAMES_PER_TICK * SIMULATED.period
@@ -59,7 +61,7 @@ DECLARED_LIMITS = {
     "stop": HEARTBEAT_TIMEOUT + REPORT_DELAY,
     "flood": 2.0 * FLOOD_DETECTION_TIME + MAX_STALL + REPORT_DELAY,
     "rubbish": MAX_STALL + REPORT_DELAY,
-    "gatekeeper": WATCHDOG_TIMEOUT + MAX_LAG,
+    "gatekeeper": WATCHDOG_TIMEOUT + LAG_ALLOWANCE,
 }
 """Limit of the time until a heartbeat reports HOLD or more, or the drive is off [s] (see the module docstring)."""
 MODE_NAMES = {"rubbish": "malformed bytes"}

@@ -40,7 +40,7 @@ CONTROL_UNITS, CONTROL_SECONDS = 3, 2.0
 HOLD_TICKS = 400
 """Ticks for which a random wish is held."""
 REPLY_TIME = REPLY_FRACTION * FrankaDriver.timing.period
-"""Time [s] after a state beyond which its command is not sent, as in the driver process; the arm continues by itself."""
+"""Time [s] after a state beyond which no command is sent for it, as in the driver process; the arm continues alone."""
 REACHED, FULL_SPEED = 0.05, 0.8
 """An approach ends this close to the end of a joint [rad], after at least this share of its velocity limit."""
 EXPECTED_ERROR = "joint_motion_generator_acceleration_discontinuity"
