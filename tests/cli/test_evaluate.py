@@ -25,7 +25,7 @@ from dualbrain.evaluation.runner.workload import compute_workload, distinct_unit
 from tests.evaluation.sample_rows import fake_result_lines
 
 
-def test_a_dry_run_runs_nothing_and_estimates_the_duration(tmp_path, capsys):
+def test_a_dry_run_runs_nothing_and_estimates_the_duration(tmp_path, capsys, monkeypatch):
     command = ["evaluate", "--suite", "smoke", "--dry-run", "--json", "--episodes", "3", "--out", str(tmp_path / "x")]
     assert run_command_line([*command, "--methods", "B1,M"]) == 0
     estimate = msgspec.json.decode(capsys.readouterr().out)
@@ -33,6 +33,7 @@ def test_a_dry_run_runs_nothing_and_estimates_the_duration(tmp_path, capsys):
     assert estimate["basis"] == "measured now"
     assert 1.0 < estimate["episode_s"] < 60.0
     assert not (tmp_path / "x").exists()
+    monkeypatch.setattr(probe_module, "probe", lambda *_: ProbeTimes(4.0, {"base-135m": 2.0}))
     assert run_command_line(["evaluate", "--methods", "B9", "--dry-run"]) == 5
     assert run_command_line(["evaluate", "--suite", "paper"]) == 5
     assert "--planner adapted=adapter:ID" in capsys.readouterr().err
@@ -107,6 +108,7 @@ def test_times_measured_in_the_folder_replace_the_assumed_ones_by_planner(tmp_pa
 def test_methods_with_a_single_run_cause_a_warning(tmp_path, capsys, monkeypatch):
     warning = "fewer than two runs of B1, B3: the report will contain intervals of rates only"
     monkeypatch.setattr(evaluate, "_run_stages", lambda *_: True)
+    monkeypatch.setattr(probe_module, "probe", lambda *_: ProbeTimes(4.0, {}))
     for more in (("--dry-run",), ()):
         command = ["evaluate", "--methods", "B1,B3", "--planner", "template", "--out", str(tmp_path), *more]
         assert run_command_line([*command, "--suite", "smoke", "--episodes", "5"]) == 0
