@@ -11,6 +11,7 @@ from dualbrain.drivers.franka import FrankaDriver
 from dualbrain.robots.interface import Command, home_state
 from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import FilterConfig, SafetyFilter
+from dualbrain.safety.stop_cause import Reason
 from dualbrain.safety.supervisor.conditions import Condition
 from dualbrain.safety.supervisor.controller import SafetyController
 from dualbrain.safety.supervisor.timing import FRANKA
@@ -69,3 +70,34 @@ def test_an_implausible_reported_command_makes_the_state_implausible(name, bad):
     state = replace(home_state(FR3), stamp=1e-3, sequence=1, **{name: np.array(bad)})
     assert not controller.accept_state(state, 1e-3)
     assert controller._pending & Condition.STATE_IMPLAUSIBLE
+
+
+def worst_jerk(seed, *, ticks=2500, most_lost=3):
+    """Full speed to and fro with lost commands: the largest jerk in jerk limits, and the ticks that dropped them."""
+    rng, period = np.random.default_rng(seed), FR3.period
+    j_max = np.array([joint.jerk.value for joint in FR3.joints])
+    safety = SafetyFilter(FR3, FilterConfig(jerk_limits=True))
+    q, v, a, u, before = np.array(FR3.home), *np.zeros((4, 7))
+    lost, worst, dropped = 0, 0.0, 0
+    for tick in range(ticks):
+        if tick % 500 == 0:
+            wish = rng.choice([-1.0, 0.0, 1.0], 7) * V_MAX
+        if not np.allclose(v, u, atol=1e-12):
+            safety.reset(v, a * period)
+            u, before = v, v - a * period
+        result = safety(q, v, wish)
+        worst = max(worst, float((np.abs(result.u - 2.0 * u + before) / j_max).max()) / period**2)
+        dropped += Reason.JERK in result.reason
+        before, u = u, result.u
+        lost = lost - 1 if lost > 0 else int(rng.integers(1, most_lost + 1)) if rng.random() < 0.03 else 0
+        new = v + a * period if lost > 0 else u
+        a, v = (new - v) / period, new
+        q = q + v * period
+    return worst, dropped
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_lost_commands_on_the_way_to_full_speed_leave_room_for_the_jerk_limit(seed):
+    worst, dropped = worst_jerk(seed)
+    assert dropped == 0
+    assert worst < 1.001

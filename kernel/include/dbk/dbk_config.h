@@ -102,6 +102,7 @@ typedef float dbk_real;
 #define DBK_TRUST_TRIES 3                  /* trust regions tried before the full control bounds are used */
 #define DBK_TRUST_RADIUS ((dbk_real)0.02)  /* half width of the trust region as a fraction of v_max */
 #define DBK_STOP_TRIES 8                   /* iterations for the approach to a position limit within the jerk limit */
+#define DBK_LOST_COMMANDS ((dbk_real)3)    /* commands in a row that an arm with jerk limits may miss near v_max */
 #define DBK_OUTSIDE_TOL ((dbk_real)0.2)    /* [rad] a state farther beyond a joint limit is rejected */
 
 #endif

@@ -63,13 +63,15 @@ static inline dbk_real whole_periods(dbk_real x) {
   return x >= (dbk_real)0 ? (dbk_real)(int32_t)dbk_min(x, (dbk_real)1e6) : (dbk_real)0;
 }
 
-/* The largest c for which c, c - J, c - 2 J, ... down to zero add up to at most d: the largest acceleration that can be
- * reduced to zero before the control changes by d. The sum of m terms is m c - J m (m - 1) / 2, and the sum of the
- * positive ones is its maximum over m. */
-static dbk_real largest_ramp(dbk_real jump, dbk_real d) {
-  const dbk_real terms = (dbk_real)0.5 * ((dbk_real)1 + dbk_sqrt((dbk_real)1 + (dbk_real)8 * d / jump));
+/* The largest c for which L c + c, c - J, c - 2 J, ... down to zero add up to at most d: the largest acceleration that
+ * can be reduced to zero before the control changes by d, also if the arm does not receive the next L commands and
+ * continues c meanwhile. The sum of L c and m terms is (L + m) c - J m (m - 1) / 2, and that of the positive terms is
+ * its maximum over m. The smallest of these bounds on c is that of the largest m with (m - 1) (2 L + m) <= 2 d / J. */
+static dbk_real largest_ramp(dbk_real jump, dbk_real d, dbk_real lost) {
+  const dbk_real b = (dbk_real)2 * lost - (dbk_real)1, c = (dbk_real)2 * (lost + d / jump);
+  const dbk_real terms = (dbk_real)0.5 * (dbk_sqrt(b * b + (dbk_real)4 * c) - b);
   const dbk_real m = dbk_max(whole_periods(terms), (dbk_real)1);
-  return d / m + (dbk_real)0.5 * jump * (m - (dbk_real)1);
+  return (d + (dbk_real)0.5 * jump * m * (m - (dbk_real)1)) / (m + lost);
 }
 
 /* The period k >= 1 of the stop in which u_k comes closest to the approach speed alpha d_(k-1) - tracking. The gap
@@ -144,7 +146,7 @@ static dbk_real planned_jerk_step(const dbk_model *model, int32_t k) {
 }
 
 dbk_real dbk_velocity_ramp(const dbk_model *model, int32_t k, dbk_real room) {
-  return largest_ramp(planned_jerk_step(model, k), dbk_max(room, (dbk_real)0));
+  return largest_ramp(planned_jerk_step(model, k), dbk_max(room, (dbk_real)0), DBK_LOST_COMMANDS);
 }
 
 /* The change of the control stays within u_change -+ j dt^2. In addition, it is limited such that no later period needs
@@ -190,7 +192,7 @@ void dbk_limit_brake_jerk(const dbk_model *model, const dbk_real u_prev[DBK_MAX_
   for (int32_t k = 0; k < model->n; ++k) {
     const dbk_real step = model->a_max[k] * model->period, v = model->v_max[k];
     if (!(model->j_max[k] > (dbk_real)0)) { continue; }
-    const dbk_real jump = jerk_step(model, k), most = largest_ramp(jump, dbk_abs(u_prev[k]));
+    const dbk_real jump = jerk_step(model, k), most = largest_ramp(jump, dbk_abs(u_prev[k]), (dbk_real)0);
     const dbk_real change = dbk_clamp(u[k] - u_prev[k], -most, most);
     const dbk_real low = dbk_max(u_change[k] - jump, -step), high = dbk_min(u_change[k] + jump, step);
     u[k] = dbk_clamp(u_prev[k] + dbk_clamp(change, low, high), -v, v);

@@ -107,18 +107,23 @@ def test_delta_and_its_split_follow_their_equations(sparse_panda, state_at):
     assert safety.filter(state_at(q), np.full(7, np.nan), 0.0).delta == 2.0
 
 
+LOST_COMMANDS = 3
+"""Commands in a row that an arm with jerk limits may miss near its velocity limit (`DBK_LOST_COMMANDS`)."""
+
+
 def largest_safe_change(u, change, distance, limits, window):
     """The largest change of the control toward a limit after which the hardest stop within the jerk limit is possible.
 
-    By definition: simulate the stop, and search the change by bisection. `limits` are v_max, a dt, j dt² and α.
+    By definition: simulate the stop, and search the change by bisection. `limits` are v_max, a dt, j dt² and α. The
+    velocity limit is also kept if the change is repeated `LOST_COMMANDS` times, in periods without a command.
     """
     (v, step, jump, alpha), (low, high), dt = limits, window, 1e-3
 
     def stops(c):
-        at, room = u, distance
+        at, room, fastest = u, distance, u + LOST_COMMANDS * max(c, 0.0)
         for _ in range(100):
-            at, room, most = at + c, room - dt * (at + c), alpha * room
-            if at > min(v, most) + 1e-12:
+            at, fastest, room, most = at + c, fastest + c, room - dt * (at + c), alpha * room
+            if fastest > v + 1e-12 or at > most + 1e-12:
                 return False
             c = max(c - jump, -step)
         return True

@@ -230,6 +230,13 @@ def as_real_array(name: str, values: object, shape: tuple[int, ...] | None = Non
 
     Its numbers may be anything, also not finite: a control step answers such a state with a stop.
     """
+    if (
+        type(values) is np.ndarray
+        and values.dtype == np.float64
+        and values.shape == shape
+        and values.flags.c_contiguous
+    ):
+        return values  # the usual case
     allowed = f"an array{'' if shape is None else f' {shape}'.replace('-1', 'k')} of numbers"
     try:
         array = np.asarray(cast("Any", values))

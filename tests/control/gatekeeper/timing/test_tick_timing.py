@@ -27,6 +27,20 @@ def test_a_quantile_is_that_of_the_values_to_within_a_bin(values, fraction):
     assert sum(histogram.counts) == histogram.n_samples == len(values)
 
 
+@given(st.lists(st.floats(0.0, 5e-3), max_size=50))
+def test_many_values_count_as_if_added_one_by_one(values):
+    one_by_one, together = Histogram(WIDTH), Histogram(WIDTH)
+    for value in values:
+        one_by_one.add(value)
+    together.add_all(np.array(values))
+    assert (together.counts, together.n_samples, together.maximum) == (
+        one_by_one.counts,
+        one_by_one.n_samples,
+        one_by_one.maximum,
+    )
+    assert together.sum == pytest.approx(one_by_one.sum)
+
+
 def test_values_beyond_the_last_bin_are_reported_by_the_maximum():
     histogram = Histogram(WIDTH)
     assert histogram.summary() == (0.0, 0.0, 0.0, 0.0)

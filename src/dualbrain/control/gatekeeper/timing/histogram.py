@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from itertools import accumulate
 
+import numpy as np
+from numpy.typing import NDArray
+
 N_BINS = 1000
 """Number of bins; the last one also counts all longer durations."""
 
@@ -22,6 +25,16 @@ class Histogram:
         self.n_samples += 1
         self.sum += value
         self.maximum = max(self.maximum, value)
+
+    def add_all(self, values: NDArray[np.float64]) -> None:
+        """Count all `values` [s]."""
+        if not len(values):
+            return
+        counts = np.bincount(np.minimum((values / self.width).astype(np.intp), N_BINS - 1), minlength=N_BINS)
+        self.counts = (np.asarray(self.counts) + counts).tolist()
+        self.n_samples += len(values)
+        self.sum += float(values.sum())
+        self.maximum = max(self.maximum, float(values.max()))
 
     @property
     def mean(self) -> float:
