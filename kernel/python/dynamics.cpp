@@ -20,7 +20,7 @@ void write(const dbk_real *from, size_t count, double *&to) {
   for (size_t i = 0; i < count; ++i) { *to++ = static_cast<double>(from[i]); }
 }
 
-// damped least-squares force at the tool and at the collision spheres; see dbk_contact_force.h
+// the dynamic model of an arm; see dbk_inverse_dynamics.h
 struct Dynamics {
   std::unique_ptr<dbk_dynamics> arm{new dbk_dynamics()};
   size_t n = 0;

@@ -1,6 +1,6 @@
 """Start the simulator so that it drops a command which arrives after its period, as the arm does.
 
-The simulator counts such a command as lost, but then applies it: its source states that the robot would have dropped it.
+The simulator counts such a command as lost, and then applies it, although the robot drops it, as its source states.
 The next command, which the filter has continued from the executed one, is then judged against the late one. Runs with
 the Python of the simulator's environment.
 """

@@ -24,7 +24,7 @@ from dualbrain.safety.barriers.traversable_region import traversable_region
 from dualbrain.safety.barriers.workspace import plane
 from dualbrain.safety.cbf.filter import FilterResult, SafetyFilter
 from dualbrain.safety.cbf.grasped_object import cover_with_spheres
-from dualbrain.safety.cbf.obstacles import Contact, Obstacle, PersonLimits, obstacles_from_checked_scene
+from dualbrain.safety.cbf.obstacles import Contact, Obstacle, PersonLimits, check_scene, obstacle_from_checked_object
 from dualbrain.safety.supervisor.actions import NO_ACTION, SupervisorDecision
 from dualbrain.safety.supervisor.conditions import Condition
 from dualbrain.safety.supervisor.controller import SafetyController
@@ -160,7 +160,7 @@ class ControlLoop:
         self._estimates, self._robot_spheres = ObstacleEstimates(), RobotSpheres(safety)
         self._last_h_min = -inf
         self._released: tuple[str, float] = ("", -RELEASE_SETTLING_TIME)
-        self.scene = self._scene_smoother.update(world.perceive())
+        self.scene = self._scene_smoother.update(check_scene(world.perceive()))
         self._scene_monitor.update(self.scene)
         self.update_obstacles()
         self._read_sensors()
@@ -460,7 +460,11 @@ class ControlLoop:
             | self._residual_contacts.object_names
             | self._mapped_obstacles()
         )
-        obstacles = obstacles_from_checked_scene(self.scene, known=known, held=held, persons=self.config.persons)
+        obstacles = tuple(
+            obstacle_from_checked_object(obj, self.scene.stamp, known=obj.name in known, persons=self.config.persons)
+            for obj in self.scene.objects
+            if obj.name != held
+        )
         stamp = effective_stamp(self.scene)
         if self.config.keep_margins:
             obstacles = self._estimate(obstacles, grasped=grasped)

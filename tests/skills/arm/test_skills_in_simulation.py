@@ -10,6 +10,7 @@ from dualbrain.control.control_loop import ControlLoop, ControlLoopConfig, LoopO
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.trace import Trace
 from dualbrain.core.geometry.shapes import Pose
+from dualbrain.errors import GeometryError
 from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.simulation.perception.noisy_perception import NO_NOISE, NoisyPerception, PerceptionNoise
@@ -175,3 +176,17 @@ def test_a_long_contract_with_the_other_skills_needs_no_filter_intervention():
     assert [action.status for action in outcome.actions] == ["done"] * 6, outcome.reason
     assert cell.filter_never_intervened()
     assert not [violation for violation in cell.monitor.violations() if violation.kind != "object_dropped"]
+
+
+def test_a_first_scene_that_is_not_usable_is_refused(monkeypatch):
+    """An object from the future would have no margin for its age."""
+    perceive = SimulatedWorld.perceive
+
+    def from_the_future(world):
+        scene = perceive(world)
+        objects = tuple(msgspec.structs.replace(obj, stamp=scene.stamp + 10.0) for obj in scene.objects)
+        return msgspec.structs.replace(scene, objects=objects)
+
+    monkeypatch.setattr(SimulatedWorld, "perceive", from_the_future)
+    with pytest.raises(GeometryError, match="after the stamp of the scene"):
+        SkillCell()

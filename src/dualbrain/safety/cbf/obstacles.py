@@ -269,23 +269,10 @@ def obstacles_from_scene(
         GeometryError: an object has a number, shape or pose that is not usable, or a stamp after that of the scene.
     """
     validation.check_length("clearance", clearance)
-    return obstacles_from_checked_scene(
-        check_scene(scene), known=known, held=held, clearance=clearance, persons=persons
-    )
-
-
-def obstacles_from_checked_scene(
-    scene: Scene,
-    *,
-    known: Collection[str],
-    held: str | None,
-    clearance: float = 0.0,
-    persons: PersonLimits | None = None,
-) -> tuple[Obstacle, ...]:
-    """As `obstacles_from_scene`, for a scene that has passed `check_scene`; the filter checks the obstacles again."""
+    usable = check_scene(scene)
     return tuple(
-        _to_obstacle(obj, scene.stamp, obj.name in known, clearance, persons)
-        for obj in scene.objects
+        obstacle_from_checked_object(obj, usable.stamp, known=obj.name in known, clearance=clearance, persons=persons)
+        for obj in usable.objects
         if obj.name != held
     )
 
@@ -335,9 +322,10 @@ def moves(obj: SceneObject) -> bool:
     return obj.role == "person" or any(obj.velocity) or obj.velocity_error > 0.0
 
 
-def _to_obstacle(
-    obj: SceneObject, stamp: float, known: bool, clearance: float, persons: PersonLimits | None
+def obstacle_from_checked_object(
+    obj: SceneObject, stamp: float, *, known: bool, clearance: float = 0.0, persons: PersonLimits | None = None
 ) -> Obstacle:
+    """The obstacle of one object of a scene at `stamp` [s] that has passed `check_scene`."""
     age = max(0.0, stamp - obj.stamp)
     shape, pose = bounding_solid(obj.shape, obj.pose)
     x, y, z = (p + v * age for p, v in zip(pose.position, obj.velocity, strict=True))

@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 
-from dualbrain.control.gatekeeper.robot_link import packets
+from dualbrain.control.gatekeeper.robot_link import packets, simulated_robot
 from dualbrain.control.gatekeeper.robot_link.simulated_robot import (
     WATCHDOG_TIMEOUT,
     RobotProcess,
@@ -65,3 +65,23 @@ def test_a_valid_command_feeds_the_watchdog(robot):
     assert process._last_command_at > before
     process._check_watchdog(process._last_command_at + 0.9 * WATCHDOG_TIMEOUT)
     assert process._off_at is None
+
+
+def test_a_host_that_stops_the_process_stops_simulated_time(robot, monkeypatch):
+    """After a stall of 50 ms no tick follows at once: the robot does not catch up with an old command in force."""
+    process, _ = robot
+    clock, ticks = [time.monotonic()], []
+
+    def tick():
+        ticks.append(clock[0])
+        clock[0] += 0.05 if len(ticks) == 5 else 1e-4
+        process._shutdown_requested = len(ticks) == 20
+
+    monkeypatch.setattr(simulated_robot.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(process, "_tick", tick)
+    monkeypatch.setattr(process, "_receive", lambda: None)
+    monkeypatch.setattr(process, "_wait", lambda ahead, due: clock.__setitem__(0, due))
+    process.serve()
+    gaps = np.diff(ticks)
+    assert gaps.max() == pytest.approx(0.05, abs=2e-3)
+    assert np.sum(gaps < 0.5e-3) <= 2
