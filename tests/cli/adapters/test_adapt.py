@@ -27,6 +27,7 @@ from dualbrain.memory.ledger.ledger import LedgerReader
 from dualbrain.memory.maintenance.compaction import compact_in_place
 from dualbrain.planner.registry import DEFAULT_PLANNER
 from tests.adaptation.sample_episodes import CONFIG, NOW, distinct_episodes, episode, summary, write_ledger
+from tests.support.process_state import process_state
 
 
 @pytest.fixture
@@ -344,15 +345,6 @@ except KeyboardInterrupt:
 """`adapt --when-idle` with a training that only sleeps; it is paused when a file called unplugged exists."""
 
 
-def state(process):
-    """The state letter of a process in Linux, "" if there is none; a zombie counts as none."""
-    try:
-        letter = Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()[0]
-    except OSError:
-        return ""
-    return letter.replace("Z", "").replace("X", "")
-
-
 def wait_until(holds):
     """Wait up to half a minute until the condition holds; returns whether it does."""
     until = time.monotonic() + 30.0
@@ -370,14 +362,14 @@ def test_no_training_outlives_its_scheduler(tmp_path, end, paused):
         fit = int((tmp_path / "pid").read_text())
         if paused:
             (tmp_path / "unplugged").touch()
-            assert wait_until(lambda: state(fit) == "T")
+            assert wait_until(lambda: process_state(fit) == "T")
         watcher.send_signal(end)
         assert watcher.wait(30.0) == (-end if end == signal.SIGKILL else ExitCode.INTERRUPTED)
-        assert wait_until(lambda: not state(fit))
+        assert wait_until(lambda: not process_state(fit))
     finally:
         watcher.kill()
         watcher.wait()
-        if state(fit):
+        if process_state(fit):
             os.kill(fit, signal.SIGKILL)
 
 

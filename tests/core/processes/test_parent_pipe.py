@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from dualbrain.core.processes.parent_pipe import PARENT_ENDED, start_child
+from tests.support.process_state import process_state
 
 ROOT = Path(__file__).parents[3]
 CHILD = "tests.core.processes.parent_pipe_child"
@@ -39,13 +40,6 @@ def wait_for(condition):
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.01)
-
-
-def is_running(pid):
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
 
 
 def test_the_child_gets_its_settings_and_a_session_of_its_own(tmp_path):
@@ -84,10 +78,10 @@ def test_the_end_of_the_parent_ends_the_child_although_another_process_inherited
     ) as parent:
         pid = int(parent.stdout.readline())
         wait_for(path.exists)
-        assert is_running(pid)
+        assert process_state(pid)
         parent.send_signal(number)
         parent.wait()
-        wait_for(lambda: not is_running(pid))
+        wait_for(lambda: not process_state(pid))
         os.killpg(parent.pid, signal.SIGKILL)
 
 

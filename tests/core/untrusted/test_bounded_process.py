@@ -8,6 +8,7 @@ import pytest
 
 from dualbrain.core.untrusted.bounded_process import ProcessFailure, ProcessLimits, run_bounded, stream_bounded
 from dualbrain.errors import ConfigurationError, MissingDependencyError
+from tests.support.process_state import process_state
 
 PARSERS = "tests.core.untrusted.hostile_parsers"
 SMALL = ProcessLimits(memory_bytes=64 << 20, seconds=1.0, output_bytes=1 << 20)
@@ -129,13 +130,9 @@ def test_the_process_ends_with_the_process_that_started_it(tmp_path):
     os.kill(parent, 9)
     os.waitpid(parent, 0)
     deadline = time.monotonic() + 10.0
-    while time.monotonic() < deadline and os.path.exists(f"/proc/{child}"):
-        with open(f"/proc/{child}/stat", encoding="ascii") as state:
-            if state.read().split()[2] == "Z":  # ended, not yet collected
-                break
+    while process_state(child):
+        assert time.monotonic() < deadline
         time.sleep(0.02)
-    else:
-        assert not os.path.exists(f"/proc/{child}")
 
 
 def test_calls_share_the_imports_but_no_process():

@@ -14,6 +14,7 @@ import pytest
 
 from dualbrain.core.storage.jsonl_log import JsonlLog
 from dualbrain.evaluation.runner.worker_pool import ProcessPool, SerialPool
+from tests.support.process_state import process_state
 
 ROOT = Path(__file__).resolve().parents[3]
 PARENT_SCRIPT = """
@@ -130,7 +131,7 @@ def test_a_killed_parent_keeps_its_log_and_its_worker_ends(tmp_path):
     keys = [line["key"] for line in log.latest()]
     assert keys == [str(n) for n in range(1, len(keys) + 1)]
     worker = json.loads(log.path.read_text().splitlines()[0])["worker"]
-    wait_until(lambda: not alive(worker))
+    wait_until(lambda: not process_state(worker))
 
 
 def wait_until(condition, timeout_s=20.0):
@@ -138,11 +139,3 @@ def wait_until(condition, timeout_s=20.0):
     while not condition():
         assert time.monotonic() < end
         time.sleep(0.05)
-
-
-def alive(pid):
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    return "Z" not in Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2][:3]
