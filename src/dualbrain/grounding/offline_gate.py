@@ -8,6 +8,8 @@ from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
 from dualbrain.core.geometry.shapes import HalfSpace, Pose
 from dualbrain.grounding.instruction.correspondence import INSTRUCTION_POINTER, SceneVocabulary, find_mismatch
+from dualbrain.grounding.instruction.goals.goal_coverage import find_uncovered
+from dualbrain.grounding.instruction.goals.goal_reading import read_goal
 from dualbrain.grounding.instruction.review import Refusal, review_instruction
 from dualbrain.grounding.scene_rules import scene_rules
 from dualbrain.grounding.vocabulary import load_skill_registry, planner_grants, scene_names
@@ -41,7 +43,7 @@ def check_contract(data: bytes, *, robot: str, scene: str, instruction: str = ""
 
 
 def _check_words(verdict: Accepted, instruction: str, registry: SkillRegistry, scene: Scene) -> Rejected | None:
-    """The rejection of an accepted contract whose instruction is declined, or is about something else."""
+    """The rejection of an accepted contract whose instruction is declined, differs, or asks for more."""
     review = review_instruction(instruction, registry, scene.receptive, scene.graspable)
     if all(action.skill == "decline" for action in verdict.contract.action_sequence):
         return None
@@ -49,7 +51,9 @@ def _check_words(verdict: Accepted, instruction: str, registry: SkillRegistry, s
         return Rejected(
             stage="envelope", pointer=INSTRUCTION_POINTER, got=instruction, allowed=["decline"], hint=review.reason
         )
-    return find_mismatch(verdict.contract, instruction, SceneVocabulary(scene.graspable, scene.receptive))
+    names = SceneVocabulary(scene.graspable, scene.receptive)
+    goal = read_goal(instruction, scene)
+    return find_mismatch(verdict.contract, instruction, names) or find_uncovered(verdict.contract, goal, scene)
 
 
 def controller_at_home(robot: str, scene: Scene) -> ArmController | BaseController | MobileManipulatorController:

@@ -4,7 +4,7 @@ import pytest
 
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.run.execution import exit_code
-from dualbrain.runtime.planning import local_answer
+from dualbrain.runtime.planning import local_answer, proposal_checks
 from dualbrain.skills.arm import grasp
 from tests.stories.story_session import (
     GRASP,
@@ -17,6 +17,7 @@ from tests.stories.story_session import (
 )
 
 HOME = {"speed": 0.25}
+LEFT_OF_BOWL = "place the red cube to the left of the bowl"
 CUBE = GRASP | {"object": "red_cube"}
 
 
@@ -58,14 +59,24 @@ def test_a_glass_is_a_confirmed_success_only_if_it_was_not_broken(tmp_path, monk
 
 
 def test_a_cube_in_the_bowl_is_not_left_of_it(tmp_path, monkeypatch):
-    """A planner that drops the clause, and no check of the clause before it."""
+    """A planner that drops the clause, and no check of the clause before it or of the contract after it."""
     monkeypatch.setattr(local_answer, "review_instruction", lambda *words, **languages: None)
-    story = run(tmp_path, "place the red cube to the left of the bowl", ("grasp", CUBE), ("place", PLACE))
+    monkeypatch.setattr(proposal_checks, "find_uncovered", lambda *contract_and_goal: None)
+    story = run(tmp_path, LEFT_OF_BOWL, ("grasp", CUBE), ("place", PLACE))
     assert story.episode.changes == "red cube in blue bowl; nothing else moved"
     assert story.episode.second_opinion == "disagrees"
     assert (story.episode.judgement.judged, story.episode.judgement.success) == (True, False)
     assert exit_code(story.episode) == ExitCode.FAILED_SAFELY
     assert story.result.store_report.status == "quarantined"
+
+
+def test_a_contract_that_drops_a_clause_does_not_move_the_robot(tmp_path, monkeypatch):
+    """The same planner without a check of the clause: the contract is compared with the words before the gate."""
+    monkeypatch.setattr(local_answer, "review_instruction", lambda *words, **languages: None)
+    story = run(tmp_path, LEFT_OF_BOWL, ("grasp", CUBE), ("place", PLACE))
+    assert story.episode.outcome.kind == "rejected"
+    assert 'no contract can state "left of"' in story.episode.outcome.reason
+    assert exit_code(story.episode) == ExitCode.REJECTED
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,8 @@ from dualbrain.contracts.gate.strict_json import MAX_BYTES
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.errors import DECODE_ERRORS
 from dualbrain.grounding.instruction.correspondence import SceneVocabulary, find_mismatch
+from dualbrain.grounding.instruction.goals.goal_coverage import find_uncovered
+from dualbrain.grounding.instruction.goals.goal_reading import read_goal
 from dualbrain.grounding.instruction.language import detect_foreign_language
 from dualbrain.grounding.instruction.recalled_steps import reject_recalled_step
 from dualbrain.planner.protocol import STOP, has_answer
@@ -67,7 +69,7 @@ def reject_idle(proposal: Proposal, held: str) -> Rejected | None:
 def reject_mismatch(
     proposal: Proposal, instruction: str, context: PlanningContext, check: InstructionCheck = "all"
 ) -> Rejected | None:
-    """The rejection of a contract about something that `instruction` does not mention.
+    """The rejection of a contract about something that `instruction` does not mention, or that leaves a part of it out.
 
     None for a text that is no contract, which the gate rejects, and for an instruction in another language than
     English, whose words are not compared.
@@ -78,7 +80,10 @@ def reject_mismatch(
     contract, scene = _decode(proposal), context.scene
     if contract is None:
         return None
-    return find_mismatch(contract, instruction, SceneVocabulary(scene.graspable, scene.receptive, context.holding))
+    names = SceneVocabulary(scene.graspable, scene.receptive, context.holding)
+    return find_mismatch(contract, instruction, names) or find_uncovered(
+        contract, read_goal(instruction, scene), scene, context.holding
+    )
 
 
 def _decode(proposal: Proposal) -> Contract | None:

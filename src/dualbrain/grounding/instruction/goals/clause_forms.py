@@ -76,6 +76,8 @@ def refused_clause(text: str) -> str:
     openings = {opening.split()[0] for opening in _openings(text) if opening}
     if words & {"gripper", "fingers"}:  # "open the gripper" is within the skills
         openings -= {"open"}
+    if words & {"yourself", "arm"}:  # "fold the arm" asks for the home posture
+        openings -= {"fold"}
     if verb := next(iter(sorted(openings & goal_words.HAZARD_VERBS)), ""):
         thrown = verb == "throw" and re.search(r"\b(?:in|into)\b", text) and not words & goal_words.PERSONS
         return "" if thrown else f'"{verb}" could injure a person or damage an object'
@@ -287,11 +289,11 @@ def _before_preposition(words: str) -> str:
 
 
 def _at_or_in(relation: Relation, reference: str, vocabulary: Vocabulary) -> Relation:
-    """The relation that "to", "on" and "in" mean: inside a container, at a place, on an object."""
+    """The relation that "to", "on" and "in" mean: inside a container, at a place, on an object; near a place: at it."""
+    if relation in ("at", "on", "in", "near") and reference in vocabulary.places:
+        return "at"
     if relation not in ("at", "on", "in"):
         return relation
-    if reference in vocabulary.places:
-        return "at"
     if any(obj.name == reference for obj in vocabulary.containers):
         return "in"
     return "on"

@@ -29,8 +29,8 @@ Direction = Literal["toward", "away_from", "left", "right", "forward", "backward
 """Direction of a push: relative to a reference, or in the frame of the robot (forward: away from the robot)."""
 Movement = Literal["still", "home", "rest", "drive"]
 """How the robot ends: without any motion, at rest in its home posture, either of both, or at a place."""
-CONTRACT_RELATIONS: tuple[Relation, ...] = ("in", "on", "at")
-"""Relations that a contract can state: its destinations are containers and places."""
+CONTRACT_RELATIONS: tuple[Relation, ...] = ("in", "at", "off")
+"""Relations that a contract can state: its destinations are containers ("in"; "off": another one) and places."""
 
 
 @dataclass(frozen=True, slots=True)

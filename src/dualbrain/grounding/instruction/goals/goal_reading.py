@@ -132,12 +132,15 @@ def strip_fillers(clause: str) -> str:
 def _combine(before: Sequence[Condition], new: Sequence[Condition]) -> tuple[Condition, ...]:
     """`before` and `new`; a placement ends the hold of the same objects, and a later placement replaces an earlier.
 
-    Standing still after another request adds no condition: the robot stops once the request is done.
+    Standing still after another request adds no condition: the robot stops once the request is done. "Do not pick it
+    up, push it" asks for the push alone.
     """
     if before and tuple(new) == (RobotEnds("still"),):
         return tuple(before)
     placed = {name for one in new if isinstance(one, Placed) for name in one.objects}
     kept = [one for one in before if not (isinstance(one, Held | Placed) and set(one.objects) <= placed)]
+    pushed = {name for one in new if isinstance(one, Pushed) for name in one.objects}
+    kept = [one for one in kept if not (isinstance(one, Unmoved) and set(one.objects) <= pushed)]
     if any(isinstance(one, RobotEnds) for one in new):  # only the last end of the robot remains
         kept = [one for one in kept if not isinstance(one, RobotEnds)]
     return tuple(dict.fromkeys((*kept, *new)))

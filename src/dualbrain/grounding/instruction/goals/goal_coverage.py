@@ -1,0 +1,198 @@
+"""Whether a contract, carried out as written, fulfils the goal of its instruction.
+
+The goal comes from the words alone (`read_goal`), so the comparison shares nothing with the planner. It precedes the
+gate: a contract that leaves a part of the instruction out is rejected before the robot moves, with a hint for the next
+answer. An instruction that is not read (`Unread`) is not compared; its outcome is not judged either.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from dualbrain.contracts.contract import Contract
+from dualbrain.contracts.schema import MAX_ACTIONS
+from dualbrain.contracts.verdict import Rejected
+from dualbrain.grounding.instruction.correspondence import INSTRUCTION_POINTER
+from dualbrain.grounding.instruction.goals.goal import (
+    Condition,
+    Goal,
+    Held,
+    Observed,
+    Placed,
+    Pushed,
+    RobotEnds,
+    Unread,
+)
+from dualbrain.grounding.outcome.spatial_relations import relation_holds
+from dualbrain.records import Scene
+
+IDLE_SKILLS = frozenset({"decline", "hold", "stop"})
+"""Skills that change nothing: a contract with these alone leaves nothing out that it claims to do."""
+KNOWN_SKILLS = frozenset(
+    ("grasp", "place", "release", "push", "move_to", "home", "drive_to", "drive_to_pose", "turn_to", *IDLE_SKILLS)
+)
+NAME_PARAMETERS = ("object", "destination", "target", "place")
+"""Parameters with the name of an object or a place."""
+ACTIONS_PER_OBJECT = 2
+"""Actions that put one object somewhere: grasp and place."""
+
+
+@dataclass(slots=True, kw_only=True)
+class _Effects:
+    """The effects of a contract that is carried out as written: objects and their destinations in the given order."""
+
+    in_hand: str | None
+    placed: dict[str, str] = field(default_factory=dict[str, str])
+    pushed: dict[str, str] = field(default_factory=dict[str, str])
+    observed: set[str] = field(default_factory=set[str])
+    homes: bool = False
+    driven_to: str = ""
+
+    @property
+    def moved(self) -> frozenset[str]:
+        """The objects that the contract moves on purpose."""
+        return frozenset((*self.placed, *self.pushed, *([self.in_hand] if self.in_hand else ())))
+
+    def put_down(self, destination: str) -> None:
+        """The object in the hand is released at `destination` ("": where the hand is)."""
+        if self.in_hand is not None:
+            self.placed[self.in_hand], self.in_hand = destination, None
+
+
+def find_uncovered(
+    contract: Contract, goal: Goal | Unread, scene: Scene, holding: str | None = None
+) -> Rejected | None:
+    """The rejection of a contract that does not fulfil `goal` if it is carried out in `scene`; None if it does.
+
+    `holding` is the object in the hand at its beginning. None for an instruction that was not read, for contracts that
+    decline or wait, and for those that the gate rejects because of their names or an empty hand.
+    """
+    if isinstance(goal, Unread) or all(action.skill in IDLE_SKILLS for action in contract.action_sequence):
+        return None
+    effects = _effects(contract, scene, holding)
+    if effects is None:
+        return None
+    if reason := goal.decline or goal.beyond_contracts or _too_long(goal, scene, holding):
+        return _rejected("a plan", ["decline"], f"the instruction is to be declined: {reason}")
+    for condition in goal.conditions:
+        if hint := _missing(condition, goal, effects, scene):
+            return _rejected("a plan without it", "a contract that carries out the whole instruction", hint)
+    if others := sorted(effects.moved - goal.movable - {holding}):
+        return _rejected(others[0], sorted(goal.movable), f"the instruction does not ask to move {_words(others[0])}")
+    return _wrong_order(goal, effects) if goal.ordered else None
+
+
+def _effects(contract: Contract, scene: Scene, holding: str | None) -> _Effects | None:
+    """The effects of `contract`; None if it has an unknown skill or name, or puts something down with an empty hand."""
+    names, effects = {*scene.graspable, *scene.receptive}, _Effects(in_hand=holding)
+    for action in contract.action_sequence:
+        parameters = {key: str(value) for key, value in action.params.items()}
+        named = {parameters[key] for key in NAME_PARAMETERS if key in parameters}
+        is_empty = action.skill in ("place", "release") and effects.in_hand is None
+        if action.skill not in KNOWN_SKILLS or not named <= names or is_empty:
+            return None
+        _add_effect(effects, action.skill, parameters)
+    return effects
+
+
+def _add_effect(effects: _Effects, skill: str, parameters: Mapping[str, str]) -> None:
+    match skill:
+        case "grasp":
+            effects.in_hand = parameters.get("object")
+            effects.placed.pop(effects.in_hand or "", None)
+        case "place" | "release":
+            effects.put_down(parameters.get("destination", ""))
+        case "push":
+            effects.pushed[parameters.get("object", "")] = parameters.get("destination", "")
+        case "move_to":
+            effects.observed.add(parameters.get("target", ""))
+        case "drive_to":
+            effects.driven_to = parameters.get("place", "")
+        case "drive_to_pose":
+            effects.driven_to = ""
+        case "home":
+            effects.homes = True
+        case _:
+            pass
+
+
+def _missing(condition: Condition, goal: Goal, effects: _Effects, scene: Scene) -> str:
+    """A hint about the part of `condition` that the contract does not fulfil; "" if it fulfils all of it."""
+    hint = ""
+    match condition:
+        case Placed():
+            hint = _not_placed(condition, effects, scene)
+        case Held(objects) if effects.in_hand not in objects:
+            hint = f"the instruction asks to hold {_words(objects[0])} at the end"
+        case Pushed(objects, _, reference):
+            left = [name for name in objects if effects.pushed.get(name) != reference]
+            hint = f"the instruction asks to push {_words(left[0])} to {_words(reference)}" if left else ""
+        case Observed(name) if name not in effects.observed:
+            hint = f"the instruction asks to move the hand above {_words(name)}"
+        case RobotEnds("home") if not effects.homes:
+            hint = "the instruction asks the robot to go home"
+        case RobotEnds("drive", place) if effects.driven_to != place:
+            hint = f"the instruction asks the robot to drive to {_words(place)}"
+        case RobotEnds("still") if len(goal.conditions) == 1:
+            hint = "the instruction asks the robot not to move"
+        case _:
+            pass
+    return hint
+
+
+def _not_placed(condition: Placed, effects: _Effects, scene: Scene) -> str:
+    done = [name for name in condition.objects if _is_placed(name, condition, effects, scene)]
+    number = len(condition.objects) if condition.count is None else condition.count
+    if len(done) == number:
+        return ""
+    where = f"{_words(condition.relation)} {' and '.join(map(_words, condition.references))}"
+    if len(done) > number:
+        return f"the instruction asks for {number} {where}, and no other"
+    left = [name for name in condition.objects if name not in done]
+    return f"the instruction asks for {' and '.join(map(_words, left[: number - len(done)]))} {where}"
+
+
+def _is_placed(name: str, condition: Placed, effects: _Effects, scene: Scene) -> bool:
+    """Whether the object `name` is in the relation after the contract: put there, or there already and not moved."""
+    if effects.placed.get(name):
+        return (effects.placed[name] in condition.references) == (condition.relation != "off")
+    return name not in effects.moved and _is_there(name, condition, scene)
+
+
+def _is_there(name: str, condition: Placed, scene: Scene) -> bool:
+    """Whether the object is in the relation already; an object for which perception cannot decide counts as there."""
+    obj = next((one for one in scene.objects if one.name == name), None)
+    return obj is not None and relation_holds(obj, condition.relation, condition.references, scene) is not False
+
+
+def _too_long(goal: Goal, scene: Scene, holding: str | None) -> str:
+    """Why no contract can have all actions of `goal`; "" if one can."""
+    missing = [
+        min(condition.count or len(names), len(names))
+        for condition in goal.conditions
+        if isinstance(condition, Placed)
+        for names in [[name for name in condition.objects if not _is_there(name, condition, scene)]]
+    ]
+    number = ACTIONS_PER_OBJECT * sum(missing) - (holding is not None)
+    return "" if number <= MAX_ACTIONS else f"it needs {number} actions, and a contract has at most {MAX_ACTIONS}"
+
+
+def _wrong_order(goal: Goal, effects: _Effects) -> Rejected | None:
+    """The rejection of placements of single objects in another order than the words state."""
+    named = [one.objects[0] for one in goal.conditions if isinstance(one, Placed) and len(one.objects) == 1]
+    planned = [name for name in effects.placed if name in named]
+    wanted = [name for name in named if name in planned]
+    if planned == wanted:
+        return None
+    hint = f"the instruction states the order {', then '.join(map(_words, wanted))}"
+    return _rejected(list(planned), wanted, hint)
+
+
+def _rejected(got: str | list[str], allowed: str | Sequence[str], hint: str) -> Rejected:
+    accepted = allowed if isinstance(allowed, str) else list(allowed)
+    return Rejected(stage="envelope", pointer=INSTRUCTION_POINTER, got=got, allowed=accepted, hint=hint)
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")
