@@ -18,6 +18,8 @@ from dualbrain.contracts.skill_spec import (
 from dualbrain.core.untrusted.hidden_characters import HIDDEN_CHARACTERS, every_hidden_character
 
 MAX_ACTIONS = 8
+DECLINE = "decline"
+"""The skill that refuses an instruction; it stands alone."""
 ID_PATTERN = "^c-[0-9]{4}$"
 ID_LENGTH = 6
 """Maximum length of an id; in some engines the `$` of the pattern alone would accept a trailing line feed."""
@@ -64,29 +66,60 @@ def syntax_schema(registry: SkillRegistry) -> Schema:
     return {"$schema": DRAFT_07} | _contract_schema(closed_object(context), step)
 
 
-def decoding_schema(registry: SkillRegistry, names: SceneNames, *, not_first: Collection[str] = ()) -> Schema:
+def decoding_schema(
+    registry: SkillRegistry,
+    names: SceneNames,
+    *,
+    not_first: Collection[str] = (),
+    skills: Collection[str] | None = None,
+    length: tuple[int, int] | None = None,
+) -> Schema:
     """Schema for constrained decoders: one `anyOf` branch per skill, properties in the order of generation.
 
     The schema uses only keywords that LLGuidance and xgrammar enforce. A skill that needs an object or place of which
     the scene has none is left out. If every skill is left out, the schema admits no contract. The skills `not_first`
-    are left out of the first action (`prefixItems`), because the state of the robot refuses them there.
+    are left out of the first action (`prefixItems`), because the state of the robot refuses them there. With `skills`
+    only these are admitted. `length` is the least and largest number of actions, except for a contract that declines.
     """
-    callable_skills = [skill for skill in registry.skills if _is_callable(skill, names)]
+    callable_skills = [
+        skill for skill in registry.skills if _is_callable(skill, names) and (skills is None or skill.name in skills)
+    ]
     branches = [_decoding_step(skill, names) for skill in callable_skills]
     context = {"robot": {"const": registry.robot}, "registry": {"const": registry.hash}}
     schema = _contract_schema(closed_object(context), _any_step(branches))
     schema["properties"]["id"] = {"type": "string", "pattern": ID_PATTERN}
-    first = [step for skill, step in zip(callable_skills, branches, strict=True) if skill.name not in not_first]
+    actions = schema["properties"]["action_sequence"]
+    steps = dict(zip((skill.name for skill in callable_skills), branches, strict=True))
+    first = [step for name, step in steps.items() if name not in not_first]
     if len(first) < len(branches):
-        schema["properties"]["action_sequence"]["prefixItems"] = [_any_step(first)]
+        actions["prefixItems"] = [_any_step(first)]
+    if length is not None:
+        schema["properties"]["action_sequence"] = _bounded(actions, steps.get(DECLINE), length)
     return schema
+
+
+def _bounded(actions: Schema, decline: Schema | None, length: tuple[int, int]) -> Schema:
+    """The schema `actions` of an action sequence with bounds of its `length`, or one `decline`."""
+    bounded = actions | {"minItems": length[0], "maxItems": length[1]}
+    return bounded if decline is None else {"anyOf": [bounded, actions | {"maxItems": 1, "items": decline}]}
+
+
+def step_schemas(schema: Schema) -> list[Schema]:
+    """The schemas of the actions that a decoding `schema` admits, one for each skill."""
+    steps = _sequence(schema)["items"].get("anyOf", [])
+    return list(steps)
 
 
 def first_skills(schema: Schema) -> tuple[str, ...]:
     """The skills that a decoding `schema` admits as the first action."""
-    actions = schema["properties"]["action_sequence"]
+    actions = _sequence(schema)
     first = actions.get("prefixItems", [actions["items"]])[0]
     return tuple(step["properties"]["skill"]["const"] for step in first.get("anyOf", ()))
+
+
+def _sequence(schema: Schema) -> Schema:
+    actions = schema["properties"]["action_sequence"]
+    return actions.get("anyOf", [actions])[0]
 
 
 def describe_skills(registry: SkillRegistry, names: SceneNames) -> str:

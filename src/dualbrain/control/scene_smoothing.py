@@ -7,12 +7,11 @@ gets therefore remains valid. The position of an object that has moved is taken 
 from __future__ import annotations
 
 from collections.abc import Collection
+from math import dist
 
 import msgspec
-import numpy as np
-from numpy.typing import NDArray
 
-from dualbrain.core.geometry.shapes import Pose
+from dualbrain.core.geometry.shapes import Pose, Vector
 from dualbrain.records import Scene, SceneObject
 
 TIME_CONSTANT = 1.0
@@ -26,7 +25,7 @@ class SceneSmoother:
 
     def __init__(self) -> None:
         """Start without measurements."""
-        self._averages: dict[str, tuple[float, NDArray[np.float64]]] = {}
+        self._averages: dict[str, tuple[float, Vector]] = {}
 
     def update(self, scene: Scene, moving: Collection[str] = ()) -> Scene:
         """`scene` with averaged positions of objects at rest; those in `moving` (held, just released) are unchanged."""
@@ -40,12 +39,13 @@ class SceneSmoother:
     def _average(self, obj: SceneObject) -> SceneObject:
         if obj.role in ("person", "support") or obj.error == 0.0:
             return obj
-        position = np.asarray(obj.pose.position)
+        position = obj.pose.position
         stamp, mean = self._averages.get(obj.name, (obj.stamp, position))
-        if float(np.linalg.norm(position - mean)) > MOVED_ERROR_BOUNDS * obj.error:
+        if dist(position, mean) > MOVED_ERROR_BOUNDS * obj.error:
             mean = position
         else:
-            mean = mean + (position - mean) * min(1.0, (obj.stamp - stamp) / TIME_CONSTANT)
+            share = min(1.0, (obj.stamp - stamp) / TIME_CONSTANT)
+            (x, y, z), (a, b, c) = mean, position
+            mean = (x + (a - x) * share, y + (b - y) * share, z + (c - z) * share)
         self._averages[obj.name] = (obj.stamp, mean)
-        x, y, z = mean.tolist()
-        return msgspec.structs.replace(obj, pose=Pose((x, y, z), obj.pose.quaternion))
+        return msgspec.structs.replace(obj, pose=Pose(mean, obj.pose.quaternion))

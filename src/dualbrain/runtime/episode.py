@@ -147,7 +147,9 @@ def _decide(
         lambda: retrieve(request.instruction, context, agent.memory, request.max_exemplars, agent.retrieve_passages)
     )
     recall, withheld = fit_recall(found, request.instruction)
-    plan_request = build_request(request.instruction, context, recall, request.failure_feedback)
+    plan_request = build_request(
+        request.instruction, context, recall, request.failure_feedback, restrict=request.instruction_check == "all"
+    )
     attempts = propose(request, plan_request, agent.planner, replace(checker, withheld=withheld))
     return Decision(attempts=attempts, recall=recall, withheld=withheld, retrieval_s=retrieval_s)
 

@@ -16,7 +16,10 @@ from tests.support.run_once import run_once
 
 def _run_unfiltered(folder):
     move = {"target": "blue_bowl", "speed": 0.3, "clearance": 0.12, "route": "direct", "wait": "none"}
-    story = run_session(run_config(folder, guard=False, scene="tabletop:1"), contract_text(("move_to", move)))
+    story = run_session(
+        run_config(folder, guard=False, scene="tabletop:1", instruction="look at the bowl"),
+        contract_text(("move_to", move)),
+    )
     return (story.episode.outcome.kind,)
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from dualbrain.contracts.schema import step_schemas
 from dualbrain.planner.request import PlanRequest
 
 DECIMALS = 3
@@ -22,7 +23,7 @@ def seeded_rng(seed: int, *words: str) -> np.random.Generator:
 
 def skill_parameter_schemas(request: PlanRequest) -> dict[str, dict[str, Any]]:
     """For each skill that can be called in the scene, the schema of its parameters."""
-    steps = request.schema["properties"]["action_sequence"]["items"].get("anyOf", [])
+    steps = step_schemas(request.schema)
     return {step["properties"]["skill"]["const"]: step["properties"]["params"]["properties"] for step in steps}
 
 

@@ -125,7 +125,7 @@ def _describe(clauses: Sequence[Clause], registry: SkillRegistry, receptive: Seq
     quoted = " and ".join(f'"{clause.quote}" ({clause.kind})' for clause in clauses[:3])
     advice = "; ".join(dict.fromkeys(ADVICE[clause.kind] for clause in clauses[:3]))
     return (
-        f"The instruction is declined as a whole, because no contract can express {quoted}. Instead, {advice}. "
+        f"The instruction is declined as a whole, because a contract cannot express {quoted}. Instead, {advice}. "
         f"Skills: {_describe_skills(registry, receptive)}."
     )
 

@@ -49,7 +49,8 @@ _CONTRACTIONS = {
     "they've": "they have",
     "w/o": "without",
 }
-_MISSPELLINGS = {
+MISSPELLINGS = {
+    "mv": "move",
     "til": "until",
     "till": "until",
     "untill": "until",
@@ -168,8 +169,8 @@ def _expand(word: str) -> str:
         return _CONTRACTIONS[word]
     if word.endswith("n't"):
         return f"{word[:-3]} not"
-    if word in _MISSPELLINGS:
-        return _MISSPELLINGS[word]
+    if word in MISSPELLINGS:
+        return MISSPELLINGS[word]
     return _nearest_function_word(word)
 
 

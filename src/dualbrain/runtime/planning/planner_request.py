@@ -11,6 +11,9 @@ import msgspec
 from dualbrain.contracts.canonical_form import reorder_contract
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.schema import decoding_schema, describe_skills
+from dualbrain.grounding.instruction.goals.goal import Unread
+from dualbrain.grounding.instruction.goals.goal_reading import read_goal
+from dualbrain.grounding.instruction.goals.goal_scope import goal_scope
 from dualbrain.grounding.scene_rules import skills_refused_first
 from dualbrain.grounding.scene_summary import summarise_scene
 from dualbrain.grounding.vocabulary import scene_names
@@ -91,9 +94,17 @@ def build_request(
     context: PlanningContext,
     recall: RetrievedContext,
     failure_feedback: FailureFeedback | None = None,
+    *,
+    restrict: bool = True,
 ) -> PlanRequest:
-    """The first request for `instruction`; `failure_feedback` is on the contract before, if there was one."""
+    """The first request for `instruction`; `failure_feedback` is on the contract before, if there was one.
+
+    With `restrict`, the schema admits only the names and skills that the goal of the instruction may need, if the goal
+    was read; the text of the prompt has all.
+    """
     registry, names = context.registry, scene_names(context.scene)
+    goal = read_goal(instruction, context.scene) if restrict else Unread("")
+    scope = goal_scope(goal, context.scene, context.holding)
     return PlanRequest(
         instruction=instruction,
         scene=context.summary,
@@ -101,7 +112,13 @@ def build_request(
         robot=context.robot_model.name,
         registry_hash=registry.hash,
         skills_text=describe_skills(registry, names),
-        schema=decoding_schema(registry, names, not_first=skills_refused_first(context.holding)),
+        schema=decoding_schema(
+            registry,
+            scope.names,
+            not_first=skills_refused_first(context.holding),
+            skills=scope.skills,
+            length=scope.length,
+        ),
         contract_id="c-0001",
         failure_feedback=failure_feedback,
     )

@@ -44,9 +44,14 @@ DIRECTIONS: dict[str, Direction] = {
 PLACING = re.compile(rf"(?:{goal_words.PLACING_VERBS}) (.+)")
 LIFTING = re.compile(rf"(?:{goal_words.LIFTING_VERBS}) (.+?)(?: up| in your hand| in the air)*")
 STATING = (
-    re.compile(r"(.+?) (?:belongs?|should (?:stand|be|go|end up|lie)|goes?|has to (?:be put|go)|must go) (.+)"),
-    re.compile(r"i (?:would like|want|'d like) to see (.+?) ((?:in|on|at) .+)"),
-    re.compile(r"i need (.+?) ((?:in|on|at) .+)"),
+    re.compile(
+        r"(.+?) (?:(?:all )?(?:belongs?|goes?)|(?:should|must|has to|have to|needs? to)"
+        r" (?:all )?(?:stand|go|end up|lie|be)(?: put| placed| moved| tidied away| stored)?)(?: over)? (.+)"
+    ),
+    re.compile(
+        r"(?:i|we) (?:would like|want|need|'d like|would love|'d love)(?: to (?:see|have))? (.+?)"
+        r" ((?:in|on|at|to|into) .+)"
+    ),
     re.compile(r"(.+?): ((?:into|in|on|to) .+?)(?: with it)?"),
     re.compile(r"no (.+?) on the table any more: they (?:go) (.+)"),
 )
@@ -58,9 +63,27 @@ HANDING = (
 PUSHING = re.compile(rf"(?:{goal_words.PUSHING_VERBS}) (.+)")
 OBSERVING = re.compile(rf"(?:{goal_words.OBSERVING_PHRASES}) (.+?)(?: from above| without touching (?:it|them))*")
 FORBIDDING = re.compile(r"(?:do not|don't|never) (?:touch|move|pick up|grasp|take|push|lift|put|place|shift) (.+)")
+LACKING = re.compile(r"what (.+?) (?:lacks|needs|misses) is (.+)")
+INTO_WITH = re.compile(r"(?:off )?((?:into|in|onto|on|to) .+?) with (.+)")
+"""The destination before the object: "into the bowl with the tins"."""
+LETTING = re.compile(r"let (?:go of )?(.+?) (?:(?:drop|fall|slide|go|down) )?((?:into|in|onto|on|at) .+)")
+CARRYING = re.compile(r"(?:carry|bring|move|take) (?:it|them)(?: across| over| along| with you| there)+")
+GATHERING = re.compile(rf"(?:{goal_words.GATHERING_VERBS}) (.+)")
+GIVEN_PUSH = re.compile(r"^give (.+?) an? (?:small |little |gentle |short )?(?:push|nudge|shove)(?= )")
+DISTANCE = re.compile(
+    r" (?:about |roughly |some |by |for )*(?:\d{1,3}(?:\.\d{1,3})?|[a-z]+) ?"
+    r"(?:cm|centimet(?:er|re)s?|mm|millimet(?:er|re)s?)\b"
+)
+"""The distance of a push, which contracts state."""
 KEEPING = re.compile(r"(?:leave|keep) (.+?) (?:where it is|where they are|in its place|alone|as it is)")
-DRIVING = re.compile(r"(?:go|drive|move|come|head|travel|bring yourself|stop)(?: back)?(?: over)? (?:to|at|by) (.+)")
-UNDIRECTED = re.compile(r"(?:and )?(?:hold it|keep it(?: there| up| in the air| in your hand)?|hold them)")
+DRIVING = re.compile(
+    r"(?:go|drive|move|come|head|travel|roll|return|run|bring yourself|make your way|stop|stand|go and stand)"
+    r"(?: on| back| over)* (?:to|at|by|for) (.+?)(?: first)?"
+)
+UNDIRECTED = re.compile(
+    r"(?:and )?(?:(?:hold|keep holding)(?: on to)? (?:it|them)|keep hold of (?:it|them)|keep it)"
+    r"(?: there| up| in the air| in (?:your|the) hand)*"
+)
 
 Conditions = tuple[tuple[Condition, ...], tuple[str, ...]]
 """Conditions of a clause, and the objects that it names."""
@@ -151,16 +174,17 @@ def _observed(
     found = vocabulary.resolve_reference(form.group(1))
     if not isinstance(found, Found):
         return _unresolved(found)
-    return (Observed(found.names[0]),), last
+    return (Observed(found.names[0]),), found.names
 
 
 def _pushed(
     text: str, scene: Scene, vocabulary: Vocabulary, last: tuple[str, ...]
 ) -> Conditions | Goal | Unread | None:
-    form = PUSHING.fullmatch(text)
+    form = PUSHING.fullmatch(GIVEN_PUSH.sub(r"push \1", text))
     if form is None:
         return None
-    words = re.sub(r" (?:without lifting it|a little|a bit|slightly)\b", "", form.group(1))
+    words = re.sub(r" (?:without lifting it|a little|a bit|slightly|somewhere|some way)\b", "", form.group(1))
+    words = DISTANCE.sub("", words)
     if off := re.fullmatch(r"(.+?) off (?:of )?(?:the )?(?:table|edge)", words):
         return Goal(decline=f"pushing {off.group(1)} off the table could damage it")
     for phrase, direction in DIRECTIONS.items():
@@ -189,9 +213,11 @@ def _placed(
     text: str, scene: Scene, vocabulary: Vocabulary, last: tuple[str, ...]
 ) -> Conditions | Goal | Unread | None:
     form = PLACING.fullmatch(text)
-    if form is None:
-        return None
-    words = form.group(1)
+    return _placements(form.group(1), vocabulary, last) if form else None
+
+
+def _placements(words: str, vocabulary: Vocabulary, last: tuple[str, ...]) -> Conditions | Goal | Unread | None:
+    """One placement, or two that are joined by "and"."""
     found = _placement(words, vocabulary, last)
     if isinstance(found, tuple):
         return found
@@ -206,15 +232,33 @@ def _placed(
 def _continued(
     text: str, scene: Scene, vocabulary: Vocabulary, last: tuple[str, ...]
 ) -> Conditions | Goal | Unread | None:
-    """A placement without a verb, after another clause: "then the tin to the left side of the table"."""
-    return _placement(text, vocabulary, last) if last else None
+    """A placement without a verb: "all tins into the bowl", "then the tin to the left side of the table"."""
+    found = _placements(text, vocabulary, last)
+    stated = isinstance(found, tuple) and all(
+        isinstance(one, Placed) and one.relation in ("in", "at") for one in found[0]
+    )
+    return found if last or stated else None
 
 
 def _stated(
     text: str, scene: Scene, vocabulary: Vocabulary, last: tuple[str, ...]
 ) -> Conditions | Goal | Unread | None:
+    if lacking := LACKING.fullmatch(text):
+        return _placement(f"{lacking.group(2)} in {lacking.group(1)}", vocabulary, last)
+    if inverted := INTO_WITH.fullmatch(text):
+        return _placement(f"{inverted.group(2)} {inverted.group(1)}", vocabulary, last)
+    if letting := LETTING.fullmatch(text):
+        return _placement(f"{letting.group(1)} {letting.group(2)}", vocabulary, last)
     form = next((match for one in STATING if (match := one.fullmatch(text))), None)
-    return _placement(f"{form.group(1)} {form.group(2)}", vocabulary, last) if form else None
+    if form is None:
+        return None
+    found = _placement(f"{form.group(1)} {form.group(2)}", vocabulary, last)
+    for joint in re.finditer(r",? and ", text) if not isinstance(found, tuple) else ():  # "X goes in Y and Z goes on W"
+        parts = [_stated(one, scene, vocabulary, last) for one in (text[: joint.start()], text[joint.end() :])]
+        pairs = [one for one in parts if isinstance(one, tuple)]
+        if len(pairs) == len(parts):
+            return tuple(c for one in pairs for c in one[0]), tuple(n for one in pairs for n in one[1])
+    return found
 
 
 def _held(text: str, scene: Scene, vocabulary: Vocabulary, last: tuple[str, ...]) -> Conditions | Goal | Unread | None:
@@ -225,6 +269,15 @@ def _held(text: str, scene: Scene, vocabulary: Vocabulary, last: tuple[str, ...]
         return None
     objects = _objects(form.group(1), vocabulary, last)
     return ((Held(objects.names),), objects.names) if isinstance(objects, Found) else objects
+
+
+def _gathered(text: str, scene: Scene, vocabulary: Vocabulary, last: tuple[str, ...]) -> Conditions | None:
+    """A clause that only names objects for the next one: "collect the tins", "carry it across"."""
+    if last and CARRYING.fullmatch(text):
+        return (), last
+    form = GATHERING.fullmatch(text)
+    found = _objects(form.group(1), vocabulary, last) if form else None
+    return ((), found.names) if isinstance(found, Found) else None
 
 
 def _driven(text: str, scene: Scene, vocabulary: Vocabulary, last: tuple[str, ...]) -> Conditions | Unread | None:
@@ -245,6 +298,7 @@ FORMS: tuple[Form, ...] = (
     _pushed,
     _placed,
     _stated,
+    _gathered,
     _held,
     _driven,
     _continued,
@@ -257,7 +311,7 @@ FORMS: tuple[Form, ...] = (
 def _placement(words: str, vocabulary: Vocabulary, last: tuple[str, ...]) -> Conditions | Goal | Unread | None:
     """The placement "NOUN PHRASE PREPOSITION REFERENCE", at the first preposition after which both parts resolve."""
     first: Goal | Unread | None = None
-    for relation, phrase, rest in _splits(re.sub(r" (?:down|up|back|over)(?= )", "", words)):
+    for relation, phrase, rest in _splits(re.sub(r" (?:down|up|back|over|away)(?= (?!from))", "", words)):
         objects = _objects(phrase, vocabulary, last)
         references = _references(rest, relation, vocabulary, last)
         if isinstance(objects, Found) and isinstance(references, tuple):

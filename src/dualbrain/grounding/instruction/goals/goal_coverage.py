@@ -14,6 +14,7 @@ from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.schema import MAX_ACTIONS
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.grounding.instruction.correspondence import INSTRUCTION_POINTER
+from dualbrain.grounding.instruction.goals.action_bounds import actions_needed, is_there
 from dualbrain.grounding.instruction.goals.goal import (
     Condition,
     Goal,
@@ -24,7 +25,6 @@ from dualbrain.grounding.instruction.goals.goal import (
     RobotEnds,
     Unread,
 )
-from dualbrain.grounding.outcome.spatial_relations import relation_holds
 from dualbrain.records import Scene
 
 IDLE_SKILLS = frozenset({"decline", "hold", "stop"})
@@ -34,8 +34,6 @@ KNOWN_SKILLS = frozenset(
 )
 NAME_PARAMETERS = ("object", "destination", "target", "place")
 """Parameters with the name of an object or a place."""
-ACTIONS_PER_OBJECT = 2
-"""Actions that put one object somewhere: grasp and place."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -157,24 +155,12 @@ def _is_placed(name: str, condition: Placed, effects: _Effects, scene: Scene) ->
     """Whether the object `name` is in the relation after the contract: put there, or there already and not moved."""
     if effects.placed.get(name):
         return (effects.placed[name] in condition.references) == (condition.relation != "off")
-    return name not in effects.moved and _is_there(name, condition, scene)
-
-
-def _is_there(name: str, condition: Placed, scene: Scene) -> bool:
-    """Whether the object is in the relation already; an object for which perception cannot decide counts as there."""
-    obj = next((one for one in scene.objects if one.name == name), None)
-    return obj is not None and relation_holds(obj, condition.relation, condition.references, scene) is not False
+    return name not in effects.moved and is_there(name, condition, scene)
 
 
 def _too_long(goal: Goal, scene: Scene, holding: str | None) -> str:
     """Why no contract can have all actions of `goal`; "" if one can."""
-    missing = [
-        min(condition.count or len(names), len(names))
-        for condition in goal.conditions
-        if isinstance(condition, Placed)
-        for names in [[name for name in condition.objects if not _is_there(name, condition, scene)]]
-    ]
-    number = ACTIONS_PER_OBJECT * sum(missing) - (holding is not None)
+    number = actions_needed(goal, scene, holding)
     return "" if number <= MAX_ACTIONS else f"it needs {number} actions, and a contract has at most {MAX_ACTIONS}"
 
 

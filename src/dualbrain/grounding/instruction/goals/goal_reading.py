@@ -28,11 +28,13 @@ MAX_CHARACTERS = 400
 COMMAND = (
     r"(?:put|place|move|set|drop|bring|stand|lay|take|get|carry|transfer|pick|grasp|grab|lift|hold|raise|hand|give|pass|"
     r"push|shove|slide|nudge|go|return|drive|come|retract|park|stop|halt|wait|rest|keep|look|hover|fetch|stack|do not|"
-    r"don't|never|leave)\b"
+    r"don't|never|leave|let|store|park|collect|gather|relocate|dump|lower|grip|begin|start|head|turn|point|show|find|"
+    r"stay|clear|run)\b"
 )
 CLAUSE_ENDS = re.compile(
-    r" {0,2}[.;!?]+ {0,2}"
-    r"|,? {0,2}\b(?:and )?(?:then|after that|afterwards|once that is done|when that is done)\b,? {0,2}"
+    r" {0,2}[.;!?]+(?!\d) {0,2}"
+    r"|,? {0,2}\b(?:and,? )?(?:then|after that|afterwards|once that is done|when that is done|later"
+    r"|next,? (?=take|put))\b,? {0,2}"
     rf"|,? {{1,2}}(?:and|but) {{1,2}}(?={COMMAND})|, {{0,2}}(?={COMMAND})"
 )
 CONDITIONAL = re.compile(
@@ -40,6 +42,13 @@ CONDITIONAL = re.compile(
 )
 BEFORE = re.compile(r"before you ([^,]+), (.+)")
 """The second part comes first."""
+AFTER, LIES = "(?:after|once|when|as soon as)", "(?:is|are|lies)"
+ORDERED = (
+    (re.compile(rf"{AFTER} ([^,]+?) {LIES} ((?:in|into|at|on) [^,]+), (.+)"), r"put \1 \2, then \3"),
+    (re.compile(rf"(.+?),? {AFTER} ([^,]+?) {LIES} ((?:in|into|at|on) [^,.]+)"), r"put \2 \3, then \1"),
+    (re.compile(r"before ([^,]+?) (?:goes|is put) ((?:in|into|to|at|on) [^,]+), (.+)"), r"\3, then put \1 \2"),
+)
+"""Sentences in which one placement follows another, and the same as two clauses."""
 HOME_WORDS = re.compile(
     r"\b(?:home|rest|resting|retract|park|initial|start(?:ed|ing)? ?(?:pose|posture|position)?|"
     r"out of (?:the|my) way|take a break|go back|return|back where|all for today|move away|step back|away)\b"
@@ -71,7 +80,11 @@ def read_goal(instruction: str, scene: Scene) -> Goal | Unread:
     vocabulary = Vocabulary(scene)
     if reason := refused_clause(text):
         return Goal(decline=reason)
-    return _read_text(vocabulary.join_names(text), scene, vocabulary)
+    goal = _read_text(vocabulary.join_names(text), scene, vocabulary)
+    corrected = vocabulary.correct_spelling(text)
+    if isinstance(goal, Unread) and corrected != text and not refused_clause(corrected):
+        return _read_text(vocabulary.join_names(corrected), scene, vocabulary)
+    return goal
 
 
 def requests_home(instruction: str) -> bool:
@@ -85,6 +98,10 @@ def _read_text(text: str, scene: Scene, vocabulary: Vocabulary) -> Goal | Unread
     text = NOTHING_ELSE.sub("", text).replace("take your time and ", "")
     if swapped := BEFORE.fullmatch(text):
         text = f"{swapped.group(2)}, then {swapped.group(1)}"
+    for form, ordered_text in ORDERED:
+        if form.fullmatch(text.rstrip(" .!")):
+            text = form.sub(ordered_text, text.rstrip(" .!"))
+            break
     read = _Clauses()
     for clause in CLAUSE_ENDS.split(text):
         words = strip_fillers(clause)
@@ -124,7 +141,7 @@ def strip_fillers(clause: str) -> str:
         before = text
         text = re.sub(rf"^(?:{goal_words.REQUESTS})\b ?", "", text).strip(" ,:")
         text = re.sub(rf"(?:^|\s|,)(?:{goal_words.FILLERS})(?=$|\s|,)", " ", text)
-        text = " ".join(text.split()).strip(" ,:")
+        text = re.sub(r"^(?:and|but) | (?:and|but)$", "", " ".join(text.split()).strip(" ,:"))
     first, _, rest = text.partition(" ")
     return f"{goal_words.GERUNDS.get(first, first)} {rest}".strip()
 

@@ -19,6 +19,7 @@ class _Vocabulary(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     persons: frozenset[str]
     determiners: frozenset[str]
     generic_nouns: frozenset[str]
+    general_containers: frozenset[str]
     colours: frozenset[str]
     no_objects: frozenset[str]
     synonyms: tuple[frozenset[str], ...]
@@ -34,16 +35,22 @@ _WORDS = msgspec.convert(tomllib.loads(_FILE.read_text(encoding="utf-8")), _Voca
 HAZARD_VERBS, IMPOSSIBLE_VERBS = _WORDS.hazard_verbs, _WORDS.impossible_verbs
 UNAUTHORISED_PHRASES, PERSONS = _WORDS.unauthorised_phrases, _WORDS.persons
 DETERMINERS, GENERIC_NOUNS, COLOURS = _WORDS.determiners, _WORDS.generic_nouns, _WORDS.colours
+GENERAL_CONTAINERS = _WORDS.general_containers
 NO_OBJECTS, SYNONYMS, GERUNDS = _WORDS.no_objects, _WORDS.synonyms, _WORDS.gerunds
 FILLERS, REQUESTS, RECIPIENTS = ("|".join(words) for words in (_WORDS.fillers, _WORDS.requests, _WORDS.recipients))
 """Alternatives of a regular expression."""
 
 PLACING_VERBS = (
     "put|place|move|set|drop|bring|stand|lay|transfer|carry|take|get|deposit|shift|stow|pop|stick|collect|gather|"
-    "sort|throw|tidy|drag|transport|insert|position|return|leave|stack|bring over|put away"
+    "sort|throw|tidy|drag|transport|insert|position|return|leave|stack|bring over|put away|store|park|relocate|dump|"
+    "lower|load|add|clear"
 )
 """Verbs of a placement; with a destination none of them determines how the object gets there."""
-LIFTING_VERBS = "pick up|pick|grasp|grab|lift up|lift|take|hold up|hold|raise|get hold of|fetch"
+LIFTING_VERBS = (
+    "pick up|pick|grasp|grab|grip|lift up|lift|take hold of|take|hold up|hold on to|hold|raise|get hold of|fetch"
+)
+GATHERING_VERBS = "collect|gather up|gather|find|pick out|start with|begin with|take care of"
+"""Verbs that name objects for a later clause."""
 HANDING_VERBS = "hand|give|pass|bring|hand over|fetch|get"
 PUSHING_VERBS = "push|shove|slide|nudge"
 OBSERVING_PHRASES = (
@@ -85,7 +92,13 @@ HOME_CLAUSES = (
 )
 REST_CLAUSES = (r"(?:have a |take a )?(?:rest|break)", r"relax", r"stay at rest")
 """Requests that a robot carries out by standing still as well as by going home."""
+WAITING_CLAUSE = (
+    r"(?:wait|pause|freeze|rest|hold still|stand still|stay still|do nothing|do not move|don't move|take a break)"
+    r"(?: for| of)? \d{1,4}(?:\.\d{1,3})? ?(?:s|secs?|seconds?)"
+)
 STILL_CLAUSES = (
+    WAITING_CLAUSE,
+    r"stay (?:like (?:that|this)|as you are)",
     r"stop(?: it| now| moving| at once| everything| the arm| the robot)*|halt|freeze|wait|pause|"
     r"stay(?: where you are| there| still)*|hold still|stand still|do(?: not|n't) move|do nothing|don't do anything|"
     r"do not do anything|hold(?: on| it)?|stay put|abort|cancel|whoa|enough",

@@ -3,27 +3,28 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from dualbrain.grounding.instruction.goals.goal_words import (
     COLOURS,
     DETERMINERS,
+    GENERAL_CONTAINERS,
     GENERIC_NOUNS,
     NO_OBJECTS,
     NUMBERS,
     PERSONS,
     SYNONYMS,
 )
+from dualbrain.grounding.instruction.words import MISSPELLINGS, is_one_edit_away
 from dualbrain.records import Scene, SceneObject
 
-PLACE_ALIASES = {
-    "table_left": ("left side of the table", "left of the table", "left edge of the table", "left table side"),
-    "table_right": ("right side of the table", "right of the table", "right edge of the table", "right table side"),
-    "table_front": ("front of the table", "front side of the table", "table front"),
-}
-"""Names of places as people call them."""
+SIDE_PARTS = r"(?:[- ]hand)?(?: (?:side|half|end|part|edge|area))?"
+"""Words between the side and the thing of a place: "left-hand side of the table"."""
 QUANTIFIER = re.compile(r"(?:all|every(?: one)?|each(?: one)?|both)(?: of)?\b ?")
+SIDES = ("left", "right", "front", "back")
+MIN_CORRECTED = 4
+"""Least length of a word whose spelling is corrected [letters]."""
 MAX_WORDS = 2
 """An object that is not in the scene is recognised by an adjective and a noun at most."""
 EVERYTHING = ("everything", "all", "all of it", "all things", "all objects", "all items", "all the things")
@@ -62,15 +63,45 @@ class Vocabulary:
         self.objects = tuple(obj for obj in scene.objects if obj.role == "object")
         self.containers = tuple(obj for obj in scene.objects if obj.role == "container")
         self.places = tuple(place.name for place in scene.places)
+        self.drives = bool(scene.region)
 
     def join_names(self, text: str) -> str:
         """`text` with every name of several words replaced by the name with underscores."""
-        aliases = [(alias, name) for name in self.places for alias in PLACE_ALIASES.get(name, ())]
-        aliases += [(name.replace("_", " "), name) for name in self.places]
+        for name in self.places:
+            for pattern in self._side_patterns(name):
+                text = re.sub(pattern, name, text)
+        aliases = [(name.replace("_", " "), name) for name in self.places]
         aliases += [(obj.name.replace("_", " "), obj.name) for obj in (*self.objects, *self.containers)]
         for alias, name in sorted(aliases, key=lambda pair: -len(pair[0])):
             text = re.sub(rf"\b{re.escape(alias)}\b", name, text)
         return text
+
+    def _side_patterns(self, place: str) -> tuple[str, ...]:
+        """Expressions for a place with a side, such as "left side of the table" and "left table side".
+
+        For the only place there also "the left side" and "to the front", and for a base, which has no other left, "the
+        left".
+        """
+        side = next((word for word in SIDES if word in place.split("_")), None)
+        if side is None:
+            return ()
+        thing = " ".join(word for word in place.split("_") if word != side)
+        found = (
+            rf"\b{side}{SIDE_PARTS} (?:of|on|at) (?:the |my |our |your )?{thing}\b",
+            rf"\b{side} {thing}(?: side)?\b",
+            rf"\b{thing} {side}(?: side)?\b",
+        )
+        if sum(side in other.split("_") for other in self.places) == 1:
+            found += (rf"\b(?<=the ){side}(?:[- ]hand)? (?:side|half|end)\b(?! of\b)",)
+            alone = rf"{side}\b(?=[,.!?]|$| (?:and|then|please|first|side|aisle)\b)"
+            found += (rf"\b(?<=the ){alone}",) if self.drives else ()
+            found += (rf"\b(?<=to the ){alone}",) if side == "front" else ()
+        return found
+
+    def correct_spelling(self, text: str) -> str:
+        """`text` with common misspellings of function words, and words one letter away from a name, corrected."""
+        known = {word for obj in (*self.objects, *self.containers) for word in (obj.category, obj.colour) if word}
+        return re.sub(r"[a-z']+", lambda word: _corrected(word.group(), known), text)
 
     def resolve_object(self, phrase: str) -> Resolved:
         """The graspable objects that `phrase` names, such as "the red cube", "all tins", "both blocks"."""
@@ -166,6 +197,8 @@ def _missing(words: Sequence[str], objects: Sequence[SceneObject]) -> Resolved:
     others = [word for word in words[:-1] if word not in COLOURS]
     kin = next((group for group in SYNONYMS if noun in group), frozenset({noun}))
     similar = [obj for obj in objects if obj.category in kin and all(word == obj.colour for word in colours)]
+    if len(similar) == 1 and noun in GENERAL_CONTAINERS and not others:
+        return Found((similar[0].name,))
     if similar:
         return Unclear(f'"{phrase}" may be another name of {similar[0].name}')
     if others and any(obj.category == noun for obj in objects):
@@ -182,6 +215,15 @@ def _is_noun_phrase(words: Sequence[str], objects: Sequence[SceneObject]) -> boo
         and not any(word in NO_OBJECTS for word in words)
         and not any(word in known for word in words[:-1])
     )
+
+
+def _corrected(word: str, known: Collection[str]) -> str:
+    """`word`, or the known word that it misspells."""
+    if word in MISSPELLINGS:
+        return MISSPELLINGS[word]
+    if len(word) < MIN_CORRECTED or word in known or _singular(word) in known:
+        return word
+    return next((one for one in sorted(known) if is_one_edit_away(word, one)), word)
 
 
 def _singular(noun: str) -> str:
