@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from dualbrain.grounding.instruction.goals.goal import Goal
+from dualbrain.grounding.instruction.goals.goal_reading import read_goal
 from dualbrain.grounding.instruction.review import Refusal, review_instruction
 from dualbrain.records import Scene
 from dualbrain.robots.loader import load_robot
@@ -33,7 +35,9 @@ class Clauses:
     name = "clauses"
     claim = (
         "In each of three sets of 60 instructions with a clause that contracts cannot express and 60 without one, the "
-        f"local check declines and names every clause, and declines at most {MAX_DECLINED_PLAIN} of the others."
+        f"local check declines and names every clause, and declines at most {MAX_DECLINED_PLAIN} of the others. No "
+        "instruction with a clause that the check passes on is read as one without it, so that none is shortened in "
+        "silence: its outcome is reported as not judged."
     )
 
     def units(self, options: Options) -> list[WorkUnit]:
@@ -51,7 +55,13 @@ class Clauses:
         collection = parameters["collection"]
         one = getattr(clause_instructions(collection), parameters["set"])[parameters["index"]]
         fields = {"kind": one.kind, "instruction": one.text, "file": content_hash(CLAUSE_FILES[collection])}
-        return {**parameters, **fields, "refusal": refusal_of(one.text, perceive(one.scene, one.robot), one.robot)}
+        scene = perceive(one.scene, one.robot)
+        return {
+            **parameters,
+            **fields,
+            "refusal": refusal_of(one.text, scene, one.robot),
+            "read": is_read(one.text, scene),
+        }
 
     def summarize_row(self, row: Row) -> str:
         """Whether the instruction was declined."""
@@ -62,7 +72,13 @@ class Clauses:
     def report(self, rows: list[Row]) -> list[str]:
         """Declined instructions by set and by kind, and every wrong one of the sets that are not held out."""
         collections = [name for name in CLAUSE_FILES if any(row["collection"] == name for row in rows)]
-        head = ("set", "with a clause: declined and named", "with a clause: passed on", "without one: declined")
+        head = (
+            "set",
+            "with a clause: declined and named",
+            "with a clause: passed on",
+            "passed on, and could be confirmed without it",
+            "without one: declined",
+        )
         lines = markdown_table(
             head, [(name, *shares([r for r in rows if r["collection"] == name])) for name in collections]
         )
@@ -72,16 +88,17 @@ class Clauses:
         return lines + (markdown_table(("", "instruction", "answer of the check"), cells) if wrong else [])
 
 
-def shares(rows: list[Row]) -> tuple[str, str, str]:
-    """Of the `rows` of one set: clauses that are declined and named, clauses that are passed on, others declined."""
+def shares(rows: list[Row]) -> tuple[str, str, str, str]:
+    """Of the `rows` of one set: clauses declined and named, passed on, passed on and read; others declined."""
     clause, plain = ([row for row in rows if row["set"] == part] for part in ("clause", "plain"))
     counts = (
         (sum(map(is_right, clause)), len(clause)),
         (sum(row["refusal"] is None for row in clause), len(clause)),
+        (sum(row["refusal"] is None and row["read"] for row in clause), len(clause)),
         (sum(row["refusal"] is not None for row in plain), len(plain)),
     )
-    named, passed, declined = (format_proportion(*count) for count in counts)
-    return named, passed, declined
+    named, passed, read, declined = (format_proportion(*count) for count in counts)
+    return named, passed, read, declined
 
 
 def rows_by_kind(rows: list[Row], collections: list[str]) -> list[tuple[str, ...]]:
@@ -100,6 +117,15 @@ def refusal_of(text: str, scene: Scene, robot: str) -> str | None:
     """The reason for which the instruction `text` is declined; None if a planner may be asked."""
     review = review_instruction(text, skill_registry(load_robot(robot)), scene.receptive, scene.graspable)
     return review.reason if isinstance(review, Refusal) else None
+
+
+def is_read(text: str, scene: Scene) -> bool:
+    """Whether the goal parser accounts for all words and finds a goal that contracts can state.
+
+    Only then can the senses of the robot confirm a success, and the contract is compared with the words.
+    """
+    goal = read_goal(text, scene)
+    return isinstance(goal, Goal) and not (goal.decline or goal.beyond_contracts)
 
 
 def is_right(row: Row) -> bool:

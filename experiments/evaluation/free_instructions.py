@@ -78,7 +78,15 @@ def judge_row(row: Row) -> AnswerJudgement:
     one = instruction_of(row)
     state = msgspec.convert(row["state"], FinalState)
     spec = open_scene(one.scene, one.robot)
-    return judge_answer(one, free_instructions().reasons, spec, state, outcome=row["outcome"], text=row["text"])
+    return judge_answer(
+        one,
+        free_instructions().reasons,
+        spec,
+        state,
+        outcome=row["outcome"],
+        text=row["text"],
+        contradicted=row.get("second_opinion") == "disagrees",
+    )
 
 
 def instruction_of(row: Row) -> FreeInstruction:

@@ -19,7 +19,7 @@ from dualbrain.core.untrusted.hidden_characters import HIDDEN_CHARACTERS, every_
 
 MAX_ACTIONS = 8
 DECLINE = "decline"
-"""The skill that refuses an instruction; it stands alone."""
+"""The skill that refuses an instruction, without any other action."""
 ID_PATTERN = "^c-[0-9]{4}$"
 ID_LENGTH = 6
 """Maximum length of an id; in some engines the `$` of the pattern alone would accept a trailing line feed."""

@@ -162,6 +162,13 @@ def is_not_judged(episode: Episode) -> bool:
     return episode.outcome.kind in COMPLETED and not judged and episode.second_opinion == "none"
 
 
+def describe_end(episode: Episode) -> str:
+    """The outcome in words; a completed contract that did not carry out the instruction is not called a success."""
+    if episode.outcome.kind in COMPLETED and not is_success(episode) and not is_not_judged(episode):
+        return "contract completed, instruction not carried out"
+    return episode.outcome.kind
+
+
 def describe_judgement(episode: Episode) -> str:
     """The judgement of the instruction as one line: by ground truth, else by the senses of the robot."""
     judgement = episode.judgement
@@ -216,7 +223,7 @@ def _print_result(console: Console, result: RunResult) -> None:
     """Print outcome, measurements, times, violations, the judgement of the simulator, and changes of memory."""
     episode, outcome = result.episode, result.episode.outcome
     colour = "green" if is_success(episode) else "yellow"
-    console.print(f"[bold {colour}]{outcome.kind}[/]: {escape(outcome.reason)}")
+    console.print(f"[bold {colour}]{describe_end(episode)}[/]: {escape(outcome.reason)}")
     if outcome.Delta is not None and outcome.h_min is not None:
         console.print(
             f"Δ {outcome.Delta:.4f}, intervention on {outcome.intervention_frequency:.1%} of ticks, "
