@@ -1,13 +1,18 @@
 """The goal that the parser reads from the words of an instruction, without an episode."""
 
+import tomllib
+from pathlib import Path
+
 import pytest
 
 from dualbrain.grounding.instruction.goals.goal import Goal, Held, Observed, Placed, Pushed, RobotEnds, Unmoved, Unread
 from dualbrain.grounding.instruction.goals.goal_reading import MAX_CHARACTERS, read_goal
 from tests.grounding.outcome.tabletop_cases import BEFORE
 
+SENTENCES = Path(__file__).with_name("sentences.toml")
 CUBE, TIN, BLOCKS = ("red_cube",), ("green_tin",), ("red_block", "yellow_block")
 IN_BOWL, HOME = Placed(CUBE, "in", ("blue_bowl",)), RobotEnds("home")
+TIN_IN_BOWL, CUBE_LEFT = Placed(TIN, "in", ("blue_bowl",)), Placed(CUBE, "at", ("table_left",))
 OTHERS = ("red_cube", "yellow_block", "green_tin", "clear_glass")
 
 
@@ -53,6 +58,30 @@ OTHERS = ("red_cube", "yellow_block", "green_tin", "clear_glass")
         ("put the red cube in the bowl and nothing else should be touched", (IN_BOWL,)),
         ("put the red cube in the bowl and leave everything else alone", (IN_BOWL,)),
         ("do not touch the tin, put the red cube in the bowl", (Unmoved(TIN), IN_BOWL)),
+        # without a verb, as a statement, or with the destination first
+        ("both blocks in the bowl please", (Placed(BLOCKS, "in", ("blue_bowl",)),)),
+        ("into the bowl with both of the blocks", (Placed(BLOCKS, "in", ("blue_bowl",)),)),
+        ("the tin goes in the bowl and the red cube goes on table_left", (TIN_IN_BOWL, CUBE_LEFT)),
+        ("the red cube to the left side, and the tin into the bowl", (CUBE_LEFT, TIN_IN_BOWL)),
+        ("I want the red cube on the left side of the table", (CUBE_LEFT,)),
+        ("what the bowl lacks is the red cube", (IN_BOWL,)),
+        ("take the red cube, carry it across and let it drop gently into the container", (IN_BOWL,)),
+        ("collect the blocks and put them in the bowl", (Placed(BLOCKS, "in", ("blue_bowl",)),)),
+        ("relocate the red cube to the left-hand side, would you?", (CUBE_LEFT,)),
+        ("put the red cube near table_left", (CUBE_LEFT,)),
+        # orders, with the first action in a clause of its own
+        ("once the tin is in the bowl, put the red cube on table_left", (TIN_IN_BOWL, CUBE_LEFT)),
+        ("go home when the red cube is in the bowl", (IN_BOWL, HOME)),
+        ("before the red cube goes to table_left, put the tin in the bowl", (TIN_IN_BOWL, CUBE_LEFT)),
+        # holding and waiting
+        ("take hold of the red cube, lift it, and stay like that", (Held(CUBE),)),
+        ("pick up the red cube and keep holding it", (Held(CUBE),)),
+        ("wait for 2.5 seconds", (RobotEnds("still"),)),
+        # the distance of a push is a parameter of contracts
+        ("push the red cube about ten centimetres toward the bowl", (Pushed(CUBE, "toward", "blue_bowl"),)),
+        ("give the red cube a small push towards the bowl", (Pushed(CUBE, "toward", "blue_bowl"),)),
+        # misspelled words
+        ("pls put teh red cube in the bowll", (IN_BOWL,)),
         # conditions on the scene: the bowl is empty
         ("if the bowl is free, put the red cube in it", (IN_BOWL,)),
         ("if the bowl is occupied, put the red cube in it", (RobotEnds("still"),)),
@@ -118,6 +147,11 @@ def test_an_instruction_that_nothing_can_carry_out_is_a_decline(instruction, par
         ("open the gripper", "does not know the form"),
         ("put " * (MAX_CHARACTERS // 4) + "the red cube in the bowl", "longer than"),
         ("", "no instruction"),
+        ("pick up two things", "several objects"),
+        ("pick up both blocks", "no request"),
+        ("put the red cube in the bowl once more and then once more", "no name of an object"),
+        ("put the red cube in the bowl later", "no name of an object"),
+        ("don't move the red cube before I tell you", "not accounted for"),
     ],
 )
 def test_words_that_the_parser_does_not_account_for_are_not_read(instruction, part):
@@ -142,3 +176,20 @@ def test_a_goal_states_whether_contracts_can_state_it_and_whether_it_ends_at_hom
     assert beyond in goal.beyond_contracts
     assert bool(goal.beyond_contracts) == bool(beyond)
     assert goal.ends_at_home == at_home
+
+
+ACCOUNTED_FOR = ("do not", "don't", "never", "leave the", "except", "exept", "other than", "both", "four", "any three")
+"""Words of exclusions and numbers that a goal contains: what may not move, which objects are meant, and how many."""
+
+
+def test_no_other_clause_is_lost_in_a_goal():
+    groups = tomllib.loads(SENTENCES.read_text(encoding="utf-8"))
+    texts = [*groups["clauses"], *(text for group in groups["scenes"].values() for text in group["clauses"])]
+    assert len(texts) > 500
+    lost = []
+    for text in texts:
+        goal = read_goal(text, BEFORE)
+        read = isinstance(goal, Goal) and not goal.decline and not goal.beyond_contracts
+        if read and not any(words in text.lower() for words in ACCOUNTED_FOR):
+            lost.append((text, goal.conditions))
+    assert lost == []

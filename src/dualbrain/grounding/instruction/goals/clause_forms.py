@@ -145,7 +145,9 @@ def _forbidden(
     form = FORBIDDING.fullmatch(text) or KEEPING.fullmatch(text)
     if form is None:
         return None
-    phrase = _before_preposition(form.group(1))
+    _, phrase, rest = (*_splits(form.group(1)), ("at", form.group(1), ""))[0]
+    if rest and not isinstance(vocabulary.resolve_reference(rest), Found):
+        return Unread(f'"{rest}" is not accounted for.')
     objects = _objects(phrase, vocabulary, last)
     if isinstance(objects, Unread) and isinstance(vocabulary.resolve_reference(phrase), Found):
         found = vocabulary.resolve_reference(phrase)
@@ -268,7 +270,12 @@ def _held(text: str, scene: Scene, vocabulary: Vocabulary, last: tuple[str, ...]
     if form is None:
         return None
     objects = _objects(form.group(1), vocabulary, last)
-    return ((Held(objects.names),), objects.names) if isinstance(objects, Found) else objects
+    if not isinstance(objects, Found):
+        return objects
+    if objects.count not in (None, 1, len(objects.names)):
+        return Unread(f'"{form.group(1)}" may be several objects.')
+    one = len(objects.names) == 1 or objects.count == 1  # several are held one after the other, for a later clause
+    return ((Held(objects.names),) if one else ()), objects.names
 
 
 def _gathered(text: str, scene: Scene, vocabulary: Vocabulary, last: tuple[str, ...]) -> Conditions | None:
@@ -335,11 +342,6 @@ def _splits(words: str) -> list[tuple[Relation, str, str]]:
             taken.append((start, end))
             found.append((start, relation, words[:start], words[end:].strip()))
     return [(relation, phrase, rest) for _, relation, phrase, rest in sorted(found) if phrase and rest]
-
-
-def _before_preposition(words: str) -> str:
-    splits = _splits(words)
-    return splits[0][1] if splits else words
 
 
 def _at_or_in(relation: Relation, reference: str, vocabulary: Vocabulary) -> Relation:

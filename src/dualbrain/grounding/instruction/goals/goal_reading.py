@@ -33,8 +33,8 @@ COMMAND = (
 )
 CLAUSE_ENDS = re.compile(
     r" {0,2}[.;!?]+(?!\d) {0,2}"
-    r"|,? {0,2}\b(?:and,? )?(?:then|after that|afterwards|once that is done|when that is done|later"
-    r"|next,? (?=take|put))\b,? {0,2}"
+    r"|,? {0,2}\b(?:and,? )?(?:then|after that|afterwards|once that is done|when that is done"
+    r"|later(?=,? \w)|next,? (?=take|put))\b,? {0,2}"
     rf"|,? {{1,2}}(?:and|but) {{1,2}}(?={COMMAND})|, {{0,2}}(?={COMMAND})"
 )
 CONDITIONAL = re.compile(
