@@ -80,6 +80,8 @@ OTHERS = ("red_cube", "yellow_block", "green_tin", "clear_glass")
         # the distance of a push is a parameter of contracts
         ("push the red cube about ten centimetres toward the bowl", (Pushed(CUBE, "toward", "blue_bowl"),)),
         ("give the red cube a small push towards the bowl", (Pushed(CUBE, "toward", "blue_bowl"),)),
+        # a size that distinguishes nothing
+        ("get the little red cube into the bowl", (IN_BOWL,)),
         # misspelled words
         ("pls put teh red cube in the bowll", (IN_BOWL,)),
         # conditions on the scene: the bowl is empty
@@ -147,6 +149,7 @@ def test_an_instruction_that_nothing_can_carry_out_is_a_decline(instruction, par
         ("open the gripper", "does not know the form"),
         ("put " * (MAX_CHARACTERS // 4) + "the red cube in the bowl", "longer than"),
         ("", "no instruction"),
+        ("put the little block in the bowl", "compares sizes"),
         ("pick up two things", "several objects"),
         ("pick up both blocks", "no request"),
         ("put the red cube in the bowl once more and then once more", "no name of an object"),

@@ -22,6 +22,7 @@ from dualbrain.records import Scene, SceneObject
 SIDE_PARTS = r"(?:[- ]hand)?(?: (?:side|half|end|part|edge|area))?"
 """Words between the side and the thing of a place: "left-hand side of the table"."""
 QUANTIFIER = re.compile(r"(?:all|every(?: one)?|each(?: one)?|both)(?: of)?\b ?")
+SIZES = frozenset({"little", "small", "tiny", "big", "large", "tall", "short"})
 SIDES = ("left", "right", "front", "back")
 MIN_CORRECTED = 4
 """Least length of a word whose spelling is corrected [letters]."""
@@ -157,6 +158,9 @@ def _resolve_one(phrase: str, objects: Sequence[SceneObject], places: Sequence[s
         return Found((words[0],))
     named = tuple(obj.name for obj in objects if len(words) == 1 and obj.name == words[0])
     matches = named or tuple(obj.name for obj in objects if _matches(words, obj))
+    if not matches and (plain := [word for word in words if word not in SIZES]) and plain != words:
+        sized = tuple(obj.name for obj in objects if _matches(plain, obj))  # a size adds nothing to the only one
+        return Found(sized) if len(sized) == 1 else Unclear(f'"{phrase}" compares sizes')
     if not matches:
         return _missing(words, objects)
     if number is not None:
