@@ -154,7 +154,7 @@ def test_an_instruction_that_nothing_can_carry_out_is_a_decline(instruction, par
         ("pick up both blocks", "no request"),
         ("put the red cube in the bowl once more and then once more", "no name of an object"),
         ("put the red cube in the bowl later", "no name of an object"),
-        ("don't move the red cube before I tell you", "not accounted for"),
+        ("don't move the red cube before I arrive", "not accounted for"),
     ],
 )
 def test_words_that_the_parser_does_not_account_for_are_not_read(instruction, part):

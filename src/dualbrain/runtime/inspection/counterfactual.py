@@ -11,11 +11,10 @@ from typing import Any
 import msgspec
 
 from dualbrain.contracts.registry import SkillRegistry
-from dualbrain.contracts.schema import decoding_schema, describe_skills
+from dualbrain.contracts.schema import describe_skills
 from dualbrain.core.storage.atomic_files import write_atomically
 from dualbrain.core.storage.private_files import open_private_folder
 from dualbrain.errors import DECODE_ERRORS
-from dualbrain.grounding.scene_rules import skills_refused_first
 from dualbrain.grounding.scene_summary import held_in_summary
 from dualbrain.grounding.vocabulary import scene_names
 from dualbrain.memory.plasticity.retrieval_utility import ExclusionEffect, evaluate_use
@@ -23,7 +22,7 @@ from dualbrain.planner.prompt.full_prompt import render
 from dualbrain.planner.protocol import LENGTH, STOP, Planner
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Episode, Exemplar, MemoryUse
-from dualbrain.runtime.planning.planner_request import in_prompt_order
+from dualbrain.runtime.planning.planner_request import answer_schema, in_prompt_order
 
 
 class CounterfactualQueries:
@@ -74,9 +73,7 @@ class CounterfactualQueries:
             robot=episode.robot,
             registry_hash=episode.registry,
             skills_text=describe_skills(self._registry, names),
-            schema=decoding_schema(
-                self._registry, names, not_first=skills_refused_first(held_in_summary(episode.summary))
-            ),
+            schema=answer_schema(episode.instruction, episode.scene, self._registry, held_in_summary(episode.summary)),
             contract_id="c-0001",
             failure_feedback=episode.failure_feedback,
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import msgspec
 
@@ -103,8 +103,6 @@ def build_request(
     was read; the text of the prompt has all.
     """
     registry, names = context.registry, scene_names(context.scene)
-    goal = read_goal(instruction, context.scene) if restrict else Unread("")
-    scope = goal_scope(goal, context.scene, context.holding)
     return PlanRequest(
         instruction=instruction,
         scene=context.summary,
@@ -112,15 +110,20 @@ def build_request(
         robot=context.robot_model.name,
         registry_hash=registry.hash,
         skills_text=describe_skills(registry, names),
-        schema=decoding_schema(
-            registry,
-            scope.names,
-            not_first=skills_refused_first(context.holding),
-            skills=scope.skills,
-            length=scope.length,
-        ),
+        schema=answer_schema(instruction, context.scene, registry, context.holding, restrict=restrict),
         contract_id="c-0001",
         failure_feedback=failure_feedback,
+    )
+
+
+def answer_schema(
+    instruction: str, scene: Scene, registry: SkillRegistry, holding: str | None, *, restrict: bool = True
+) -> dict[str, Any]:
+    """The decoding schema of the first answer to `instruction`; `restrict`: only what its goal may need."""
+    goal = read_goal(instruction, scene) if restrict else Unread("")
+    scope = goal_scope(goal, scene, holding)
+    return decoding_schema(
+        registry, scope.names, not_first=skills_refused_first(holding), skills=scope.skills, length=scope.length
     )
 
 

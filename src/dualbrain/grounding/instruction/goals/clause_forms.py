@@ -43,11 +43,12 @@ DIRECTIONS: dict[str, Direction] = {
 """Directions in the frame of the robot; "away from me" points to the robot, which faces the person."""
 PLACING = re.compile(rf"(?:{goal_words.PLACING_VERBS}) (.+)")
 LIFTING = re.compile(rf"(?:{goal_words.LIFTING_VERBS}) (.+?)(?: up| in your hand| in the air)*")
+BELONGING = re.compile(
+    r" (?:all )?(?:belongs?|goes?|(?:should|must|has to|have to|needs? to) (?:all )?(?:stand|go|end up|lie|be)"
+    r"(?: put| placed| moved| tidied away| stored)?)(?: over)? "
+)
+"""Between an object and its destination: "the tin belongs in the bowl"."""
 STATING = (
-    re.compile(
-        r"(.+?) (?:(?:all )?(?:belongs?|goes?)|(?:should|must|has to|have to|needs? to)"
-        r" (?:all )?(?:stand|go|end up|lie|be)(?: put| placed| moved| tidied away| stored)?)(?: over)? (.+)"
-    ),
     re.compile(
         r"(?:i|we) (?:would like|want|need|'d like|would love|'d love)(?: to (?:see|have))? (.+?)"
         r" ((?:in|on|at|to|into) .+)"
@@ -251,10 +252,12 @@ def _stated(
         return _placement(f"{inverted.group(2)} {inverted.group(1)}", vocabulary, last)
     if letting := LETTING.fullmatch(text):
         return _placement(f"{letting.group(1)} {letting.group(2)}", vocabulary, last)
-    form = next((match for one in STATING if (match := one.fullmatch(text))), None)
-    if form is None:
+    if belonging := BELONGING.search(text):
+        found = _placement(f"{text[: belonging.start()]} {text[belonging.end() :]}", vocabulary, last)
+    elif form := next((match for one in STATING if (match := one.fullmatch(text))), None):
+        found = _placement(f"{form.group(1)} {form.group(2)}", vocabulary, last)
+    else:
         return None
-    found = _placement(f"{form.group(1)} {form.group(2)}", vocabulary, last)
     for joint in re.finditer(r",? and ", text) if not isinstance(found, tuple) else ():  # "X goes in Y and Z goes on W"
         parts = [_stated(one, scene, vocabulary, last) for one in (text[: joint.start()], text[joint.end() :])]
         pairs = [one for one in parts if isinstance(one, tuple)]

@@ -42,13 +42,12 @@ CONDITIONAL = re.compile(
 )
 BEFORE = re.compile(r"before you ([^,]+), (.+)")
 """The second part comes first."""
-AFTER, LIES = "(?:after|once|when|as soon as)", "(?:is|are|lies)"
-ORDERED = (
-    (re.compile(rf"{AFTER} ([^,]+?) {LIES} ((?:in|into|at|on) [^,]+), (.+)"), r"put \1 \2, then \3"),
-    (re.compile(rf"(.+?),? {AFTER} ([^,]+?) {LIES} ((?:in|into|at|on) [^,.]+)"), r"put \2 \3, then \1"),
-    (re.compile(r"before ([^,]+?) (?:goes|is put) ((?:in|into|to|at|on) [^,]+), (.+)"), r"\3, then put \1 \2"),
+AFTER = re.compile(r"(?:^|,? )(?:after|once|when|as soon as) ")
+LIES, GOES = (
+    re.compile(r" (?:is|are|lies) (?=(?:in|into|at|on) )"),
+    re.compile(r" (?:goes|is put) (?=(?:in|into|to|at|on) )"),
 )
-"""Sentences in which one placement follows another, and the same as two clauses."""
+"""Words between an object and a destination where it is, or where it goes, before or after another action."""
 HOME_WORDS = re.compile(
     r"\b(?:home|rest|resting|retract|park|initial|start(?:ed|ing)? ?(?:pose|posture|position)?|"
     r"out of (?:the|my) way|take a break|go back|return|back where|all for today|move away|step back|away)\b"
@@ -98,10 +97,7 @@ def _read_text(text: str, scene: Scene, vocabulary: Vocabulary) -> Goal | Unread
     text = NOTHING_ELSE.sub("", text).replace("take your time and ", "")
     if swapped := BEFORE.fullmatch(text):
         text = f"{swapped.group(2)}, then {swapped.group(1)}"
-    for form, ordered_text in ORDERED:
-        if form.fullmatch(text.rstrip(" .!")):
-            text = form.sub(ordered_text, text.rstrip(" .!"))
-            break
+    text = _in_order(text.rstrip(" .!"))
     read = _Clauses()
     for clause in CLAUSE_ENDS.split(text):
         words = strip_fillers(clause)
@@ -117,6 +113,22 @@ def _read_text(text: str, scene: Scene, vocabulary: Vocabulary) -> Goal | Unread
     conditions = _observe_moved(read.conditions)
     ordered = re.search(r"\b(?:then|after that|afterwards|once|when) \b", text) is not None
     return Goal(conditions, movable=_movable(conditions), ordered=ordered)
+
+
+def _in_order(text: str) -> str:
+    """`text`, with a placement that precedes or follows another action as a clause of its own.
+
+    "When the tin is in the bowl, go home" and "go home once the tin is in the bowl" both ask for the tin first.
+    """
+    head, comma, rest = text.partition(", ")
+    after = AFTER.search(text)
+    if text.startswith("before ") and comma and len(parts := GOES.split(head.removeprefix("before "), 1)) == 2:
+        return f"{rest}, then put {parts[0]} {parts[1]}"
+    if after and not after.start() and comma and len(parts := LIES.split(head[after.end() :], 1)) == 2:
+        return f"put {parts[0]} {parts[1]}, then {rest}"
+    if after and after.start() and len(parts := LIES.split(text[after.end() :], 1)) == 2 and "," not in parts[1]:
+        return f"put {parts[0]} {parts[1]}, then {text[: after.start()]}"
+    return text
 
 
 def _read_conditional(condition: re.Match[str], scene: Scene, vocabulary: Vocabulary) -> Goal | Unread:
