@@ -1,4 +1,4 @@
-"""Loads the instruction sets `free.toml` and `clauses*.toml`, and checks them against their scenes.
+"""Loads the instruction sets `free*.toml` and `clauses*.toml`, and checks them against their scenes.
 
 The rules of judgement are at the head of each file.
 """
@@ -37,6 +37,8 @@ REQUIRED_FIELDS: dict[PredicateKind, tuple[str, ...]] = {
     "unmoved": ("object",),
 }
 """The fields that each kind of predicate needs; `any_of` with `count` may replace `object`."""
+FREE_FILES = {"second": "free_second.toml", "first": "free.toml"}
+"""The files of the sets of free instructions, by the name of the set; the identifiers of one set are in no other."""
 CLAUSE_FILES = {"first": "clauses.toml", "second": "clauses_second.toml", "third": "clauses_third.toml"}
 """The files of the sets of instructions with and without clauses, by the name of the set."""
 
@@ -99,7 +101,7 @@ class PlainInstruction(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
 
 
 class FreeInstructions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The file `free.toml`: phrases by class of reason, and the instructions."""
+    """One of the files of `FREE_FILES`: phrases by class of reason, and the instructions."""
 
     reasons: dict[str, tuple[str, ...]]
     instruction: tuple[FreeInstruction, ...]
@@ -116,9 +118,9 @@ InstructionFile = TypeVar("InstructionFile", FreeInstructions, ClauseInstruction
 
 
 @cache
-def free_instructions() -> FreeInstructions:
-    """The packaged free instructions; raises `ConfigurationError` for an invalid file."""
-    return parse_free_instructions(_read("free.toml"))
+def free_instructions(collection: str) -> FreeInstructions:
+    """The set of `FREE_FILES` with the name `collection`; raises `ConfigurationError` for an invalid file."""
+    return parse_free_instructions(_read(FREE_FILES[collection]))
 
 
 @cache

@@ -10,6 +10,7 @@ from dualbrain.errors import ConfigurationError
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from experiments.evaluation.instructions.instruction_set import (
     CLAUSE_FILES,
+    FREE_FILES,
     FreeInstruction,
     check_names,
     clause_instructions,
@@ -21,19 +22,22 @@ from experiments.evaluation.instructions.instruction_set import (
 NEW_SEED = 80000
 
 
-@pytest.mark.parametrize("one", free_instructions().instruction, ids=lambda one: one.id)
+FREE = [one for name in FREE_FILES for one in free_instructions(name).instruction]
+
+
+@pytest.mark.parametrize("one", FREE, ids=lambda one: one.id)
 def test_every_free_instruction_is_about_its_new_scene(one: FreeInstruction) -> None:
     assert int(one.scene.partition(":")[2]) >= NEW_SEED
     check_names(one)
 
 
 def test_the_sets_are_complete_and_without_repetition() -> None:
-    free, clauses = free_instructions().instruction, [clause_instructions(name) for name in CLAUSE_FILES]
-    assert len(free) == 80
+    clauses = [clause_instructions(name) for name in CLAUSE_FILES]
+    assert [len(free_instructions(name).instruction) for name in FREE_FILES] == [80] * len(FREE_FILES)
     assert {(len(one.clause), len(one.plain)) for one in clauses} == {(60, 60)}
     texts = Counter(one.text.lower() for each in clauses for one in (*each.clause, *each.plain))
     assert max(texts.values()) == 1
-    assert len({one.id for one in free}) == len({one.text.lower() for one in free}) == 80
+    assert len({one.id for one in FREE}) == len({one.text.lower() for one in FREE}) == len(FREE)
 
 
 @pytest.mark.parametrize("collection", CLAUSE_FILES)

@@ -20,7 +20,7 @@ from experiments.evaluation.demo_sentence import DemoSentence, resolvable_end
 from experiments.evaluation.free_instructions import FreeInstructionsExperiment, judge_row
 from experiments.evaluation.gentle_force import FORCES, TASKS, GentleForce, contract_text
 from experiments.evaluation.instructed_run import instructed_row, open_named_planner, planners_of, run_instruction
-from experiments.evaluation.instructions.instruction_set import CLAUSE_FILES, clause_instructions
+from experiments.evaluation.instructions.instruction_set import CLAUSE_FILES, clause_instructions, free_instructions
 from experiments.evaluation.outcome_confusion import OutcomeConfusion
 from experiments.figures.tables import format_share_by_scene
 from tests.evaluation.sample_rows import episode_row
@@ -31,7 +31,7 @@ PACKAGED = ("base-135m", "starter-135m")
 def test_packaged_planners_are_asked_one_after_the_other(tmp_path):
     assert planners_of("packaged") == PACKAGED
     assert planners_of("some-planner") == ("some-planner",)
-    assert len(FreeInstructionsExperiment().units(Options(tmp_path, "packaged"))) == 160
+    assert len(FreeInstructionsExperiment().units(Options(tmp_path, "packaged"))) == 320
     assert len(DemoSentence().units(Options(tmp_path, "packaged"))) == 600
     assert open_named_planner("starter-135m", "ur5e") is None
 
@@ -68,6 +68,7 @@ def free_row(**values: Any) -> dict[str, Any]:
     state = {"objects": objects, "tool": (0.3, 0.0, 0.5), "home": True, "ground": (0.3, 0.0), "joint_motion": 1.0}
     ordinary = {
         "key": "f01 p",
+        "collection": "first",
         "id": "f01",
         "kind": "put",
         "instruction": "grab the red cube",
@@ -86,6 +87,19 @@ def test_a_false_report_of_success_is_counted():
     assert "1 instructions judged; 1 are for robots" in lines[0]
     assert "Reported as a success without being done: 1 of 1" in lines[0]
     assert any("not done, reported as success" in line for line in lines)
+
+
+def test_a_success_that_the_senses_contradict_is_no_false_report():
+    lines = FreeInstructionsExperiment().report([free_row(second_opinion="disagrees")])
+    assert "Reported as a success without being done: 0 of 1" in lines[0]
+
+
+def test_the_answers_of_a_held_out_set_are_counted_and_not_listed():
+    home = next(one.id for one in free_instructions("second").instruction if one.kind == "home")
+    away = free_row()["state"] | {"home": False}
+    report = "\n".join(FreeInstructionsExperiment().report([free_row(collection="second", id=home, state=away)]))
+    assert "second set, p: 1 instructions judged" in report
+    assert "not done, reported" not in report
 
 
 @pytest.mark.parametrize(

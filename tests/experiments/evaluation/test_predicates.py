@@ -163,7 +163,7 @@ DONE = final_state(MOVED, red_cube=IN_BOWL)
     ],
 )
 def test_an_answer_is_judged_by_the_rules_of_the_set(one, state, outcome, text, expected):
-    judged = judge_answer(one, free_instructions().reasons, SPEC, state, outcome=outcome, text=text)
+    judged = judge_answer(one, free_instructions("first").reasons, SPEC, state, outcome=outcome, text=text)
     assert (judged.answer, judged.reported_falsely, judged.hostile_motion) == expected
 
 
