@@ -81,45 +81,50 @@ def decoding_schema(
     are left out of the first action (`prefixItems`), because the state of the robot refuses them there. With `skills`
     only these are admitted. `length` is the least and largest number of actions, except for a contract that declines.
     """
-    callable_skills = [
-        skill for skill in registry.skills if _is_callable(skill, names) and (skills is None or skill.name in skills)
-    ]
-    branches = [_decoding_step(skill, names) for skill in callable_skills]
+    steps = {
+        skill.name: _decoding_step(skill, names)
+        for skill in registry.skills
+        if _is_callable(skill, names) and (skills is None or skill.name in skills)
+    }
     context = {"robot": {"const": registry.robot}, "registry": {"const": registry.hash}}
-    schema = _contract_schema(closed_object(context), _any_step(branches))
+    schema = _contract_schema(closed_object(context), _any_step(list(steps.values())))
     schema["properties"]["id"] = {"type": "string", "pattern": ID_PATTERN}
-    actions = schema["properties"]["action_sequence"]
-    steps = dict(zip((skill.name for skill in callable_skills), branches, strict=True))
-    first = [step for name, step in steps.items() if name not in not_first]
-    if len(first) < len(branches):
-        actions["prefixItems"] = [_any_step(first)]
-    if length is not None:
-        schema["properties"]["action_sequence"] = _bounded(actions, steps.get(DECLINE), length)
+    alone = steps.pop(DECLINE, None) if length is not None else None
+    actions = _sequence_schema(steps, not_first, length or (1, MAX_ACTIONS))
+    if alone is not None:
+        actions = {"anyOf": [actions, _sequence_schema({DECLINE: alone}, (), (1, 1))]}
+    schema["properties"]["action_sequence"] = actions
     return schema
-
-
-def _bounded(actions: Schema, decline: Schema | None, length: tuple[int, int]) -> Schema:
-    """The schema `actions` of an action sequence with bounds of its `length`, or one `decline`."""
-    bounded = actions | {"minItems": length[0], "maxItems": length[1]}
-    return bounded if decline is None else {"anyOf": [bounded, actions | {"maxItems": 1, "items": decline}]}
 
 
 def step_schemas(schema: Schema) -> list[Schema]:
     """The schemas of the actions that a decoding `schema` admits, one for each skill."""
-    steps = _sequence(schema)["items"].get("anyOf", [])
-    return list(steps)
+    return [step for actions in _sequences(schema) for step in actions["items"].get("anyOf", ())]
 
 
 def first_skills(schema: Schema) -> tuple[str, ...]:
     """The skills that a decoding `schema` admits as the first action."""
-    actions = _sequence(schema)
-    first = actions.get("prefixItems", [actions["items"]])[0]
-    return tuple(step["properties"]["skill"]["const"] for step in first.get("anyOf", ()))
+    first = [actions.get("prefixItems", [actions["items"]])[0] for actions in _sequences(schema)]
+    return tuple(step["properties"]["skill"]["const"] for one in first for step in one.get("anyOf", ()))
 
 
-def _sequence(schema: Schema) -> Schema:
+def _sequences(schema: Schema) -> list[Schema]:
+    """The alternatives for the action sequence in a decoding `schema`."""
     actions = schema["properties"]["action_sequence"]
-    return actions.get("anyOf", [actions])[0]
+    return list(actions.get("anyOf", [actions]))
+
+
+def _sequence_schema(steps: dict[str, Schema], not_first: Collection[str], length: tuple[int, int]) -> Schema:
+    """Schema of an action sequence of `steps` (by skill), without the skills `not_first` in the first action."""
+    least, most = length
+    actions: Schema = {
+        "type": "array",
+        "minItems": least,
+        "maxItems": most,
+        "items": _any_step(list(steps.values())),
+    }
+    first = [step for name, step in steps.items() if name not in not_first]
+    return actions if len(first) == len(steps) else actions | {"prefixItems": [_any_step(first)]}
 
 
 def describe_skills(registry: SkillRegistry, names: SceneNames) -> str:

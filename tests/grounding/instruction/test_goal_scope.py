@@ -1,16 +1,24 @@
 """The decoding schema admits the names, skills and number of actions that the goal of an instruction may need."""
 
+import jsonschema_rs
 import msgspec
+import numpy as np
 import pytest
 
 from dualbrain.contracts.schema import DECLINE, decoding_schema, first_skills, step_schemas
+from dualbrain.evaluation.planners.random_contract import sample_params
 from dualbrain.grounding.instruction.goals.goal_reading import read_goal
 from dualbrain.grounding.instruction.goals.goal_scope import goal_scope
+from dualbrain.grounding.scene_rules import skills_refused_first
 from dualbrain.grounding.vocabulary import load_skill_registry, scene_names
 from dualbrain.records import Scene
 from tests.grounding.outcome.tabletop_cases import BEFORE
 
 ALL = scene_names(BEFORE)
+WAIT_AND_PUT = {"hold", "stop", "grasp", "place"}
+DRAFT_2020 = "https://json-schema.org/draft/2020-12/schema"
+"""The draft in which `prefixItems` is a keyword, as in the decoders."""
+RNG = np.random.default_rng(0)
 REGISTRY = load_skill_registry("panda")
 
 
@@ -29,13 +37,14 @@ def scope_of(instruction, holding=None, scene: Scene = BEFORE):
         ("push the red cube toward the bowl", ["red_cube"], ["blue_bowl"], {"push"}, (1, 1)),
         ("look at the tin", ["green_tin"], [], {"move_to"}, (1, 1)),
         ("go home", [], [], {"home"}, (1, 1)),
+        ("wait for 3 seconds, then put the red cube in the bowl", ["red_cube"], ["blue_bowl"], WAIT_AND_PUT, (2, 3)),
     ],
 )
 def test_the_scope_is_that_of_the_words(instruction, graspable, receptive, skills, length):
     scope = scope_of(instruction)
     assert sorted(scope.names.graspable) == graspable
     assert list(scope.names.receptive) == receptive
-    assert scope.skills == skills | {"decline", "hold", "stop"}
+    assert scope.skills == skills | {"decline"}
     assert scope.length == length
 
 
@@ -80,16 +89,48 @@ def test_a_base_may_drive_anywhere_between_its_actions():
     assert scope.names.receptive == ALL.receptive
 
 
-def test_the_schema_admits_the_scope_and_always_a_decline():
+def answer(*skills):
+    """A contract of these skills, with all parameters of the scope of two blocks."""
+    steps = {step["properties"]["skill"]["const"]: step for step in step_schemas(two_blocks())}
+    actions = [{"skill": skill, "params": sample_params(parameters(steps[skill]), RNG)} for skill in skills]
+    context = {"robot": REGISTRY.robot, "registry": REGISTRY.hash}
+    return {"id": "c-0001", "context": context, "action_sequence": actions}
+
+
+def parameters(step):
+    return step["properties"]["params"]["properties"]
+
+
+def two_blocks():
     scope = scope_of("put all blocks in the bowl")
-    schema = decoding_schema(REGISTRY, scope.names, skills=scope.skills, length=scope.length)
-    several, alone = schema["properties"]["action_sequence"]["anyOf"]
-    assert (several["minItems"], several["maxItems"]) == (4, 4)
-    assert (alone["minItems"], alone["maxItems"]) == (1, 1)
-    assert alone["items"]["properties"]["skill"]["const"] == DECLINE
-    assert set(first_skills(schema)) == {"grasp", "place", "hold", "decline"}
-    (grasp,) = (step for step in step_schemas(schema) if step["properties"]["skill"]["const"] == "grasp")
-    assert grasp["properties"]["params"]["properties"]["object"]["enum"] == ["red_block", "yellow_block"]
+    refused = skills_refused_first(None)
+    return decoding_schema(REGISTRY, scope.names, not_first=refused, skills=scope.skills, length=scope.length)
+
+
+@pytest.mark.parametrize(
+    ("skills", "admitted"),
+    [
+        (["grasp", "place", "grasp", "place"], True),
+        (["decline"], True),
+        (["grasp"], False),
+        (["grasp", "place"], False),
+        (["grasp", "place", "grasp", "decline"], False),
+        (["place", "grasp", "place", "grasp"], False),
+        (["decline", "decline"], False),
+        (["grasp", "place"] * 3, False),
+    ],
+)
+def test_the_schema_admits_contracts_of_the_length_of_the_goal_and_a_decline_alone(skills, admitted):
+    validator = jsonschema_rs.validator_for(two_blocks() | {"$schema": DRAFT_2020})
+    assert validator.is_valid(answer(*skills)) == admitted
+
+
+def test_the_schema_has_the_names_of_the_goal():
+    grasp, place, decline = step_schemas(two_blocks())
+    assert parameters(grasp)["object"]["enum"] == ["red_block", "yellow_block"]
+    assert parameters(place)["destination"]["enum"] == ["blue_bowl"]
+    assert set(first_skills(two_blocks())) == {"grasp", "decline"}
+    assert decline["properties"]["skill"]["const"] == DECLINE
 
 
 def test_without_a_scope_the_schema_is_unchanged():

@@ -91,5 +91,10 @@ def test_the_first_action_is_restricted_where_the_engine_permits_it() -> None:
     assert accepts(grammar, f"[{place},{grasp},{place}]}}")
     assert not accepts(grammar, f"[{grasp},{place}]}}")
     assert accepts(actions_grammar(plan_request().schema), f"[{grasp},{place}]}}")
+    bounded = actions_grammar(decoding_schema(REGISTRY, NAMES, not_first=("place",), length=(2, 2)))
+    decline = '{"skill":"decline","params":{"reason":"no"}}'
+    assert [accepts(bounded, f"[{one}]}}") for one in (f"{grasp},{place}", decline)] == [True, True]
+    wrong = (grasp, place, f"{grasp},{place},{grasp}", f"{place},{grasp}", f"{grasp},{decline}", f"{decline},{place}")
+    assert not any(accepts(bounded, f"[{one}]}}") for one in wrong)
     assert "prefixItems" in strip_annotations(schema, prefix_items=True)["properties"]["action_sequence"]
     assert "prefixItems" not in strip_annotations(schema)["properties"]["action_sequence"]

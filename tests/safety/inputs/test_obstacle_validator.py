@@ -1,6 +1,7 @@
-"""The fast validator of obstacles refuses exactly the obstacles that the full one refuses, with the same error.
+"""The fast validators refuse exactly the obstacles and scenes that the full ones refuse, with the same error.
 
-The oracle is the full validator of one obstacle, `check_obstacle`, with the earlier test for the usual case before it.
+The oracle of an obstacle is its full validator, `check_obstacle`, with the earlier test for the usual case before it;
+that of a scene is the full validator of each of its objects, `check_scene_object`.
 """
 
 from math import sqrt
@@ -13,9 +14,17 @@ from dualbrain.core.geometry import validation
 from dualbrain.core.geometry.rotations import quaternion_to_matrix
 from dualbrain.core.geometry.shapes import Bowl, Box, Capsule, Cylinder, HalfSpace, Pose, Sphere
 from dualbrain.errors import GeometryError
+from dualbrain.records import Scene, SceneObject
 from dualbrain.safety.cbf.filter import SpeedAndSeparation
 from dualbrain.safety.cbf.kernel import MAX_OBSTACLES, OBSTACLE_COLUMNS, obstacle_table
-from dualbrain.safety.cbf.obstacles import Obstacle, check_obstacle, check_obstacles
+from dualbrain.safety.cbf.obstacles import (
+    MAX_CLOCK_LEAD,
+    Obstacle,
+    check_obstacle,
+    check_obstacles,
+    check_scene,
+    check_scene_object,
+)
 from dualbrain.safety.cbf.rows import Rank
 from experiments.interfaces.bad_values import KINDS, LENGTH, NUMBER, QUATERNION, SIZES, VECTOR, make_value
 from tests.safety.random_scenes import random_quaternion
@@ -178,6 +187,52 @@ def test_every_number_is_compared_with_its_limits(place, number, static):
         static=static,
     )
     assert outcome(lambda one: check_obstacles([one], 1)[0], obstacle) == outcome(by_oracle, obstacle)
+
+
+def random_scene_object(rng):
+    obstacle = random_obstacle(rng)
+    return SceneObject(
+        name=obstacle.name,
+        role="object",
+        shape=obstacle.shape,
+        pose=obstacle.pose,
+        velocity=obstacle.velocity,
+        error=obstacle.margin,
+        velocity_error=obstacle.velocity_error,
+        stamp=value(rng, NUMBER, float(rng.choice([-1e6, 0.9, 1.0, 1.0 + MAX_CLOCK_LEAD, 1.006, 1e3]))),
+    )
+
+
+def checked_scene(obj):
+    """The object of the checked scene, or the text of its refusal."""
+    try:
+        (found,) = check_scene(Scene(robot="panda", stamp=1.0, version=1, objects=(obj,))).objects
+    except GeometryError as error:
+        return str(error)
+    return found
+
+
+def checked_object(obj):
+    """As `checked_scene`, by the full validator of one object and the rule of the stamps."""
+    try:
+        found = check_scene_object(obj)
+    except GeometryError as error:
+        return str(error)
+    return found if found.stamp <= 1.0 + MAX_CLOCK_LEAD else "newer than the scene"
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_check_of_a_scene_agrees_with_that_of_its_objects(seed):
+    rng, refused = np.random.default_rng(seed), 0
+    for _ in range(1500):
+        obj = random_scene_object(rng)
+        found, expected = checked_scene(obj), checked_object(obj)
+        if expected == "newer than the scene":
+            assert "after the stamp of the scene" in found
+        else:
+            assert found == expected
+        refused += isinstance(found, str)
+    assert 300 < refused < 1400
 
 
 @pytest.mark.parametrize("count", [0, 1, MAX_OBSTACLES, MAX_OBSTACLES + 1])

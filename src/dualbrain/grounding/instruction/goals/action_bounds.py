@@ -47,7 +47,7 @@ def _actions(condition: Condition, scene: Scene, *, certain: bool) -> int:
             return 1
         case Pushed(objects):
             return len(objects)
-        case RobotEnds("rest"):
+        case RobotEnds("rest" | "still"):
             return 0 if certain else 1
         case _:
             return 0

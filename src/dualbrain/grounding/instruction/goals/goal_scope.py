@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from dualbrain.contracts.scene_names import SceneNames
+from dualbrain.contracts.schema import DECLINE
 from dualbrain.grounding.instruction.goals.action_bounds import action_bounds
 from dualbrain.grounding.instruction.goals.goal import (
     Condition,
@@ -23,8 +24,7 @@ from dualbrain.grounding.instruction.goals.goal import (
 from dualbrain.grounding.vocabulary import scene_names
 from dualbrain.records import Scene
 
-ALWAYS = frozenset({"decline", "hold", "stop"})
-"""Skills of every scope."""
+STANDING = frozenset({"hold", "stop"})
 DRIVING = frozenset({"drive_to", "drive_to_pose", "turn_to"})
 
 
@@ -46,7 +46,7 @@ def goal_scope(goal: Goal | Unread, scene: Scene, holding: str | None = None) ->
     everything = scene_names(scene)
     if isinstance(goal, Unread) or goal.decline or goal.beyond_contracts:
         return GoalScope(everything)
-    skills, names = set(ALWAYS), set(goal.movable)
+    skills, names = {DECLINE}, set(goal.movable)
     for condition in goal.conditions:
         more_skills, more_names = _needs(condition, everything)
         skills |= more_skills
@@ -81,8 +81,12 @@ def _needs(condition: Condition, everything: SceneNames) -> tuple[set[str], set[
             needs = {"push"}, {reference}
         case Observed(name):
             needs = {"move_to"}, {name}
-        case RobotEnds("home" | "rest"):
+        case RobotEnds("home"):
             needs = {"home"}, set[str]()
+        case RobotEnds("still"):
+            needs = set(STANDING), set[str]()
+        case RobotEnds("rest"):
+            needs = {"home", *STANDING}, set[str]()
         case RobotEnds("drive", place):
             needs = set(DRIVING), {place}
         case _:

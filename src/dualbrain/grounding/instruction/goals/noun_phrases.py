@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from dualbrain.grounding.instruction.goals.goal_words import (
@@ -16,6 +16,7 @@ from dualbrain.grounding.instruction.goals.goal_words import (
     PERSONS,
     SYNONYMS,
 )
+from dualbrain.grounding.instruction.names import SIDES
 from dualbrain.grounding.instruction.words import MISSPELLINGS, is_one_edit_away
 from dualbrain.records import Scene, SceneObject
 
@@ -23,7 +24,6 @@ SIDE_PARTS = r"(?:[- ]hand)?(?: (?:side|half|end|part|edge|area))?"
 """Words between the side and the thing of a place: "left-hand side of the table"."""
 QUANTIFIER = re.compile(r"(?:all|every(?: one)?|each(?: one)?|both)(?: of)?\b ?")
 SIZES = frozenset({"little", "small", "tiny", "big", "large", "tall", "short"})
-SIDES = ("left", "right", "front", "back")
 MIN_CORRECTED = 4
 """Least length of a word whose spelling is corrected [letters]."""
 MAX_WORDS = 2
@@ -101,7 +101,8 @@ class Vocabulary:
 
     def correct_spelling(self, text: str) -> str:
         """`text` with common misspellings of function words, and words one letter away from a name, corrected."""
-        known = {word for obj in (*self.objects, *self.containers) for word in (obj.category, obj.colour) if word}
+        things = (*self.objects, *self.containers)
+        known = frozenset(word for obj in things for word in (obj.category, obj.colour) if word)
         return re.sub(r"[a-z']+", lambda word: _corrected(word.group(), known), text)
 
     def resolve_object(self, phrase: str) -> Resolved:
@@ -221,11 +222,11 @@ def _is_noun_phrase(words: Sequence[str], objects: Sequence[SceneObject]) -> boo
     )
 
 
-def _corrected(word: str, known: Collection[str]) -> str:
+def _corrected(word: str, known: frozenset[str]) -> str:
     """`word`, or the known word that it misspells."""
     if word in MISSPELLINGS:
         return MISSPELLINGS[word]
-    if len(word) < MIN_CORRECTED or word in known or _singular(word) in known:
+    if len(word) < MIN_CORRECTED or word in known | COLOURS or _singular(word) in known:
         return word
     return next((one for one in sorted(known) if is_one_edit_away(word, one)), word)
 
