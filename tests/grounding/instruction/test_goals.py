@@ -84,6 +84,7 @@ OTHERS = ("red_cube", "yellow_block", "green_tin", "clear_glass")
         ("get the little red cube into the bowl", (IN_BOWL,)),
         # misspelled words
         ("pls put teh red cube in the bowll", (IN_BOWL,)),
+        ("put the red cube in teh bowll", (IN_BOWL,)),
         # conditions on the scene: the bowl is empty
         ("if the bowl is free, put the red cube in it", (IN_BOWL,)),
         ("if the bowl is occupied, put the red cube in it", (RobotEnds("still"),)),

@@ -81,9 +81,10 @@ def read_goal(instruction: str, scene: Scene) -> Goal | Unread:
         return Goal(decline=reason)
     goal = _read_text(vocabulary.join_names(text), scene, vocabulary)
     corrected = vocabulary.correct_spelling(text)
-    if isinstance(goal, Unread) and corrected != text and not refused_clause(corrected):
-        return _read_text(vocabulary.join_names(corrected), scene, vocabulary)
-    return goal
+    if corrected == text or refused_clause(corrected) or not (isinstance(goal, Unread) or goal.decline):
+        return goal
+    other = _read_text(vocabulary.join_names(corrected), scene, vocabulary)
+    return goal if isinstance(other, Unread) or other.decline else other  # "bowll" is no absent thing
 
 
 def requests_home(instruction: str) -> bool:
