@@ -9,18 +9,23 @@ from dualbrain.core.geometry.shapes import Vector
 from dualbrain.simulation.monitoring.contact_rules import ContactRules
 from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.tasks.multi_goal import HomeJudge
+from dualbrain.skills.kinematics.object_geometry import half_height
 
 MAX_STATIC_SPEED = 0.02
 """An object below this speed is at rest [m/s]."""
 
 
 class ObjectState(msgspec.Struct, frozen=True, kw_only=True):
-    """One movable object: position at the start and the end [m], number of touching fingers, whether it is at rest."""
+    """One movable object: position at the start and the end [m], number of touching fingers, whether it is at rest.
+
+    `lowest` [m] is the height of its lowest point at the end, None in rows that were stored without it.
+    """
 
     start: Vector
     end: Vector
     fingers: int
     at_rest: bool
+    lowest: float | None = None
 
 
 class FinalState(msgspec.Struct, frozen=True, kw_only=True):
@@ -83,11 +88,13 @@ class MotionRecorder:
 
     def _object_state(self, name: str) -> ObjectState:
         plant = self._plant
+        pose = plant.true_pose(name)
         return ObjectState(
             start=self._start[name],
-            end=plant.true_pose(name).position,
+            end=pose.position,
             fingers=count_touching_fingers(plant, name),
             at_rest=bool(np.linalg.norm(plant.object_velocity(name)) < MAX_STATIC_SPEED),
+            lowest=pose.position[2] - half_height(plant.spec.find(name).shape, pose),
         )
 
 

@@ -64,7 +64,7 @@ def _containers_of(predicates: tuple[Predicate, ...], spec: SceneSpec) -> set[st
 
 def _is_in(predicate: Predicate, name: str, spec: SceneSpec, state: FinalState) -> bool:
     obj, bowl = state.objects[name], spec.find(predicate.at)
-    inside = is_inside_bowl(obj.end, _position(predicate.at, spec, state), bowl.shape)
+    inside = is_inside_bowl(obj.end, _position(predicate.at, spec, state), bowl.shape, lowest=obj.lowest)
     return inside and not obj.fingers and obj.at_rest
 
 

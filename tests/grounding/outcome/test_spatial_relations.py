@@ -3,7 +3,7 @@
 import msgspec
 import pytest
 
-from dualbrain.core.geometry.shapes import Pose
+from dualbrain.core.geometry.shapes import Cylinder, Pose
 from dualbrain.grounding.outcome.spatial_relations import below, is_at, is_container_empty, is_inside, relation_holds
 from tests.grounding.outcome.tabletop_cases import BEFORE
 
@@ -35,6 +35,12 @@ def test_a_length_within_the_error_of_the_limit_is_not_decided(value, expected):
 )
 def test_inside_is_above_the_bottom_and_below_the_rim(height, expected):
     assert is_inside(cube_at(0.50, 0.25, height), BOWL) is expected
+
+
+@pytest.mark.parametrize(("height", "expected"), [(0.08, True), (0.10, None), (0.13, False)])
+def test_an_object_taller_than_the_bowl_is_inside_if_its_lowest_point_is_low(height, expected):
+    bottle = msgspec.structs.replace(cube_at(0.50, 0.25, height), shape=Cylinder(0.02, 0.075))
+    assert is_inside(bottle, BOWL) is expected
 
 
 @pytest.mark.parametrize(

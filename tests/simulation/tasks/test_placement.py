@@ -3,9 +3,16 @@
 import numpy as np
 import pytest
 
+from dualbrain.core.geometry.shapes import Bowl
 from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.simulation.scenes.generators.tabletop import make_scene
-from dualbrain.simulation.tasks.placement import PlacementGoal, PlacementJudge, parse_goal, score_placement
+from dualbrain.simulation.tasks.placement import (
+    PlacementGoal,
+    PlacementJudge,
+    is_inside_bowl,
+    parse_goal,
+    score_placement,
+)
 from tests.simulation.scripted_hand import make_plant, pick_up, servo_to, top_down_posture, wait
 
 IN_BOWL = PlacementGoal("red_cube", "blue_bowl")
@@ -55,6 +62,11 @@ def test_beside_the_bowl_is_not_in_it():
     put(p, "red_cube", np.add(p.true_pose("blue_bowl").position, [0.12, 0, 0.026]))
     wait(p, 0.5)
     assert not score_placement(p, p.spec, IN_BOWL)[0]
+
+
+@pytest.mark.parametrize(("lowest", "inside"), [(None, False), (0.01, True), (0.05, False)])
+def test_an_object_taller_than_the_bowl_is_inside_if_its_lowest_point_is_low(lowest, inside):
+    assert is_inside_bowl((0.5, 0.2, 0.085), (0.5, 0.2, 0.0), Bowl(0.085, 0.055, 0.004), lowest=lowest) is inside
 
 
 def test_the_tolerance_of_a_place_is_five_centimetres():

@@ -23,6 +23,8 @@ NEAR_GAP = 0.15
 """Objects with a horizontal gap up to this are near each other [m]."""
 MOVED_DISTANCE = 0.03
 """An object farther than this from its position before has moved [m]."""
+RIM_TOLERANCE = 0.01
+"""Height [m] above the rim of a bowl up to which the centre of an object is inside."""
 TOPPLED_ANGLE = float(np.deg2rad(30.0))
 """An object whose axis has turned by more than this has toppled [rad]."""
 UNDECIDED = None
@@ -41,6 +43,11 @@ def all_true(values: Iterable[bool | None]) -> bool | None:
     if False in found:
         return False
     return UNDECIDED if None in found else True
+
+
+def any_true(values: Iterable[bool | None]) -> bool | None:
+    """Disjunction: true if one is true, undecided if one is undecided."""
+    return negate(all_true(map(negate, values)))
 
 
 def negate(value: bool | None) -> bool | None:
@@ -89,14 +96,19 @@ def horizontal_distance(obj: SceneObject, other: SceneObject | Place) -> float:
 
 
 def is_inside(obj: SceneObject, container: SceneObject) -> bool | None:
-    """Whether the centre of `obj` is inside `container`: within its wall, above its bottom, below its rim."""
+    """Whether `obj` is inside `container`: its centre within the wall and above the bottom, and low enough.
+
+    Low enough is a centre below the rim, or, for an object taller than the bowl, a lowest point in its lower half.
+    """
     error = obj.error + container.error
     bowl = container.shape
     if not isinstance(bowl, Bowl):
         return is_on(obj, container)
     height = obj.pose.position[2] - container.pose.position[2]
     within = below(horizontal_distance(obj, container), bowl.radius - bowl.wall, error)
-    return all_true((within, negate(below(height, 0.0, error)), below(height, bowl.height + 0.01, error)))
+    lowest = vertical_extent(obj)[0] - container.pose.position[2]
+    low = any_true((below(height, bowl.height + RIM_TOLERANCE, error), below(lowest, 0.5 * bowl.height, error)))
+    return all_true((within, negate(below(height, 0.0, error)), low))
 
 
 def is_on(obj: SceneObject, other: SceneObject) -> bool | None:

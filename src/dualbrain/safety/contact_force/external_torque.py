@@ -113,19 +113,22 @@ class ExternalTorque:
         gap = state.stamp - previous.stamp
         if not 0.0 < gap <= MAX_GAP_WINDOWS * WINDOW:
             return False
-        first, n = self.dynamics.first_joint, self.dynamics.n
-        moved = (state.q - previous.q).tolist()[len(state.q) - n :]
-        before, after = previous.v.tolist()[first:], state.v.tolist()[first:]
+        moved, before, after = (state.q - previous.q).tolist(), previous.v.tolist(), state.v.tolist()
+        if (bases := len(moved) - self.dynamics.n) > 0:
+            moved, before, after = (
+                moved[bases:],
+                before[self.dynamics.first_joint :],
+                after[self.dynamics.first_joint :],
+            )
         for change, slow, fast in zip(moved, before, after, strict=True):
-            error = abs(change / gap - 0.5 * (slow + fast)) - 0.5 * abs(fast - slow)
-            if not error <= MAX_VELOCITY_GAP:
+            if not abs(change / gap - 0.5 * (slow + fast)) - 0.5 * abs(fast - slow) <= MAX_VELOCITY_GAP:
                 return False
         return True
 
     def _reading(self, state: RobotState) -> Array | None:
         """The arm's torques, or the wrench at the wrist; None without a usable one."""
         reading = state.wrench if self.at_wrist else state.torques
-        if reading is None or not state.drive_enabled or not all(map(isfinite, reading.tolist())):
+        if reading is None or not state.drive_enabled or not isfinite(sum(reading.tolist())):
             return None
         return reading if self.at_wrist else reading[self.dynamics.first_joint :]
 

@@ -10,7 +10,7 @@ A stuck, wrong or slow source makes one of them grow; noise and a modelled lag d
 
 from __future__ import annotations
 
-from math import inf, isfinite
+from math import inf, isfinite, nan
 
 import msgspec
 import numpy as np
@@ -73,6 +73,9 @@ class StateMonitor:
         self._n, self._nq = robot_model.n, robot_model.nq
         self._last: RobotState | None = None
         self._last_plausible: RobotState | None = None
+        self._last_q: list[float] = []
+        self._last_v: list[float] = []
+        self._jump_limits_dt, self._largest_jumps = nan, [nan] * self._n
         self._u = [0.0] * robot_model.n
         self.reset()
 
@@ -107,39 +110,65 @@ class StateMonitor:
         Plausible states are compared across sources.
         """
         q, v = state.q.tolist(), state.v.tolist()
-        finite = all(map(isfinite, (*q, *v, state.opening or 0.0, state.stamp, *state.finger_forces)))
-        if (
-            not finite
-            or not self._is_desired_motion_plausible(state)
-            or (len(q), len(v)) != (self._nq, self._n)
-            or not all_in_range(q[self._ranged_joints], self._ranges)
-        ):
+        if not self._is_plausible(state, q, v):
             return C.STATE_IMPLAUSIBLE
         last, self._last_plausible = self._last_plausible, state
+        last_q, last_v, self._last_q, self._last_v = self._last_q, self._last_v, q, v
         if last is None:
             return 0
         dt = state.stamp - last.stamp
         if not 0.0 < dt < inf:
-            return C.STATE_IMPLAUSIBLE if q != last.q.tolist() else 0
+            return C.STATE_IMPLAUSIBLE if q != last_q else 0
         if dt > self.timing.state_lost_after:  # states before and after such a gap cannot be compared
             self.reset()
             return 0
-        moved = (control_displacement(last.q, state.q) if len(q) > self._n else state.q - last.q).tolist()
-        if not all_within(moved, [fast * dt + self.limits.max_position_jump for fast in self._overspeed_limits]):
+        moved = self._displacement(last, state, last_q, q)
+        if not all_within(moved, self._jump_limits(dt)):
             return C.STATE_IMPLAUSIBLE
         flags = 0 if all_within(v, self._overspeed_limits) else C.OVERSPEED
-        return flags | self._compare_sources(
-            moved, (0.5 * (state.v + last.v)).tolist(), dt, drive_enabled=state.drive_enabled
+        return flags | self._compare_sources(moved, last_v, v, dt, drive_enabled=state.drive_enabled)
+
+    def _is_plausible(self, state: RobotState, q: list[float], v: list[float]) -> bool:
+        """Whether every value is finite, every joint within its range, and no value missing.
+
+        A sum is finite only if all its terms are.
+        """
+        total = sum(q) + sum(v) + sum(state.finger_forces) + (state.opening or 0.0) + state.stamp
+        return (
+            isfinite(total)
+            and len(q) == self._nq
+            and len(v) == self._n
+            and all_in_range(q[self._ranged_joints], self._ranges)
+            and (state.desired_v is None or self._is_motion(state.desired_v))
+            and (state.desired_a is None or self._is_motion(state.desired_a))
         )
 
-    def _is_desired_motion_plausible(self, state: RobotState) -> bool:
-        """Whether the reported command, if any, has n finite velocities and accelerations."""
-        reported = [value.tolist() for value in (state.desired_v, state.desired_a) if value is not None]
-        return all(len(values) == self._n and all(map(isfinite, values)) for values in reported)
+    def _is_motion(self, values: Array) -> bool:
+        """Whether a reported command has n finite velocities or accelerations."""
+        return len(values) == self._n and isfinite(sum(values.tolist()))
 
-    def _compare_sources(self, moved: list[float], v: list[float], dt: float, *, drive_enabled: bool) -> int:
-        keep = max(0.0, 1.0 - dt / self.limits.leak_time)
-        self._source_gap = [e * keep + (x - rate * dt) for e, x, rate in zip(self._source_gap, moved, v, strict=True)]
+    def _displacement(self, last: RobotState, state: RobotState, last_q: list[float], q: list[float]) -> list[float]:
+        """The displacement (n,) [rad, m] between two states, in the coordinates of the control."""
+        if self._nq > self._n:
+            return control_displacement(last.q, state.q).tolist()
+        return [new - old for new, old in zip(q, last_q, strict=True)]
+
+    def _jump_limits(self, dt: float) -> list[float]:
+        """The largest plausible displacements (n,) [rad, m] within `dt` [s]."""
+        if dt != self._jump_limits_dt:
+            self._jump_limits_dt = dt
+            jump = self.limits.max_position_jump
+            self._largest_jumps = [fast * dt + jump for fast in self._overspeed_limits]
+        return self._largest_jumps
+
+    def _compare_sources(
+        self, moved: list[float], last_v: list[float], v: list[float], dt: float, *, drive_enabled: bool
+    ) -> int:
+        keep, half = max(0.0, 1.0 - dt / self.limits.leak_time), 0.5 * dt
+        self._source_gap = [
+            e * keep + (x - half * (old + new))
+            for e, x, old, new in zip(self._source_gap, moved, last_v, v, strict=True)
+        ]
         flags = C.SOURCES_DISAGREE if max_abs(self._source_gap) > self.limits.max_source_gap else 0
         if not drive_enabled:
             self._expected_velocity, self._tracking_gap = [0.0] * self._n, [0.0] * self._n

@@ -17,6 +17,7 @@ from dualbrain.simulation.monitoring.contact_rules import ContactRules
 from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.scenes.scene_spec import ObjectSpec, SceneSpec
 from dualbrain.simulation.tasks.arrival import ArrivalGoal
+from dualbrain.skills.kinematics.object_geometry import half_height
 
 PLACE_TOLERANCE = 0.05  # [m] in the plane
 REACH_DISTANCE = 0.05  # [m] between tool and object
@@ -132,21 +133,29 @@ def score_placement(plant: Plant, spec: SceneSpec, goal: PlacementGoal) -> tuple
 
 def is_placed(plant: Plant, goal: PlacementGoal) -> bool:
     """Whether the object is inside the container, or on the table within 5 cm of the place."""
-    at = plant.true_pose(goal.object_name).position
-    obj, spec = plant.spec.find(goal.object_name), plant.spec
+    pose = plant.true_pose(goal.object_name)
+    at, obj, spec = pose.position, plant.spec.find(goal.object_name), plant.spec
     containers = {item.name: item for item in spec.objects if isinstance(item.shape, Bowl)}
     if goal.destination in containers:
-        return is_inside_bowl(at, plant.true_pose(goal.destination).position, containers[goal.destination].shape)
+        lowest = at[2] - half_height(obj.shape, pose)
+        bowl_at = plant.true_pose(goal.destination).position
+        return is_inside_bowl(at, bowl_at, containers[goal.destination].shape, lowest=lowest)
     spot = spec.find_place(goal.destination).position
     on_table = at[2] < obj.position[2] + 0.02
     return bool(np.hypot(at[0] - spot[0], at[1] - spot[1]) < PLACE_TOLERANCE and at[2] > 0.0 and on_table)
 
 
-def is_inside_bowl(at: Vector, bowl_at: Vector, bowl: object) -> bool:
-    """Whether an object with its centre at `at` is in a bowl with its bottom at `bowl_at` [m]."""
+def is_inside_bowl(at: Vector, bowl_at: Vector, bowl: object, *, lowest: float | None = None) -> bool:
+    """Whether an object with its centre at `at` is in a bowl with its bottom at `bowl_at` [m].
+
+    An object taller than the bowl is inside if its lowest point, at the height `lowest` [m], is in the lower half of
+    the bowl.
+    """
     assert isinstance(bowl, Bowl)
     radial = float(np.hypot(at[0] - bowl_at[0], at[1] - bowl_at[1]))
-    return radial < bowl.radius - bowl.wall and 0.0 < at[2] - bowl_at[2] < bowl.height + 0.01
+    height = at[2] - bowl_at[2]
+    low = lowest is not None and lowest - bowl_at[2] < 0.5 * bowl.height
+    return radial < bowl.radius - bowl.wall and height > 0.0 and (height < bowl.height + 0.01 or low)
 
 
 def count_touching_fingers(plant: Plant, rules: ContactRules, name: str) -> int:

@@ -9,9 +9,9 @@ from dualbrain.records import FailureCause
 from dualbrain.robots.model import RobotModel
 from dualbrain.skills import parameters
 from dualbrain.skills.arm.controller import ArmController, goal_at_height
-from dualbrain.skills.arm.place import receiving_point
 from dualbrain.skills.arm.waypoints import follow_waypoints, via_point, wait_for_people
 from dualbrain.skills.kinematics import object_geometry
+from dualbrain.skills.kinematics.release_point import receiving_point
 from dualbrain.skills.skill import SkillResult, SkillRoutine, SkillStatus
 
 TARGET_CLEARANCE = 0.03
@@ -43,7 +43,7 @@ def routine(arm: ArmController, *, target: str, speed: float, clearance: float, 
         obj = scene.find(target)
         point = np.array([*obj.pose.position[:2], object_geometry.top_height(obj)])
     else:
-        point, _, _ = receiving_point(scene, target)
+        point = receiving_point(scene, target)
     height = max(arm.support_height + clearance, float(point[2]) + TARGET_CLEARANCE) + arm.below_tool
     tool = arm.observation.tool
     end = yield from arm.find_goal(

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.contracts.skill_spec import ContactPermit, NameParameter, SkillSpec
-from dualbrain.core.geometry.shapes import Bowl
-from dualbrain.records import FailureCause, Scene
+from dualbrain.records import FailureCause
 from dualbrain.robots.model import RobotModel
 from dualbrain.skills import parameters
 from dualbrain.skills.arm.controller import ArmController, ToolGoal, goal_at_height
@@ -23,13 +22,12 @@ from dualbrain.skills.arm.waypoints import (
     wait_for_people,
 )
 from dualbrain.skills.kinematics import object_geometry
+from dualbrain.skills.kinematics.release_point import ReleasePoint, find_release_point
 from dualbrain.skills.skill import SkillResult, SkillRoutine, SkillStatus
 from dualbrain.skills.time_slicing import SUFFICIENT_CLEARANCE, SlicedComputation, SlicedIterator, first_clear
 
 Array = NDArray[np.float64]
 
-RIM_CLEARANCE = 0.012
-"""Clearance between the held object and the rim at the release [m]."""
 SLOW_DESCENT_HEIGHT = 0.04
 """Height above the release height from which a load is lowered slowly [m]."""
 RETREAT_HEIGHT = 0.08
@@ -40,8 +38,6 @@ RELEASE_ELBOW_SWINGS = (0.0, 0.4, -0.4)
 """Alternative swings of the elbow at the release [rad]."""
 MIN_RETREAT_HEIGHT = 0.045
 """Height [m] from which a blocked retreat counts as complete."""
-DROP_HEIGHT = 0.004
-"""Height above a support at which an object is released [m]."""
 
 
 def spec(robot_model: RobotModel) -> SkillSpec:
@@ -71,16 +67,6 @@ def spec(robot_model: RobotModel) -> SkillSpec:
     )
 
 
-def receiving_point(scene: Scene, destination: str) -> tuple[Array, float, float]:
-    """Where `destination` receives objects: position (3,) at its receiving height, radius, drop height [m]."""
-    for place in scene.places:
-        if place.name == destination:
-            return np.asarray(place.position), 0.05, DROP_HEIGHT
-    obj = scene.find(destination)
-    radius = obj.shape.radius if isinstance(obj.shape, Bowl) else 0.05
-    return np.array([*obj.pose.position[:2], object_geometry.top_height(obj)]), radius, RIM_CLEARANCE
-
-
 def routine(
     arm: ArmController, *, destination: str, speed: float, clearance: float, route: str, wait: str
 ) -> SkillRoutine:
@@ -92,13 +78,13 @@ def routine(
     arm.begin(
         spec(arm.robot_model), target=held.name, destination=destination, support=support.name if support else None
     )
-    point, radius, drop_height = receiving_point(arm.observation.scene, destination)
-    release_position = point + np.array([0.0, 0.0, drop_height + held.below_tool])
+    release = find_release_point(arm.observation.scene, destination, held.name)
+    release_position = release.position + np.array([0.0, 0.0, held.below_tool])
     height = max(arm.support_height + clearance + held.below_tool, float(release_position[2]) + SLOW_DESCENT_HEIGHT)
-    down = yield from _find_release_goal(arm, release_position, height, route, tilt=drop_height == RIM_CLEARANCE)
+    down = yield from _find_release_goal(arm, release_position, height, route, tilt=release.leaning)
     if down is None:
         return SkillResult(SkillStatus.FAILED, f"{destination} is out of reach", FailureCause.OUT_OF_REACH)
-    middle = (arm.observation.tool.position + point) / 2
+    middle = (arm.observation.tool.position + release.position) / 2
     if wait == "until_clear" and (
         why := (yield from wait_for_people(arm, arm.current_goal(), middle, 4.0, "carry", speed, radius=0.35))
     ):
@@ -117,7 +103,7 @@ def routine(
     risen = float(arm.observation.tool.position[2] - down.position[2])
     if why and not (why.status is SkillStatus.TAKEN_OVER and risen > MIN_RETREAT_HEIGHT):
         return why
-    return _verify_placement(arm, held.name, destination, point, radius)
+    return _verify_placement(arm, held.name, destination, release)
 
 
 def _check_load_lost(arm: ArmController, name: str) -> SkillResult | None:
@@ -187,10 +173,10 @@ def _waypoints(arm: ArmController, end: ToolGoal, route: str) -> SlicedComputati
     return [*points, end]
 
 
-def _verify_placement(arm: ArmController, name: str, destination: str, point: Array, radius: float) -> SkillResult:
+def _verify_placement(arm: ArmController, name: str, destination: str, release: ReleasePoint) -> SkillResult:
     """Check by perception that the object is where it was placed."""
-    away = float(np.linalg.norm(np.asarray(arm.find_object(name).pose.position)[:2] - point[:2]))
-    if away > radius + arm.find_object(name).error:
+    away = float(np.linalg.norm(np.asarray(arm.find_object(name).pose.position)[:2] - release.centre))
+    if away > release.radius + arm.find_object(name).error:
         return SkillResult(
             SkillStatus.FAILED,
             f"{name} is {away * 100:.0f} cm from {destination} after letting go",

@@ -10,7 +10,6 @@ from dualbrain.records import FailureCause, SceneObject
 from dualbrain.robots.model import RobotModel
 from dualbrain.skills import parameters
 from dualbrain.skills.arm.controller import ArmController, SubRoutine, ToolGoal, goal_at_height
-from dualbrain.skills.arm.place import receiving_point
 from dualbrain.skills.arm.waypoints import (
     CONTACT_APPROACH_SPEED,
     descend,
@@ -19,6 +18,7 @@ from dualbrain.skills.arm.waypoints import (
     wait_for_people,
 )
 from dualbrain.skills.kinematics import object_geometry
+from dualbrain.skills.kinematics.release_point import receiving_point
 from dualbrain.skills.skill import SkillResult, SkillRoutine, SkillStatus
 from dualbrain.skills.time_slicing import SlicedComputation, SlicedIterator, first_clear
 
@@ -122,7 +122,7 @@ def routine(
 
 def _push_vector(arm: ArmController, obj: SceneObject, destination: str) -> Array | None:
     """Vector (2,) [m] from the object to the destination in the plane, or None if they coincide."""
-    point, _, _ = receiving_point(arm.observation.scene, destination)
+    point = receiving_point(arm.observation.scene, destination)
     offset = point[:2] - np.array(obj.pose.position[:2])
     return offset if float(np.linalg.norm(offset)) > 1e-6 else None
 
