@@ -155,7 +155,7 @@ class ControlLoop:
         self._holding: HeldObject | None = None
         self._ticks = 0
         self.state = robot.read()
-        self._tool_state, self._tool = self.state, safety.tool(self.state.q)
+        self._observation: Observation | None = None
         self._scene_smoother, self._scene_monitor = SceneSmoother(), SceneMonitor()
         self._estimates, self._robot_spheres = ObstacleEstimates(), RobotSpheres(safety)
         self._last_h_min = -inf
@@ -215,18 +215,27 @@ class ControlLoop:
         self._paused_time += seconds
 
     def observation(self) -> Observation:
-        """The newest state, scene and tool pose for the running skill."""
-        if self._tool_state is not self.state:
-            self._tool_state, self._tool = self.state, self.safety.tool(self.state.q)
-        contact = self.safety_controller.contact
-        return Observation(
+        """The newest state, scene and tool pose for the running skill; the same object until one of them changes."""
+        contact, last = self.safety_controller.contact, self._observation
+        force = contact.force if contact is not None else None
+        tool = last.tool if last is not None and last.state is self.state else self.safety.tool(self.state.q)
+        if (
+            last is not None
+            and last.state is self.state
+            and last.scene is self.scene
+            and last.contact_force is force
+            and last.paused_time == self._paused_time
+        ):
+            return last
+        self._observation = Observation(
             state=self.state,
             scene=self.scene,
             now=self.state.stamp,
-            tool=self._tool,
+            tool=tool,
             paused_time=self._paused_time,
-            contact_force=contact.force if contact is not None else None,
+            contact_force=force,
         )
+        return self._observation
 
     # --- one tick -------------------------------------------------------------------------------------------------
 
