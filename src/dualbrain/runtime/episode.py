@@ -134,6 +134,7 @@ def _decide(
         instruction_check=request.instruction_check,
         withheld=(),
         unfinished=(executor.held_object or "") if request.continuation else "",
+        max_shots=request.max_shots,
         context=context,
         executor=executor,
         gate=open_gate(request, executor, context),

@@ -9,12 +9,15 @@ from dualbrain.contracts.contract import Action, Context, Contract
 from dualbrain.contracts.schema import MAX_ACTIONS
 from dualbrain.grounding.instruction.correspondence import INSTRUCTION_POINTER
 from dualbrain.grounding.instruction.goals.goal import Goal, Held, Placed
-from dualbrain.grounding.instruction.goals.goal_coverage import find_uncovered
+from dualbrain.grounding.instruction.goals.goal_coverage import find_uncovered, find_unfounded_decline
 from dualbrain.grounding.instruction.goals.goal_reading import read_goal
+from dualbrain.grounding.instruction.review import review_instruction
 from dualbrain.grounding.offline_gate import scene_from_spec
 from dualbrain.grounding.vocabulary import scene_names_of_spec
+from dualbrain.robots.loader import load_robot
 from dualbrain.runtime.data_collection.synthetic_scenes import load_phrasings
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
+from dualbrain.skills.registry import skill_registry
 from tests.grounding.outcome.tabletop_cases import BEFORE
 
 HOME = ("home", {})
@@ -99,6 +102,61 @@ def test_a_contract_that_does_the_whole_instruction_passes(instruction, steps, h
     assert uncovered(instruction, *steps, holding=holding) is None
 
 
+DECLINE = ("decline", {"reason": "there is no red cube here"})
+
+
+def unfounded(instruction, *steps, holding=None):
+    return find_unfounded_decline(contract(*steps), read_goal(instruction, BEFORE), BEFORE, holding)
+
+
+@pytest.mark.parametrize(
+    ("instruction", "hint"),
+    [
+        ("put the red cube in the bowl", "red cube in blue bowl"),
+        ("pick up the red cube", "hold red cube"),
+        ("push the red cube toward the bowl", "push red cube to blue bowl"),
+        ("look at the red cube", "hand above red cube"),
+        ("go home", "go home"),
+    ],
+)
+def test_a_decline_of_an_instruction_that_a_contract_can_express_is_rejected(instruction, hint):
+    rejected = unfounded(instruction, DECLINE)
+    assert rejected is not None
+    assert (rejected.pointer, rejected.got) == (INSTRUCTION_POINTER, "decline")
+    assert hint in rejected.hint
+
+
+@pytest.mark.parametrize(
+    "instruction",
+    [
+        "put the banana in the bowl",
+        "put the red cube left of the bowl",
+        "put everything in the bowl",  # more actions than a contract has
+        "arrange the red cube nicely",  # not read
+        "stop",
+    ],
+)
+def test_a_decline_with_a_possible_reason_passes(instruction):
+    assert unfounded(instruction, DECLINE) is None
+
+
+def test_only_declines_are_rejected_and_none_of_a_request_that_is_fulfilled_already():
+    assert unfounded("put the red cube in the bowl", CUBE, BOWL) is None
+    assert unfounded("pick up the red cube", DECLINE, holding="red_cube") is None
+
+
+@pytest.mark.parametrize("robot", ["panda", "ur5e"])
+def test_no_right_decline_of_a_packaged_sentence_is_rejected(robot):
+    registry = skill_registry(load_robot(robot))
+    rejected = [
+        task.sentence
+        for scene, task in packaged_sentences(robot, 5, possible=False)
+        if find_unfounded_decline(contract(DECLINE), read_goal(task.sentence, scene), scene)
+        and review_instruction(task.sentence, registry, scene.receptive, scene.graspable) is None
+    ]
+    assert rejected == []
+
+
 def test_an_instruction_that_was_not_read_is_not_compared():
     goal = read_goal("arrange the red cube nicely", BEFORE)
     assert find_uncovered(contract(TIN, LEFT), goal, BEFORE) is None
@@ -119,8 +177,8 @@ FAMILIES = {
 }
 
 
-def packaged_sentences(robot, seed, per_family=150):
-    """(perceived scene, instruction with a possible task) from the packaged templates, for scenes of `robot`."""
+def packaged_sentences(robot, seed, per_family=150, *, possible=True):
+    """(perceived scene, task) from the packaged templates, for scenes of `robot`; `possible`: not to be declined."""
     rng = np.random.default_rng(seed)
     for family in FAMILIES[robot]:
         for part in ("teach", "test"):
@@ -129,7 +187,7 @@ def packaged_sentences(robot, seed, per_family=150):
             scene = scene_from_spec(spec)
             for _ in range(per_family):
                 task = draw_instruction(names, robot == "base", load_templates(), phrasings, rng)
-                if task is not None and task.is_possible:
+                if task is not None and task.is_possible == possible:
                     yield scene, task
 
 

@@ -133,7 +133,13 @@ def plan(
             clock,
             lambda given=proposal: (
                 reject_before_gate(given, instruction, withheld)
-                or reject_mismatch(given, instruction, context, "all" if answer is None else "before_planning")
+                or reject_mismatch(
+                    given,
+                    instruction,
+                    context,
+                    "all" if answer is None else "before_planning",
+                    reject_decline=not taken and shots > 1,
+                )
                 or _check(gate, given, context.scene)
             ),
         )

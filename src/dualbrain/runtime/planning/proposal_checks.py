@@ -12,7 +12,7 @@ from dualbrain.contracts.gate.strict_json import MAX_BYTES
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.errors import DECODE_ERRORS
 from dualbrain.grounding.instruction.correspondence import SceneVocabulary, find_mismatch
-from dualbrain.grounding.instruction.goals.goal_coverage import find_uncovered
+from dualbrain.grounding.instruction.goals.goal_coverage import find_uncovered, find_unfounded_decline
 from dualbrain.grounding.instruction.goals.goal_reading import read_goal
 from dualbrain.grounding.instruction.language import detect_foreign_language
 from dualbrain.grounding.instruction.recalled_steps import reject_recalled_step
@@ -67,12 +67,18 @@ def reject_idle(proposal: Proposal, held: str) -> Rejected | None:
 
 
 def reject_mismatch(
-    proposal: Proposal, instruction: str, context: PlanningContext, check: InstructionCheck = "all"
+    proposal: Proposal,
+    instruction: str,
+    context: PlanningContext,
+    check: InstructionCheck = "all",
+    *,
+    reject_decline: bool = False,
 ) -> Rejected | None:
     """The rejection of a contract about something that `instruction` does not mention, or that leaves a part of it out.
 
-    None for a text that is no contract, which the gate rejects, and for an instruction in another language than
-    English, whose words are not compared.
+    `reject_decline`: also of a decline of an instruction that contracts can express. None for a text that is no
+    contract, which the gate rejects, and for an instruction in another language than English, whose words are not
+    compared.
     """
     too_long = len(proposal_bytes(proposal)) > MAX_BYTES
     if check != "all" or too_long or detect_foreign_language(instruction) is not None:
@@ -81,8 +87,11 @@ def reject_mismatch(
     if contract is None:
         return None
     names = SceneVocabulary(scene.graspable, scene.receptive, context.holding)
-    return find_mismatch(contract, instruction, names) or find_uncovered(
-        contract, read_goal(instruction, scene), scene, context.holding
+    goal = read_goal(instruction, scene)
+    return (
+        find_mismatch(contract, instruction, names)
+        or find_uncovered(contract, goal, scene, context.holding)
+        or (find_unfounded_decline(contract, goal, scene, context.holding) if reject_decline else None)
     )
 
 

@@ -42,13 +42,15 @@ class ProposalChecker:
     """Checks the proposals for one instruction: its words (see `InstructionCheck`), then the gate.
 
     `withheld` are the skills of recalled steps that the instruction does not contain. `unfinished` is the object in the
-    hand that the failed contract before was to put down, "" without one.
+    hand that the failed contract before was to put down, "" without one. `max_shots` is the number of proposals: if
+    there is a second one, the first may not decline an instruction that contracts can express.
     """
 
     instruction: str
     instruction_check: InstructionCheck
     withheld: tuple[str, ...]
     unfinished: str
+    max_shots: int
     context: PlanningContext
     executor: Executor
     gate: ContractGate
@@ -64,10 +66,13 @@ class ProposalChecker:
         return attempt
 
     def _verdict(self, proposal: Proposal, shot: int, requested_at: float) -> Verdict:
+        reject_decline = shot == 1 < self.max_shots and not self.unfinished
         return (
             reject_before_gate(proposal, self.instruction, self.withheld)
             or (reject_idle(proposal, self.unfinished) if self.unfinished else None)
-            or reject_mismatch(proposal, self.instruction, self.context, self.instruction_check)
+            or reject_mismatch(
+                proposal, self.instruction, self.context, self.instruction_check, reject_decline=reject_decline
+            )
             or self.gate.check(
                 proposal_bytes(proposal),
                 names=scene_names(self.executor.scene),

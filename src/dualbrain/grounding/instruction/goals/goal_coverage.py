@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from dualbrain.contracts.contract import Contract
-from dualbrain.contracts.schema import MAX_ACTIONS
+from dualbrain.contracts.schema import DECLINE, MAX_ACTIONS
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.grounding.instruction.correspondence import INSTRUCTION_POINTER
 from dualbrain.grounding.instruction.goals.action_bounds import actions_needed, is_there
@@ -27,11 +27,13 @@ from dualbrain.grounding.instruction.goals.goal import (
 )
 from dualbrain.records import Scene
 
-IDLE_SKILLS = frozenset({"decline", "hold", "stop"})
+IDLE_SKILLS = frozenset({DECLINE, "hold", "stop"})
 """Skills that change nothing: a contract with these alone leaves nothing out that it claims to do."""
 KNOWN_SKILLS = frozenset(
     ("grasp", "place", "release", "push", "move_to", "home", "drive_to", "drive_to_pose", "turn_to", *IDLE_SKILLS)
 )
+RESTING = (RobotEnds("still"), RobotEnds("rest"))
+"""Conditions that a robot at rest fulfils."""
 NAME_PARAMETERS = ("object", "destination", "target", "place")
 """Parameters with the name of an object or a place."""
 
@@ -79,6 +81,28 @@ def find_uncovered(
     if others := sorted(effects.moved - goal.movable - {holding}):
         return _rejected(others[0], sorted(goal.movable), f"the instruction does not ask to move {_words(others[0])}")
     return _wrong_order(goal, effects) if goal.ordered else None
+
+
+def find_unfounded_decline(
+    contract: Contract, goal: Goal | Unread, scene: Scene, holding: str | None = None
+) -> Rejected | None:
+    """The rejection of a contract that only declines a `goal` that the words state and contracts can express.
+
+    All names of such a goal are in `scene`, so a decline because of a missing object, place or skill is an error of the
+    planner. A planner may have another reason, so it is asked again once and its second decline is accepted. A request
+    to be at rest is fulfilled by a decline. Clauses that no contract can express are declined before the planner
+    (`clauses/`), and their goals are not read again here.
+    """
+    if isinstance(goal, Unread) or any(action.skill != DECLINE for action in contract.action_sequence):
+        return None
+    if goal.decline or goal.beyond_contracts or _too_long(goal, scene, holding):
+        return None
+    effects = _Effects(in_hand=holding)
+    wanted = [condition for condition in goal.conditions if condition not in RESTING]
+    hints = [hint for condition in wanted if (hint := _missing(condition, goal, effects, scene))]
+    if not hints:
+        return None
+    return _rejected("decline", "a contract that carries out the instruction", f"all its names are here: {hints[0]}")
 
 
 def _effects(contract: Contract, scene: Scene, holding: str | None) -> _Effects | None:
