@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from dualbrain.safety.cbf.obstacles import Contact, Obstacle
     from dualbrain.safety.cbf.result import FilterResult, FilterStatus
     from dualbrain.safety.integration.gym_env import FilteredEnv
+    from dualbrain.safety.integration.policy_guard.guard import PolicyGuard
     from dualbrain.safety.integration.shadow_mode import ShadowFilter
     from dualbrain.safety.supervisor.actions import SafetyAction
     from dualbrain.safety.supervisor.controller import SafetyController
@@ -76,6 +77,7 @@ _MODULES = {
     "safety.cbf.obstacles": ("Contact", "Obstacle"),
     "safety.cbf.result": ("FilterResult", "FilterStatus"),
     "safety.integration.gym_env": ("FilteredEnv",),
+    "safety.integration.policy_guard.guard": ("PolicyGuard",),
     "safety.integration.shadow_mode": ("ShadowFilter",),
     "safety.supervisor.actions": ("SafetyAction",),
     "safety.supervisor.controller": ("SafetyController",),
@@ -110,6 +112,7 @@ __all__ = [
     "Outcome",
     "PlanRequest",
     "Planner",
+    "PolicyGuard",
     "Pose",
     "Proposal",
     "Rejected",

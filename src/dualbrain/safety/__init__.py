@@ -17,12 +17,17 @@ if TYPE_CHECKING:
     from dualbrain.safety.cbf.result import FilterResult, FilterStatus
     from dualbrain.safety.cbf.rows import BarrierRow, ConstraintRow, PythonBarrier, Rank
     from dualbrain.safety.integration.derating import derate
-    from dualbrain.safety.integration.gym_env import FilteredEnv, TorqueDrive
+    from dualbrain.safety.integration.gym_env import FilteredEnv
     from dualbrain.safety.integration.intervention_log import (
         InterventionInterval,
         InterventionLog,
         read_intervention_log,
     )
+    from dualbrain.safety.integration.policy_guard.action_layout import ActionLayout
+    from dualbrain.safety.integration.policy_guard.guard import GuardLimits, GuardReport, PolicyGuard
+    from dualbrain.safety.integration.policy_guard.joint_actions import JointPosition, JointVelocity
+    from dualbrain.safety.integration.policy_guard.tool_actions import ToolPose, ToolTwist
+    from dualbrain.safety.integration.policy_guard.torque_actions import JointTorque, TorqueDrive
     from dualbrain.safety.integration.power_and_force import (
         BODY_REGIONS,
         BodyRegion,
@@ -78,14 +83,29 @@ _MODULES = {
         "Rank",
     ),
     "safety.integration.derating": ("derate",),
-    "safety.integration.gym_env": (
-        "FilteredEnv",
-        "TorqueDrive",
-    ),
+    "safety.integration.gym_env": ("FilteredEnv",),
     "safety.integration.intervention_log": (
         "InterventionInterval",
         "InterventionLog",
         "read_intervention_log",
+    ),
+    "safety.integration.policy_guard.action_layout": ("ActionLayout",),
+    "safety.integration.policy_guard.guard": (
+        "GuardLimits",
+        "GuardReport",
+        "PolicyGuard",
+    ),
+    "safety.integration.policy_guard.joint_actions": (
+        "JointPosition",
+        "JointVelocity",
+    ),
+    "safety.integration.policy_guard.tool_actions": (
+        "ToolPose",
+        "ToolTwist",
+    ),
+    "safety.integration.policy_guard.torque_actions": (
+        "JointTorque",
+        "TorqueDrive",
     ),
     "safety.integration.power_and_force": (
         "BODY_REGIONS",
@@ -126,6 +146,7 @@ _MODULES = {
 __all__ = [
     "BODY_REGIONS",
     "EXACT_TRACKING",
+    "ActionLayout",
     "BarrierRow",
     "BatchResult",
     "BodyRegion",
@@ -137,12 +158,18 @@ __all__ = [
     "FilterStatus",
     "FilteredEnv",
     "FrameMount",
+    "GuardLimits",
+    "GuardReport",
     "InterventionInterval",
     "InterventionLog",
+    "JointPosition",
+    "JointTorque",
+    "JointVelocity",
     "NearSpeed",
     "Obstacle",
     "PerceivedShape",
     "PersonLimits",
+    "PolicyGuard",
     "PythonBarrier",
     "Rank",
     "Reason",
@@ -159,7 +186,9 @@ __all__ = [
     "SpeedAndSeparation",
     "StopCause",
     "SupervisorDecision",
+    "ToolPose",
     "ToolState",
+    "ToolTwist",
     "TorqueDrive",
     "contact_speed",
     "derate",

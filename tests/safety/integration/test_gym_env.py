@@ -13,6 +13,7 @@ from dualbrain.errors import ConfigurationError
 from dualbrain.safety.cbf.filter import FilterConfig, FilterStatus, Obstacle, SafetyFilter
 from dualbrain.safety.integration.derating import derate
 from dualbrain.safety.integration.gym_env import FilteredEnv
+from dualbrain.safety.integration.policy_guard.joint_actions import JointPosition
 from dualbrain.safety.integration.shadow_mode import ShadowFilter
 from tests.safety.integration.gym_environments import (
     DERATED_PANDA,
@@ -32,6 +33,7 @@ SPEEDS = {
     "decode_action": lambda action: np.asarray(action, float) * V_MAX,
     "encode_action": lambda u, _: (u / V_MAX).astype(np.float32),
 }
+LOWER, UPPER = (np.array([getattr(joint, end).value for joint in PANDA.joints]) for end in ("lower", "upper"))
 TOLERANCE = 2e-6
 """Float32 rounding of the action and its scaling, on the motion of a joint in one period [rad or m]."""
 
@@ -324,3 +326,40 @@ def test_a_gentle_torque_passes_unchanged():
 def test_the_torque_environment_is_valid():
     check_env(torque_env(20))
     check_env(torque_env(20, shadow=True))
+
+
+class ServoEnv(ReachEnv):
+    """A slow environment: an action is a joint position that the joints reach within 20 ms at constant speed."""
+
+    dt = 4 * PERIOD
+
+    def __init__(self):
+        super().__init__(10**6)
+        self.path = []
+
+    def step(self, action):
+        self.v = (np.asarray(action, float) - self.q) / self.dt
+        for _ in range(4):
+            self.q = self.q + PERIOD * self.v
+            self.path.append(self.q)
+        return self._observation(), 0.0, False, False, {}
+
+
+@pytest.mark.parametrize("guarded", [False, True])
+def test_a_slow_environment_with_joint_positions_is_filtered_in_every_period(guarded):
+    servo, rng = ServoEnv(), np.random.default_rng(2)
+    env = FilteredEnv(servo, make_filter(), action_space=JointPosition()) if guarded else servo
+    observation, _ = env.reset(seed=0)
+    for step in range(200):
+        if step % 40 == 0:
+            u = V_MAX * np.array([rng.choice([-1.0, 1.0]), 0.7, 0.0, 0.3, 0.0, 0.0, 0.0])
+        observation, _, _, _, info = env.step(np.clip(observation[:7] + servo.dt * u, LOWER, UPPER))
+    assert bool(min_h(np.array(servo.path)) > -TOLERANCE) is guarded
+    assert not guarded or info["status"] in ("SAFE", "MODIFIED")
+
+
+def test_an_action_space_replaces_the_functions_for_velocities():
+    with pytest.raises(ConfigurationError, match="action_space"):
+        FilteredEnv(ServoEnv(), make_filter(), action_space=JointPosition(), **SPEEDS)
+    with pytest.raises(ConfigurationError, match="multiple"):
+        FilteredEnv(ServoEnv(), SafetyFilter(derate(PANDA, period=0.006)), action_space=JointPosition())

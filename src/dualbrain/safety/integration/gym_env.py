@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from math import isclose, isnan, nan
-from typing import Any, Protocol, SupportsFloat
+from typing import Any, SupportsFloat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,11 @@ from dualbrain.core.geometry.validation import as_real_array
 from dualbrain.errors import ConfigurationError, MissingDependencyError
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.obstacles import Obstacle
-from dualbrain.safety.cbf.result import FilterResult, FilterStatus
+from dualbrain.safety.integration.policy_guard.action_layout import FunctionLayout
+from dualbrain.safety.integration.policy_guard.action_space import ActionSpace
+from dualbrain.safety.integration.policy_guard.guard import GuardReport, PolicyGuard
+from dualbrain.safety.integration.policy_guard.joint_actions import JointVelocity
+from dualbrain.safety.integration.policy_guard.torque_actions import JointTorque, TorqueDrive
 from dualbrain.safety.integration.shadow_mode import ShadowFilter
 
 try:
@@ -29,18 +33,6 @@ except ImportError as error:
 
 Array = NDArray[np.float64]
 JointState = tuple[Array, Array]
-
-
-class TorqueDrive(Protocol):
-    """Dynamics that a torque-driven environment must provide; all arrays are (n,) in SI units."""
-
-    def acceleration(self, q: Array, v: Array, torque: Array) -> Array:
-        """Joint accelerations that `torque` causes at angles q and velocities v (forward dynamics)."""
-        ...
-
-    def track(self, q: Array, v: Array, u: Array) -> Array:
-        """Torque that brings the joints from velocity v to u within one step, by computed torque or a PD law."""
-        ...
 
 
 class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
@@ -74,6 +66,7 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         scene: Callable[[Any, float], Sequence[Obstacle]] | None = None,
         opening: Callable[[Any], float | None] = lambda _: None,
         torque: TorqueDrive | None = None,
+        action_space: ActionSpace | None = None,
         action_repeat: int = 1,
     ) -> None:
         """Filter `env` with `safety`, or only observe it with a `ShadowFilter`.
@@ -84,79 +77,74 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
           `encode_action(control, action)` writes them into a copy of the action.
         - `scene(observation, now)`: the obstacles of this step; by default those of the last `safety.observe`.
         - `opening(observation)`: opening of each finger [m]; by default unknown: the fingers cover every opening.
+        - `action_space`: the meaning of the actions, instead of `decode_action`, `encode_action` and `torque`: joint
+          positions, poses or twists of the tool … (`policy_guard`). An environment that is slower than the filter is
+          filtered several times per step, on the predicted motion.
         - `action_repeat`: number of environment steps per action. Each step is filtered again and rewards are summed:
           20 ms of a policy are 4 steps of an environment of 5 ms.
 
         Raises:
-            ConfigurationError: the `dt` of the environment is not the period of the robot model, or the action space
-                is narrower than its velocity limits.
+            ConfigurationError: the `dt` of the environment is not the period of the robot model (with `action_space`:
+                no multiple of it), the action space is narrower than its velocity limits, or `action_space` is given
+                beside the functions that it replaces.
         """
         super().__init__(env)
         self.shadow = safety if isinstance(safety, ShadowFilter) else None
         self.safety = safety.safety if isinstance(safety, ShadowFilter) else safety
-        self._n, self._period = self.safety.robot_model.n, self.safety.robot_model.period
+        self._n = self.safety.robot_model.n
         self._state = state or self._default_state
+        self._scene, self._opening, self._action_repeat = scene, opening, action_repeat
+        if action_space is not None and any((decode_action, encode_action, torque)):
+            raise ConfigurationError.stating(
+                "FilteredEnv has an `action_space` beside `decode_action`, `encode_action` or `torque`.",
+                fix="Pass the layout and the drive to the action space.",
+            )
         self._decode_action = decode_action or self._default_decode
-        self._encode_action = encode_action or self._default_encode
-        self._scene, self._opening, self._torque = scene, opening, torque
-        self._action_repeat = action_repeat
+        layout = FunctionLayout(self._decode_action, encode_action or self._default_encode)
+        given = JointVelocity(layout=layout) if torque is None else JointTorque(drive=torque, layout=layout)
+        step = getattr(env.unwrapped, "dt", None)
+        if action_space is None:
+            self._check_period(step)
+            if torque is None:
+                self._check_actions(env.action_space)
+        self.guard = PolicyGuard(safety, action_space or given, period=step if action_space else None)
+        self._reports_tracking = torque is not None and self.shadow is None
         self._now = 0.0
         self._joint_state: JointState = (np.array(self.safety.robot_model.home), np.zeros(self._n))
         self._observation: Any = None
-        self._check_period()
-        if torque is None:
-            self._check_actions(env.action_space)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset the environment, and the filter to the joint velocity of the first observation."""
         observation, info = self.env.reset(seed=seed, options=options)
         self._now = 0.0
         self._read_observation(observation)
-        self.safety.reset(self._joint_state[1])
-        if self.shadow:
-            self.shadow.reset()
+        self.guard.reset(*self._joint_state)
         return observation, info
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
         """Filter and execute `action`, `action_repeat` times; `info` reports the changes."""
-        results: list[FilterResult] = []
+        reports: list[GuardReport] = []
         total, errors = 0.0, [0.0]
         while True:
-            result = self._filter_action(action)
-            unchanged = self.shadow or result.status is FilterStatus.SAFE
-            applied = action if unchanged else self._encode_action(self._tracking_command(result), action)
+            applied = self._guarded_action(action)
             observation, reward, terminated, truncated, info = self.env.step(applied)
-            self._now += self._period
+            self._now += self.guard.steps_per_action * self.safety.robot_model.period
             self._read_observation(observation)
-            results.append(result)
+            reports.append(self.guard.report)
             total += float(reward)
-            errors.append(float(np.abs(self._joint_state[1] - result.u).max()))
-            if terminated or truncated or len(results) == self._action_repeat:
+            errors.append(float(np.abs(self._joint_state[1] - self.guard.control).max()))
+            if terminated or truncated or len(reports) == self._action_repeat:
                 break
-        info = {**info, **_step_info(results), "applied": applied}
-        if self._torque and not self.shadow:
+        info = {**info, **_step_info(reports), "applied": applied}
+        if self._reports_tracking:
             info["tracking_error"] = max(errors)
         return observation, total, terminated, truncated, info
 
-    # --- the filter ---------------------------------------------------------------------------------------------
-
-    def _filter_action(self, action: Any) -> FilterResult:
-        """Filter one action. A torque-driven arm has no velocity command, so its velocity is the last control."""
+    def _guarded_action(self, action: Any) -> Any:
+        """The safe action for the newest observation."""
         if self._scene:
             self.safety.observe(self._scene(self._observation, self._now), self._now)
-        (q, v), u_prev = self._joint_state, None
-        u_nom = np.asarray(self._decode_action(action), float)
-        if self._torque:
-            u_prev, u_nom = v, v + self._period * self._torque.acceleration(q, v, u_nom)
-        opening = self._opening(self._observation)
-        if self.shadow:
-            return self.shadow.evaluate(q, v, u_nom, self._now, u_prev=u_prev, opening=opening)
-        if u_prev is not None:
-            self.safety.reset(u_prev)
-        return self.safety(q, v, u_nom, self._now, opening=opening)
-
-    def _tracking_command(self, result: FilterResult) -> Array:
-        return self._torque.track(*self._joint_state, result.u) if self._torque else result.u
+        return self.guard(action, *self._joint_state, self._now, self._opening(self._observation))
 
     def _read_observation(self, observation: Any) -> None:
         q, v = self._state(observation)
@@ -183,13 +171,13 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
 
     # --- conditions of the guarantee ----------------------------------------------------------------------------
 
-    def _check_period(self) -> None:
-        step = getattr(self.env.unwrapped, "dt", None)
-        if step is not None and not isclose(float(step), self._period, rel_tol=1e-6):
+    def _check_period(self, step: float | None) -> None:
+        period = self.safety.robot_model.period
+        if step is not None and not isclose(float(step), period, rel_tol=1e-6):
             raise ConfigurationError(
                 "one step of the environment [s]",
                 got=float(step),
-                allowed=f"the period of the robot model, {self._period:g}",
+                allowed=f"the period of the robot model, {period:g}",
                 fix="Build the filter for `derate(robot_model, period=...)` (dualbrain.safety.integration.derating).",
             )
 
@@ -210,12 +198,13 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
             )
 
 
-def _step_info(results: Sequence[FilterResult]) -> dict[str, Any]:
-    """Entries of `info` for the filter results of one action."""
+def _step_info(reports: Sequence[GuardReport]) -> dict[str, Any]:
+    """Entries of `info` for the reports on one action."""
+    problems = [report.problem for report in reports if report.problem]
     return {
-        "cost": sum(result.delta for result in results) / len(results),
-        "cost_rows": sum(result.delta_rows for result in results) / len(results),
-        "h_min": min((result.h_min for result in results if not isnan(result.h_min)), default=nan),
-        "status": max(result.status for result in results).name,
-        "safety": max(results, key=lambda result: result.delta).explain(),
+        "cost": sum(report.delta for report in reports) / len(reports),
+        "cost_rows": sum(report.delta_rows for report in reports) / len(reports),
+        "h_min": min((report.h_min for report in reports if not isnan(report.h_min)), default=nan),
+        "status": max(report.status for report in reports).name,
+        "safety": problems[0] if problems else max(reports, key=lambda report: report.delta).explanation,
     }

@@ -1,0 +1,314 @@
+"""The guard: a policy's action in, the closest safe action out, in any action space and for any robot model.
+
+Within one action the nominal control of its action space is filtered once per period of the robot model:
+
+    u = argmin ‖u − u_nom‖² over the safe controls,      q_c ← q_c + u dt
+
+q_c is the commanded configuration, from which the safe action is made. A policy whose period is longer than that of
+the filter is filtered several times per action: in a loop that measures in between (`begin`, `step`), or within one
+call, on the predicted motion. Unusable actions and states bring the arm to rest; `GuardReport.problem` states cause and
+remedy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sized
+from copy import copy
+from dataclasses import dataclass
+from math import inf, isfinite, isnan, nan
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dualbrain.core.geometry.validation import as_real_array
+from dualbrain.errors import ConfigurationError
+from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.safety.cbf.result import FilterResult, FilterStatus
+from dualbrain.safety.integration.policy_guard.action_space import ActionGoal, ActionSpace, GuardedArm
+from dualbrain.safety.integration.policy_guard.joint_actions import JointVelocity
+from dualbrain.safety.integration.shadow_mode import ShadowFilter
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GuardLimits:
+    """Limits beyond which the guard brings the arm to rest.
+
+    `following_error` [rad]: largest distance between the commanded and the measured position of a joint.
+    `action_timeout` [s]: time after the end of an action for which a loop that calls `step` may be without a new one.
+    """
+
+    following_error: float = 0.35
+    action_timeout: float = 0.2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GuardReport:
+    """What the guard did with one action.
+
+    `changed`: whether the action differs from that of the policy. `status`: the highest status of the filter. `delta`:
+    mean change of the control by the filter; `delta_rows` is the part that is not due to jumps beyond joint limits.
+    `h_min` [m]: the smallest h before a step. `explanation`: the largest change as a sentence. `problem`: why the arm
+    comes to rest, with a remedy; "" without one.
+    """
+
+    changed: bool
+    status: FilterStatus
+    delta: float
+    delta_rows: float
+    h_min: float
+    explanation: str
+    problem: str
+
+
+class PolicyGuard:
+    """Replaces the actions of one policy by safe ones.
+
+    Two lines put it in front of a robot or an environment, also one whose loop is slower than the filter:
+
+        guard = PolicyGuard(SafetyFilter(robot_model, obstacles=obstacles), JointPosition(), period=0.02)
+        action = guard(action, q, v)
+
+    State: the commanded configuration `target` (n,), the action in progress, and the `report` on the last one.
+    """
+
+    def __init__(
+        self,
+        safety: SafetyFilter | ShadowFilter,
+        space: ActionSpace,
+        *,
+        period: float | None = None,
+        action_size: int | None = None,
+        limits: GuardLimits = GuardLimits(),
+    ) -> None:
+        """Guard with `safety`, which must have no other caller; a `ShadowFilter` reports and changes nothing.
+
+        `period` [s] is the time between two actions, by default the period of the robot model; it must be a multiple of
+        that (`derate`). `action_size` is the number of entries of an action, by default that of the first usable one.
+
+        Raises:
+            ConfigurationError: the period or the layout does not fit, or a robot with a mobile base gets other actions
+                than velocities, one per period.
+        """
+        self.shadow = safety if isinstance(safety, ShadowFilter) else None
+        self.safety = safety.safety if isinstance(safety, ShadowFilter) else safety
+        self.space, self.limits = space, limits
+        self._model = self.safety.robot_model
+        self._dt = self._model.period
+        self.steps_per_action = self._count_steps(period)
+        self._count = space.count(self._model.n)
+        space.layout.check(self._count)
+        self._size: int | None = action_size
+        self._template: Any = None
+        self._original: Any = None
+        self._lower = np.array([joint.lower.value for joint in self._model.joints])
+        self._upper = np.array([joint.upper.value for joint in self._model.joints])
+        self.reset()
+
+    def _count_steps(self, period: float | None) -> int:
+        length = self._dt if period is None else period
+        steps = round(length / self._dt) if isfinite(length) else 0
+        if self._model.is_mobile and (steps != 1 or not isinstance(self.space, JointVelocity)):
+            raise ConfigurationError.stating(
+                f"{self._model.name} has a mobile base, whose pose does not follow from its controls alone.",
+                fix="Guard it with velocity actions (`JointVelocity`), one per period of the robot model.",
+            )
+        if steps < 1 or abs(steps * self._dt - length) > 1e-6 * length:
+            allowed = f"a multiple of the period of the robot model, {self._dt:g}"
+            fix = (
+                "Build the filter for `derate(robot_model, period=...)`: the period of the policy divided by 1, 2, 3 …"
+            )
+            raise ConfigurationError("period of the policy [s]", got=length, allowed=allowed, fix=fix)
+        if steps > 1 and not self.space.commands_velocity:
+            fix = "Send a torque in every period of the filter, or `derate(robot_model, period=...)`."
+            raise ConfigurationError("period of torque actions [s]", got=length, allowed=f"{self._dt:g}", fix=fix)
+        return steps
+
+    def reset(self, q: ArrayLike | None = None, v: ArrayLike = 0.0) -> None:
+        """Begin an episode at `q` (n,) [rad] with the joint velocity `v`; without `q` at that of the first step."""
+        self._target = None if q is None else as_real_array("q", q, (self._model.nq,)).copy()
+        self.safety.reset(v)
+        if self.shadow:
+            self.shadow.reset()
+        self._goal: ActionGoal | None = None
+        self._values: Array | None = None
+        self._arm: GuardedArm | None = None
+        self._now, self._until, self._problem = -inf, 0.0, ""
+        self._results: list[FilterResult] = []
+        self._last_command: Array | None = None
+        self._changed = False
+
+    @property
+    def target(self) -> Array:
+        """The commanded configuration (n,) [rad], for a robot that takes joint positions; NaN before the first step."""
+        return np.full(self._model.n, nan) if self._target is None else self._target.copy()
+
+    @property
+    def control(self) -> Array:
+        """The last safe control (n,) [rad/s], for a robot that takes joint velocities; NaN before the first step."""
+        return self._results[-1].u if self._results else np.full(self._model.n, nan)
+
+    @property
+    def report(self) -> GuardReport:
+        """What the guard did since the last action began; raises `ConfigurationError` before the first step."""
+        if not self._results:
+            raise ConfigurationError.stating("The guard has filtered no action yet.", fix="Call the guard first.")
+        heights = [result.h_min for result in self._results if not isnan(result.h_min)]
+        return GuardReport(
+            changed=self._changed,
+            status=max(result.status for result in self._results),
+            delta=sum(result.delta for result in self._results) / len(self._results),
+            delta_rows=sum(result.delta_rows for result in self._results) / len(self._results),
+            h_min=min(heights, default=nan),
+            explanation=max(self._results, key=lambda result: result.delta).explain(),
+            problem=self._problem,
+        )
+
+    # --- one call per action ------------------------------------------------------------------------------------
+
+    def __call__(
+        self, action: Any, q: ArrayLike, v: ArrayLike, now: float | None = None, opening: float | None = None
+    ) -> Any:
+        """The safe action for `action` at the joint state `q`, `v` (n,) [rad, rad/s].
+
+        `now` [s] is on the clock of the scene; by default the guard counts its periods. `opening` [m] of each finger is
+        unknown by default, so the fingers cover every opening. An action that the filter does not change is returned as
+        it is. If the policy is slower than the filter, the joint state between its periods is predicted: the joints
+        then have to follow within the tracking error of the robot model.
+
+        Raises:
+            ConfigurationError: the first action or joint state of all is not usable, or a joint state while torques are
+                commanded, so that no action can stop the arm.
+        """
+        start = now if now is not None else self._now + self._dt if isfinite(self._now) else 0.0
+        self.begin(action, start)
+        q, v = self._measured(q, v)
+        self.step(q, v, start, opening)
+        for index in range(1, self.steps_per_action):
+            predicted = q if self._arm is None else q + self._arm.target - self._arm.start
+            self.step(predicted, self._results[-1].u, start + index * self._dt, opening)
+        return self.command()
+
+    # --- a loop that measures in every period of the filter -----------------------------------------------------
+
+    def begin(self, action: Any, now: float) -> None:
+        """Begin `action` at `now` [s]; `step` moves the arm."""
+        self._problem, self._results, self._goal, self._arm = "", [], None, None
+        values = self.space.layout.read(action, self._count, self._size)
+        self._original, self._values = action, None
+        if isinstance(values, str):
+            self._refuse(f"{values}; the arm comes to rest. Remedy: check the output of the policy")
+        else:
+            self._values, self._template = values, copy(action)
+            self._size = len(action) if isinstance(action, Sized) else None
+        self._until = now + self.steps_per_action * self._dt
+
+    def step(self, q: ArrayLike, v: ArrayLike, now: float, opening: float | None = None) -> FilterResult:
+        """Filter one period at the measured joint state; `target` and the `u` of the result command the robot."""
+        q, v = self._measured(q, v)
+        usable = bool(np.isfinite(q).all() and np.isfinite(v).all())
+        if not usable:
+            self._refuse(
+                "The joint state is not finite; the arm comes to rest. Remedy: check the sensors of the joints"
+            )
+        self._check_clock(now)
+        arm = self._current_arm(q, v)
+        self._check_following(q, arm)
+        nominal = self._nominal(arm, now)
+        result = self._filter(q, v, nominal, now, opening)
+        self._now = now if isfinite(now) else self._now
+        self._move_target(arm, nominal if self.shadow else result.u)
+        self._results.append(result)
+        return result
+
+    def command(self) -> Any:
+        """The safe action for the motion since `begin`, in the layout of the policy."""
+        arm, goal = self._arm, self._goal
+        if arm is None or goal is None:
+            raise ConfigurationError.stating("No action has begun.", fix="Call `begin` and `step` first.")
+        safe = all(result.status is FilterStatus.SAFE for result in self._results)
+        self._changed = self.shadow is None and not (safe and not self._problem and goal.is_reached(arm))
+        if not self._changed:
+            self._last_command = goal.command(arm)
+            return self._original
+        values = goal.command(arm)
+        if not np.isfinite(values).all():
+            values = self.space.standstill(self._last_command, self._model.n)
+        if values is None or self._template is None:
+            raise ConfigurationError.stating(f"No action can stop the arm: {self._problem}", fix="Stop its drives.")
+        self._last_command = values
+        return self.space.layout.write(values, self._template)
+
+    # --- parts of a step ----------------------------------------------------------------------------------------
+
+    def _measured(self, q: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
+        """The joint state as arrays; values that are not finite are NaN, which the filter answers with a stop."""
+        arrays: list[Array] = []
+        for name, values, size in (("q", q, self._model.nq), ("v", v, self._model.n)):
+            try:
+                array = as_real_array(name, values, (size,))
+                arrays.append(np.where(np.isfinite(array), array, nan))
+            except ConfigurationError as error:
+                self._refuse(f"{error} The arm comes to rest")
+                arrays.append(np.full(size, nan))
+        return arrays[0], arrays[1]
+
+    def _check_clock(self, now: float) -> None:
+        if not (isfinite(now) and now > self._now):
+            text = f"The time {now:g} s is not after that of the last step, {self._now:g} s; the arm comes to rest"
+            self._refuse(f"{text}. Remedy: use one monotonic clock for states and actions")
+        elif now > self._until + self.limits.action_timeout:
+            late = now - self._until
+            self._refuse(f"The last action ended {late:.2f} s ago; the arm comes to rest. Remedy: check the policy")
+
+    def _check_following(self, q: Array, arm: GuardedArm) -> None:
+        """Refuse to move a commanded position that the joints do not follow."""
+        if not self.space.follows_position or not np.isfinite(q).all():
+            return
+        errors = np.abs(q - arm.target)
+        worst, limit = int(np.argmax(errors)), self.limits.following_error
+        if errors[worst] > limit:
+            text = f"{self._model.joints[worst].name} is {errors[worst]:.2f} rad from its commanded position"
+            self._refuse(
+                f"{text}, allowed are {limit:.2f}; the arm comes to rest. Remedy: look for a contact, or call `reset`"
+            )
+
+    def _current_arm(self, q: Array, v: Array) -> GuardedArm:
+        """The arm at this step; an action begins at the state of its first step."""
+        if self._arm is None:
+            start = q if self._target is None or not self.space.follows_position else self._target
+            start = start if len(start) == self._model.n else np.zeros(self._model.n)  # the pose of a base is no joint
+            self._arm = GuardedArm(safety=self.safety, q=q, v=v, start=start, target=start)
+            self._goal = (
+                self.space.rest(self._arm) if self._values is None else self.space.goal(self._values, self._arm)
+            )
+        return self._arm
+
+    def _move_target(self, arm: GuardedArm, u: Array) -> None:
+        """Integrate the control of one period; the commanded configuration stays within the joint limits."""
+        moved = arm.target + self._dt * u
+        if self.space.follows_position:
+            moved = np.clip(moved, np.minimum(self._lower, arm.target), np.maximum(self._upper, arm.target))
+        arm.target, arm.elapsed = moved, arm.elapsed + self._dt
+        self._target = moved if np.isfinite(moved).all() else self._target
+
+    def _nominal(self, arm: GuardedArm, now: float) -> Array:
+        """The nominal control of this step; zero after a problem."""
+        assert self._goal is not None
+        if self._problem:
+            return np.zeros(self._model.n)
+        return self._goal.control(arm, self._until - now)
+
+    def _filter(self, q: Array, v: Array, u_nom: Array, now: float, opening: float | None) -> FilterResult:
+        u_prev = None if self.space.commands_velocity else v
+        if self.shadow:
+            return self.shadow.evaluate(q, v, u_nom, now, u_prev=u_prev, opening=opening)
+        if u_prev is not None:
+            self.safety.reset(u_prev)
+        return self.safety(q, v, u_nom, now, opening=opening)
+
+    def _refuse(self, problem: str) -> None:
+        """The first problem since the action began is reported."""
+        self._problem = self._problem or problem

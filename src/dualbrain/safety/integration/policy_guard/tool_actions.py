@@ -1,0 +1,184 @@
+"""Action spaces of the tool: twists, and poses that are absolute or relative.
+
+A twist V (6,) of the tool becomes the joint velocity u = Jᵀ (J Jᵀ + λ² 1)⁻¹ V with the damping λ = `DAMPING`. The
+guarantee holds for the joint motion that the guard computes. A robot that resolves the returned pose by itself may move
+its elbow differently; send it `PolicyGuard.target` or the joint velocity instead where its interface takes them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.core.geometry.rotations import matrix_to_quaternion, quaternion_to_matrix, rotation_error
+from dualbrain.safety.cbf.filter import ToolState
+from dualbrain.safety.integration.policy_guard.action_layout import ActionLayout, Layout
+from dualbrain.safety.integration.policy_guard.action_space import ActionGoal, GuardedArm, limit_speed
+
+Array = NDArray[np.float64]
+Rotation = Literal["none", "rotation_vector", "quaternion"]
+Frame = Literal["world", "tool"]
+
+DAMPING = 0.01
+"""Damping λ [m, rad] of the inverse of the Jacobian."""
+POSE_TOLERANCE = 5e-4
+"""Distance [m] and angle [rad] of the tool from its goal at which the goal is reached."""
+ROTATION_VALUES = {"none": 0, "rotation_vector": 3, "quaternion": 4}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ToolTwist:
+    """Actions are the linear [m/s] and, with `angular`, the angular velocity [rad/s] of the tool in axes of `frame`."""
+
+    layout: Layout = field(default_factory=ActionLayout)
+    angular: bool = True
+    frame: Frame = "world"
+    commands_velocity: bool = field(default=True, init=False)
+    follows_position: bool = field(default=False, init=False)
+
+    def count(self, n: int) -> int:
+        """Three linear velocities, and three angular ones."""
+        del n
+        return 6 if self.angular else 3
+
+    def goal(self, values: Array, arm: GuardedArm) -> ActionGoal:
+        """A motion at constant twist."""
+        del arm
+        return _TwistGoal(values, self.frame)
+
+    def rest(self, arm: GuardedArm) -> ActionGoal:
+        """No motion."""
+        return self.goal(np.zeros(self.count(len(arm.v))), arm)
+
+    def standstill(self, last: Array | None, n: int) -> Array | None:
+        """Zero twist."""
+        del last
+        return np.zeros(self.count(n))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ToolPose:
+    """Actions are poses of the tool: position [m] and rotation, with `delta` relative to the commanded pose.
+
+    `rotation`: a rotation vector [rad], a unit quaternion (w, x, y, z), or "none": the tool keeps its rotation.
+    Relative poses are in the axes of `frame`; absolute ones in those of the world, which are those of the robot's base.
+    """
+
+    layout: Layout = field(default_factory=ActionLayout)
+    rotation: Rotation = "rotation_vector"
+    delta: bool = False
+    frame: Frame = "world"
+    commands_velocity: bool = field(default=True, init=False)
+    follows_position: bool = field(default=True, init=False)
+
+    def count(self, n: int) -> int:
+        """Three coordinates and the numbers of the rotation."""
+        del n
+        return 3 + ROTATION_VALUES[self.rotation]
+
+    def goal(self, values: Array, arm: GuardedArm) -> ActionGoal:
+        """A motion to a pose."""
+        start = arm.tool_at_start()
+        turn = self._turn(values[3:])
+        if not self.delta:
+            rotation = start.rotation if turn is None else turn
+            return _PoseGoal(values[:3], rotation, self)
+        axes = start.rotation if self.frame == "tool" else np.eye(3)
+        rotation = start.rotation if turn is None else axes @ turn @ axes.T @ start.rotation
+        return _PoseGoal(start.position + axes @ values[:3], rotation, self)
+
+    def rest(self, arm: GuardedArm) -> ActionGoal:
+        """The commanded pose."""
+        tool = arm.tool_at_start()
+        return _PoseGoal(tool.position, tool.rotation, self)
+
+    def standstill(self, last: Array | None, n: int) -> Array | None:
+        """No change, or the last commanded pose."""
+        if not self.delta:
+            return last
+        values = np.zeros(self.count(n))
+        values[3:4] = self.rotation == "quaternion"
+        return values
+
+    def _turn(self, values: Array) -> Array | None:
+        """The rotation matrix of an action; None for one without a rotation."""
+        if self.rotation == "none":
+            return None
+        if self.rotation == "quaternion":
+            usable = float(np.linalg.norm(values)) > 1e-6
+            return quaternion_to_matrix(values.tolist()) if usable else None
+        return rotation_matrix(values)
+
+    def values(self, tool: ToolState, start: ToolState) -> Array:
+        """The values of the pose `tool`, for a relative action of its change since `start`."""
+        axes = start.rotation if self.delta and self.frame == "tool" else np.eye(3)
+        position = axes.T @ (tool.position - start.position) if self.delta else tool.position
+        rotation = axes.T @ tool.rotation @ start.rotation.T @ axes if self.delta else tool.rotation
+        if self.rotation == "none":
+            return position
+        if self.rotation == "quaternion":
+            return np.concatenate([position, matrix_to_quaternion(rotation)])
+        return np.concatenate([position, rotation_error(np.eye(3), rotation)])
+
+
+@dataclass(frozen=True, slots=True)
+class _TwistGoal:
+    twist: Array
+    frame: Frame
+
+    def control(self, arm: GuardedArm, remaining: float) -> Array:
+        del remaining
+        axes = arm.tool().rotation if self.frame == "tool" else np.eye(3)
+        return resolve(np.concatenate([axes @ part for part in self.twist.reshape(-1, 3)]), arm)
+
+    def command(self, arm: GuardedArm) -> Array:
+        time, start, tool = max(arm.elapsed, arm.period), arm.tool_at_start(), arm.tool()
+        axes = start.rotation if self.frame == "tool" else np.eye(3)
+        linear = axes.T @ (tool.position - start.position) / time
+        if len(self.twist) == 3:
+            return linear
+        return np.concatenate([linear, axes.T @ rotation_error(start.rotation, tool.rotation) / time])
+
+    def is_reached(self, arm: GuardedArm) -> bool:
+        return bool(np.abs(self.command(arm) - self.twist).max() <= POSE_TOLERANCE / max(arm.elapsed, arm.period))
+
+
+@dataclass(frozen=True, slots=True)
+class _PoseGoal:
+    position: Array
+    rotation: Array
+    space: ToolPose
+
+    def control(self, arm: GuardedArm, remaining: float) -> Array:
+        return resolve(self._error(arm) / max(remaining, arm.period), arm)
+
+    def command(self, arm: GuardedArm) -> Array:
+        return self.space.values(arm.tool(), arm.tool_at_start())
+
+    def is_reached(self, arm: GuardedArm) -> bool:
+        error = self._error(arm)
+        return bool(np.linalg.norm(error[:3]) <= POSE_TOLERANCE and np.linalg.norm(error[3:]) <= POSE_TOLERANCE)
+
+    def _error(self, arm: GuardedArm) -> Array:
+        """The motion (6,) that is left."""
+        tool = arm.tool()
+        return np.concatenate([self.position - tool.position, rotation_error(tool.rotation, self.rotation)])
+
+
+def resolve(twist: Array, arm: GuardedArm) -> Array:
+    """The joint velocity (n,) that moves the tool at the commanded configuration with `twist`, (6,) or linear (3,)."""
+    J = arm.tool().jacobian[: len(twist)]
+    u = J.T @ np.linalg.solve(J @ J.T + DAMPING**2 * np.eye(len(twist)), twist)
+    return limit_speed(u, arm)
+
+
+def rotation_matrix(vector: Array) -> Array:
+    """The rotation (3, 3) by the rotation vector (3,) [rad]."""
+    angle = float(np.linalg.norm(vector))
+    if angle < 1e-12:
+        return np.eye(3)
+    half = 0.5 * angle
+    return quaternion_to_matrix((float(np.cos(half)), *(np.sin(half) / angle * vector).tolist()))
