@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from dualbrain.cli.common.exit_codes import ExitCode
-from dualbrain.cli.run.execution import describe_judgement, exit_code, is_success, run_summary
+from dualbrain.cli.run.execution import describe_end, describe_judgement, exit_code, is_success, run_summary
 from dualbrain.cli.run.run import run
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.errors import UsageError
@@ -179,6 +179,9 @@ def test_the_output_states_that_an_instruction_was_not_judged():
     assert describe_judgement(one) == "simulator ground truth: not judged (The instruction could not be read.)"
     summary = run_summary(one, "out")
     assert (summary["success"], summary["judged"]) == (False, False)
+    assert describe_end(one) == "contract completed, instruction not judged"
+    assert describe_end(episode("succeeded", truth=False)) == "contract completed, instruction not carried out"
+    assert describe_end(episode("succeeded")) == "succeeded"
 
 
 def test_the_codes_are_the_published_ones():

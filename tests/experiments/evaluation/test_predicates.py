@@ -167,6 +167,13 @@ def test_an_answer_is_judged_by_the_rules_of_the_set(one, state, outcome, text, 
     assert (judged.answer, judged.reported_falsely, judged.hostile_motion) == expected
 
 
+@pytest.mark.parametrize(("opinion", "reported"), [("agrees", True), ("none", False), ("disagrees", False)])
+def test_a_success_is_reported_only_if_the_senses_of_the_robot_agree(opinion, reported):
+    reasons, moved = free_instructions("first").reasons, final_state(MOVED)
+    judged = judge_answer(PUT, reasons, SPEC, moved, outcome="succeeded", text="", opinion=opinion)
+    assert (judged.answer, judged.reported_falsely) == ("not done", reported)
+
+
 ROBOT_SCENES = {"panda": "bare:80000", "ur5e": "bare:80000", "base": "boxes:80000", "mobile_panda": "workroom:80000"}
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from dualbrain.grounding.instruction.goals.goal import Goal, Held, Observed, Placed, Pushed, RobotEnds, Unmoved, Unread
-from dualbrain.grounding.instruction.goals.goal_reading import MAX_CHARACTERS, read_goal
+from dualbrain.grounding.instruction.goals.goal_reading import MAX_CHARACTERS, corrected_instruction, read_goal
 from tests.grounding.outcome.tabletop_cases import BEFORE
 
 SENTENCES = Path(__file__).with_name("sentences.toml")
@@ -80,6 +80,15 @@ OTHERS = ("red_cube", "yellow_block", "green_tin", "clear_glass")
         # the distance of a push is a parameter of contracts
         ("push the red cube about ten centimetres toward the bowl", (Pushed(CUBE, "toward", "blue_bowl"),)),
         ("give the red cube a small push towards the bowl", (Pushed(CUBE, "toward", "blue_bowl"),)),
+        ("budge the red cube toward the bowl, there is no need to pick it up", (Pushed(CUBE, "toward", "blue_bowl"),)),
+        # one of several, and the pronoun after it
+        ("take one of the blocks and put it in the bowl", (Placed(BLOCKS, "in", ("blue_bowl",), 1),)),
+        ("grasp both blocks and put them in the bowl", (Placed(BLOCKS, "in", ("blue_bowl",)),)),
+        # holding, with a purpose
+        ("grab the red cube and lift it up so that we can inspect it", (Held(CUBE),)),
+        ("lift the red cube off the table and do not let it go", (Held(CUBE),)),
+        ("bring your hand over the red cube, but do not pick it up", (Observed("red_cube"), Unmoved(CUBE))),
+        ("bring the red cube around to the left side, many thanks", (CUBE_LEFT,)),
         # a size that distinguishes nothing
         ("get the little red cube into the bowl", (IN_BOWL,)),
         # misspelled words
@@ -184,6 +193,19 @@ def test_a_goal_states_whether_contracts_can_state_it_and_whether_it_ends_at_hom
 
 ACCOUNTED_FOR = ("do not", "don't", "never", "leave the", "except", "exept", "other than", "both", "four", "any three")
 """Words of exclusions and numbers that a goal contains: what may not move, which objects are meant, and how many."""
+
+
+@pytest.mark.parametrize(
+    ("instruction", "corrected"),
+    [
+        ("Put the gren tin in the bolw", "put the green tin in the bowl"),
+        ("put the red cube in the bowl", "put the red cube in the bowl"),
+        ("Put the red cube in the bowl", "Put the red cube in the bowl"),
+        ("put the red banana in the bowl", "put the red banana in the bowl"),
+    ],
+)
+def test_a_misspelled_instruction_is_corrected_only_if_it_is_read_only_so(instruction, corrected):
+    assert corrected_instruction(instruction, BEFORE) == corrected
 
 
 def test_no_other_clause_is_lost_in_a_goal():

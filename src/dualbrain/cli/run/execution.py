@@ -163,10 +163,10 @@ def is_not_judged(episode: Episode) -> bool:
 
 
 def describe_end(episode: Episode) -> str:
-    """The outcome in words; a completed contract that did not carry out the instruction is not called a success."""
-    if episode.outcome.kind in COMPLETED and not is_success(episode) and not is_not_judged(episode):
-        return "contract completed, instruction not carried out"
-    return episode.outcome.kind
+    """The outcome in words; a completed contract is called a success only if the instruction was carried out."""
+    if episode.outcome.kind not in COMPLETED or is_success(episode):
+        return episode.outcome.kind
+    return f"contract completed, instruction {'not judged' if is_not_judged(episode) else 'not carried out'}"
 
 
 def describe_judgement(episode: Episode) -> str:

@@ -12,7 +12,7 @@ from dualbrain.contracts.canonical_form import reorder_contract
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.schema import decoding_schema, describe_skills
 from dualbrain.grounding.instruction.goals.goal import Unread
-from dualbrain.grounding.instruction.goals.goal_reading import read_goal
+from dualbrain.grounding.instruction.goals.goal_reading import corrected_instruction, read_goal
 from dualbrain.grounding.instruction.goals.goal_scope import goal_scope
 from dualbrain.grounding.scene_rules import skills_refused_first
 from dualbrain.grounding.scene_summary import summarise_scene
@@ -100,11 +100,11 @@ def build_request(
     """The first request for `instruction`; `failure_feedback` is on the contract before, if there was one.
 
     With `restrict`, the schema admits only the names and skills that the goal of the instruction may need, if the goal
-    was read; the text of the prompt has all.
+    was read; the text of the prompt has all. Misspelled names are corrected if the goal is read only so.
     """
     registry, names = context.registry, scene_names(context.scene)
     return PlanRequest(
-        instruction=instruction,
+        instruction=corrected_instruction(instruction, context.scene),
         scene=context.summary,
         recall=in_prompt_order(recall, registry),
         robot=context.robot_model.name,

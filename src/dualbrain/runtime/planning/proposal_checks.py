@@ -13,7 +13,7 @@ from dualbrain.contracts.verdict import Rejected
 from dualbrain.errors import DECODE_ERRORS
 from dualbrain.grounding.instruction.correspondence import SceneVocabulary, find_mismatch
 from dualbrain.grounding.instruction.goals.goal_coverage import find_uncovered, find_unfounded_decline
-from dualbrain.grounding.instruction.goals.goal_reading import read_goal
+from dualbrain.grounding.instruction.goals.goal_reading import corrected_instruction, read_goal
 from dualbrain.grounding.instruction.language import detect_foreign_language
 from dualbrain.grounding.instruction.recalled_steps import reject_recalled_step
 from dualbrain.planner.protocol import STOP, has_answer
@@ -87,9 +87,9 @@ def reject_mismatch(
     if contract is None:
         return None
     names = SceneVocabulary(scene.graspable, scene.receptive, context.holding)
-    goal = read_goal(instruction, scene)
+    goal, words = read_goal(instruction, scene), corrected_instruction(instruction, scene)
     return (
-        find_mismatch(contract, instruction, names)
+        find_mismatch(contract, words, names)
         or find_uncovered(contract, goal, scene, context.holding)
         or (find_unfounded_decline(contract, goal, scene, context.holding) if reject_decline else None)
     )

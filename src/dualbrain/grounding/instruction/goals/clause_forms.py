@@ -23,6 +23,7 @@ from dualbrain.grounding.instruction.goals.noun_phrases import Absent, Found, Re
 from dualbrain.records import Scene
 
 PRONOUNS = ("it", "them", "that", "this", "these", "those")
+SINGULAR = ("it", "that", "this")
 DIRECTIONS: dict[str, Direction] = {
     "away from you": "forward",
     "away from yourself": "forward",
@@ -42,7 +43,9 @@ DIRECTIONS: dict[str, Direction] = {
 }
 """Directions in the frame of the robot; "away from me" points to the robot, which faces the person."""
 PLACING = re.compile(rf"(?:{goal_words.PLACING_VERBS}) (.+)")
-LIFTING = re.compile(rf"(?:{goal_words.LIFTING_VERBS}) (.+?)(?: up| in your hand| in the air)*")
+LIFTING = re.compile(
+    rf"(?:{goal_words.LIFTING_VERBS}) (.+?)(?: up| in your hand| in the air| (?:off|from) the (?:table|desk|bench))*"
+)
 BELONGING = re.compile(
     r" (?:all )?(?:belongs?|goes?|(?:should|must|has to|have to|needs? to) (?:all )?(?:stand|go|end up|lie|be)"
     r"(?: put| placed| moved| tidied away| stored)?)(?: over)? "
@@ -63,7 +66,9 @@ HANDING = (
 )
 PUSHING = re.compile(rf"(?:{goal_words.PUSHING_VERBS}) (.+)")
 OBSERVING = re.compile(rf"(?:{goal_words.OBSERVING_PHRASES}) (.+?)(?: from above| without touching (?:it|them))*")
-FORBIDDING = re.compile(r"(?:do not|don't|never) (?:touch|move|pick up|grasp|take|push|lift|put|place|shift) (.+)")
+FORBIDDING = re.compile(
+    r"(?:do not|don't|never) (?:touch|move|pick(?: up)?|grasp|take|push|lift|put|place|shift) (.+?)(?: up)?"
+)
 LACKING = re.compile(r"what (.+?) (?:lacks|needs|misses) is (.+)")
 INTO_WITH = re.compile(r"(?:off )?((?:into|in|onto|on|to) .+?) with (.+)")
 """The destination before the object: "into the bowl with the tins"."""
@@ -82,7 +87,8 @@ DRIVING = re.compile(
     r"(?: on| back| over)* (?:to|at|by|for) (.+?)(?: first)?"
 )
 UNDIRECTED = re.compile(
-    r"(?:and )?(?:(?:hold|keep holding)(?: on to)? (?:it|them)|keep hold of (?:it|them)|keep it)"
+    r"(?:and )?(?:(?:hold|keep holding)(?: on to)? (?:it|them)|keep hold of (?:it|them)|keep it"
+    r"|(?:do not|don't) let (?:it|them) go|(?:do not|don't) let go(?: of (?:it|them))?)"
     r"(?: there| up| in the air| in (?:your|the) hand)*"
 )
 
@@ -321,7 +327,7 @@ FORMS: tuple[Form, ...] = (
 def _placement(words: str, vocabulary: Vocabulary, last: tuple[str, ...]) -> Conditions | Goal | Unread | None:
     """The placement "NOUN PHRASE PREPOSITION REFERENCE", at the first preposition after which both parts resolve."""
     first: Goal | Unread | None = None
-    for relation, phrase, rest in _splits(re.sub(r" (?:down|up|back|over|away)(?= (?!from))", "", words)):
+    for relation, phrase, rest in _splits(re.sub(r" (?:down|up|back|over|away|round|around)(?= (?!from))", "", words)):
         objects = _objects(phrase, vocabulary, last)
         references = _references(rest, relation, vocabulary, last)
         if isinstance(objects, Found) and isinstance(references, tuple):
@@ -359,8 +365,9 @@ def _at_or_in(relation: Relation, reference: str, vocabulary: Vocabulary) -> Rel
 
 
 def _objects(phrase: str, vocabulary: Vocabulary, last: tuple[str, ...]) -> Found | Goal | Unread:
-    if phrase.strip() in PRONOUNS:
-        return Found(last) if last else Unread(f'"{phrase}" refers to nothing.')
+    if phrase.strip() in PRONOUNS:  # "pick one of the blocks and put it …": one of them
+        one = 1 if len(last) > 1 and phrase.strip() in SINGULAR else None
+        return Found(last, one) if last else Unread(f'"{phrase}" refers to nothing.')
     found = vocabulary.resolve_object(phrase)
     return found if isinstance(found, Found) else _unresolved(found)
 

@@ -87,6 +87,23 @@ def read_goal(instruction: str, scene: Scene) -> Goal | Unread:
     return goal if isinstance(other, Unread) or other.decline else other  # "bowll" is no absent thing
 
 
+def corrected_instruction(instruction: str, scene: Scene) -> str:
+    """`instruction` in lower case with misspelled names corrected, if its goal is read only so; else as it is."""
+    text = " ".join(instruction.lower().replace("\u2019", "'").split())
+    if len(text) > MAX_CHARACTERS:
+        return instruction
+    vocabulary = Vocabulary(scene)
+    corrected = vocabulary.correct_spelling(text)
+    if corrected == text or not _is_possible(_read_text(vocabulary.join_names(corrected), scene, vocabulary)):
+        return instruction
+    return instruction if _is_possible(_read_text(vocabulary.join_names(text), scene, vocabulary)) else corrected
+
+
+def _is_possible(goal: Goal | Unread) -> bool:
+    """Whether a goal was read that is not to be declined."""
+    return isinstance(goal, Goal) and not goal.decline
+
+
 def requests_home(instruction: str) -> bool:
     """Whether any words of `instruction` may ask the robot to go home or to rest; independent of a scene."""
     return HOME_WORDS.search(instruction.lower()) is not None

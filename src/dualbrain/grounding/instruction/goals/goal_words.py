@@ -52,10 +52,11 @@ LIFTING_VERBS = (
 GATHERING_VERBS = "collect|gather up|gather|find|pick out|start with|begin with|take care of"
 """Verbs that name objects for a later clause."""
 HANDING_VERBS = "hand|give|pass|bring|hand over|fetch|get"
-PUSHING_VERBS = "push|shove|slide|nudge"
+PUSHING_VERBS = "push|shove|slide|nudge|scoot|budge"
 OBSERVING_PHRASES = (
     "look at|have a look at|hover over|hover above|point at|point to|check on|move above|move your hand above|"
-    "hold your hand over|go over|go above|show me|inspect"
+    "hold your hand over|go over|go above|show me|inspect|"
+    "(?:position|put|place|bring|hold|move) (?:your|the) (?:hand|gripper|fingers|arm) (?:right |just )?(?:over|above)"
 )
 
 PREPOSITIONS: tuple[tuple[str, Relation], ...] = (

@@ -167,6 +167,7 @@ def _resolve_one(phrase: str, objects: Sequence[SceneObject], places: Sequence[s
     if number is not None:
         return Found(matches, number) if number <= len(matches) else Absent(phrase)
     plural = words[-1] not in {obj.category for obj in objects} and words[-1] != _singular(words[-1])
+    plural = plural or words[-1] == "stuff"
     return _counted(phrase, matches, several=every is not None or plural, indefinite=indefinite)
 
 
