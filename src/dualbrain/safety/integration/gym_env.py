@@ -19,7 +19,7 @@ from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.obstacles import Obstacle
 from dualbrain.safety.integration.policy_guard.action_layout import FunctionLayout
 from dualbrain.safety.integration.policy_guard.action_space import ActionSpace
-from dualbrain.safety.integration.policy_guard.guard import GuardReport, PolicyGuard
+from dualbrain.safety.integration.policy_guard.guard import Deviation, GuardReport, PolicyGuard
 from dualbrain.safety.integration.policy_guard.joint_actions import JointVelocity
 from dualbrain.safety.integration.policy_guard.torque_actions import JointTorque, TorqueDrive
 from dualbrain.safety.integration.shadow_mode import ShadowFilter
@@ -68,6 +68,7 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         torque: TorqueDrive | None = None,
         action_space: ActionSpace | None = None,
         action_repeat: int = 1,
+        deviation: Deviation = "nearest",
     ) -> None:
         """Filter `env` with `safety`, or only observe it with a `ShadowFilter`.
 
@@ -82,6 +83,7 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
           filtered several times per step, on the predicted motion.
         - `action_repeat`: number of environment steps per action. Each step is filtered again and rewards are summed:
           20 ms of a policy are 4 steps of an environment of 5 ms.
+        - `deviation`: the nearest safe control, or braking along the commanded direction ("along_path").
 
         Raises:
             ConfigurationError: the `dt` of the environment is not the period of the robot model (with `action_space`:
@@ -107,7 +109,9 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
             self._check_period(step)
             if torque is None:
                 self._check_actions(env.action_space)
-        self.guard = PolicyGuard(safety, action_space or given, period=step if action_space else None)
+        self.guard = PolicyGuard(
+            safety, action_space or given, period=step if action_space else None, deviation=deviation
+        )
         self._reports_tracking = torque is not None and self.shadow is None
         self._now = 0.0
         self._joint_state: JointState = (np.array(self.safety.robot_model.home), np.zeros(self._n))

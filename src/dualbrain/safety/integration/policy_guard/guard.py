@@ -16,7 +16,7 @@ from collections.abc import Sized
 from copy import copy
 from dataclasses import dataclass
 from math import inf, isfinite, isnan, nan
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,9 +27,13 @@ from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.result import FilterResult, FilterStatus
 from dualbrain.safety.integration.policy_guard.action_space import ActionGoal, ActionSpace, GuardedArm
 from dualbrain.safety.integration.policy_guard.joint_actions import JointVelocity
+from dualbrain.safety.integration.policy_guard.path_braking import brake_along_path
 from dualbrain.safety.integration.shadow_mode import ShadowFilter
 
 Array = NDArray[np.float64]
+Deviation = Literal["nearest", "along_path"]
+DEVIATIONS: tuple[Deviation, ...] = ("nearest", "along_path")
+"""How the guard deviates from a nominal control: to the nearest safe control, or by braking along its direction."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,6 +54,7 @@ class GuardReport:
 
     `changed`: whether the action differs from that of the policy. `status`: the highest status of the filter. `delta`:
     mean change of the control by the filter; `delta_rows` is the part that is not due to jumps beyond joint limits.
+    `speed_share`: the smallest share of the commanded speed while braking along the path, 1 without braking.
     `h_min` [m]: the smallest h before a step. `explanation`: the largest change as a sentence. `problem`: why the arm
     comes to rest, with a remedy; "" without one.
     """
@@ -58,6 +63,7 @@ class GuardReport:
     status: FilterStatus
     delta: float
     delta_rows: float
+    speed_share: float
     h_min: float
     explanation: str
     problem: str
@@ -81,12 +87,15 @@ class PolicyGuard:
         *,
         period: float | None = None,
         action_size: int | None = None,
+        deviation: Deviation = "nearest",
         limits: GuardLimits = GuardLimits(),
     ) -> None:
         """Guard with `safety`, which must have no other caller; a `ShadowFilter` reports and changes nothing.
 
         `period` [s] is the time between two actions, by default the period of the robot model; it must be a multiple of
         that (`derate`). `action_size` is the number of entries of an action, by default that of the first usable one.
+        `deviation`: the control becomes the nearest safe one, or "along_path" brakes along the commanded direction as
+        long as that is safe (`path_braking.py`).
 
         Raises:
             ConfigurationError: the period or the layout does not fit, or a robot with a mobile base gets other actions
@@ -94,7 +103,9 @@ class PolicyGuard:
         """
         self.shadow = safety if isinstance(safety, ShadowFilter) else None
         self.safety = safety.safety if isinstance(safety, ShadowFilter) else safety
-        self.space, self.limits = space, limits
+        self.space, self.limits, self._brakes_along_path = space, limits, deviation == "along_path"
+        if deviation not in DEVIATIONS:
+            raise ConfigurationError("deviation of the guard", got=deviation, allowed=" or ".join(DEVIATIONS))
         self._model = self.safety.robot_model
         self._dt = self._model.period
         self.steps_per_action = self._count_steps(period)
@@ -137,8 +148,13 @@ class PolicyGuard:
         self._arm: GuardedArm | None = None
         self._now, self._until, self._problem = -inf, 0.0, ""
         self._results: list[FilterResult] = []
+        self._speed_share, self._u_prev = 1.0, self._start_velocity(v)
         self._last_command: Array | None = None
         self._changed = False
+
+    def _start_velocity(self, v: ArrayLike) -> Array:
+        """The joint velocity `v` at the beginning, one number or (n,), as an array."""
+        return np.broadcast_to(np.asarray(v, float), (self._model.n,)).copy()
 
     @property
     def target(self) -> Array:
@@ -161,6 +177,7 @@ class PolicyGuard:
             status=max(result.status for result in self._results),
             delta=sum(result.delta for result in self._results) / len(self._results),
             delta_rows=sum(result.delta_rows for result in self._results) / len(self._results),
+            speed_share=self._speed_share,
             h_min=min(heights, default=nan),
             explanation=max(self._results, key=lambda result: result.delta).explain(),
             problem=self._problem,
@@ -196,6 +213,7 @@ class PolicyGuard:
     def begin(self, action: Any, now: float) -> None:
         """Begin `action` at `now` [s]; `step` moves the arm."""
         self._problem, self._results, self._goal, self._arm = "", [], None, None
+        self._speed_share = 1.0
         values = self.space.layout.read(action, self._count, self._size)
         self._original, self._values = action, None
         if isinstance(values, str):
@@ -307,7 +325,20 @@ class PolicyGuard:
             return self.shadow.evaluate(q, v, u_nom, now, u_prev=u_prev, opening=opening)
         if u_prev is not None:
             self.safety.reset(u_prev)
-        return self.safety(q, v, u_nom, now, opening=opening)
+        if self._brakes_along_path and not self._problem:
+            u_nom = self._braked(q, v, u_nom, self._u_prev if u_prev is None else u_prev, now, opening)
+        result = self.safety(q, v, u_nom, now, opening=opening)
+        self._u_prev = result.u
+        return result
+
+    def _braked(self, q: Array, v: Array, u_nom: Array, u_prev: Array, now: float, opening: float | None) -> Array:
+        """The nominal control, slowed down along its direction as far as the barriers need it."""
+        found = brake_along_path(self.safety, q, v, u_nom, u_prev, now, opening)
+        if found is None:
+            self._speed_share = 0.0
+            return u_nom
+        self._speed_share = min(self._speed_share, found[1])
+        return found[0]
 
     def _refuse(self, problem: str) -> None:
         """The first problem since the action began is reported."""
