@@ -22,7 +22,7 @@ from experiments.figures.tables import format_proportion, markdown_table
 
 MIN_RIGHT_SHARE = 0.8
 HELD_OUT = frozenset({"second"})
-"""The sets whose errors are counted and never listed, so that nothing is corrected by them."""
+"""The sets whose errors are counted and not listed."""
 
 
 class FreeInstructionsExperiment:
