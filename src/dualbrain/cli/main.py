@@ -120,6 +120,10 @@ app.command(
     corrected for multiple comparisons (Holm), and the conclusion that these support.""",
 )
 
+export = App(name="export", help="Write recorded runs in the formats of other programs.")
+app.command(export)
+export.command("dualbrain.cli.evaluation.export_lerobot:export_lerobot", name="lerobot")
+
 memory = App(name="memory", help="Inspect, audit and edit the episode memory. Every edit can be undone.")
 app.command(memory)
 for _name, _function, _help in (

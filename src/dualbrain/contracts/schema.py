@@ -1,4 +1,4 @@
-"""Four forms of a registry: validation schema, decoding schema, syntax schema, and the text for the prompt."""
+"""Five forms of a registry: validation, decoding and syntax schema, schemas of tools, and the text for the prompt."""
 
 from __future__ import annotations
 
@@ -138,6 +138,24 @@ def describe_skills(registry: SkillRegistry, names: SceneNames) -> str:
     return "\n".join(lines)
 
 
+def tool_schemas(registry: SkillRegistry, names: SceneNames) -> list[Schema]:
+    """One tool per skill, in the form of OpenAI-style function calls; its `parameters` are those of a contract's step.
+
+    A parameter of a name of which `names` has none is any text.
+    """
+    return [
+        {
+            "type": "function",
+            "function": {
+                "name": skill.name,
+                "description": skill.description,
+                "parameters": closed_object({p.name: _tool_parameter(p, names) for p in skill.parameters}),
+            },
+        }
+        for skill in registry.skills
+    ]
+
+
 # --- parts ----------------------------------------------------------------------------------------------------------
 
 
@@ -178,6 +196,12 @@ def _domain_schema(parameter: Parameter, names: SceneNames) -> Schema:
             hidden = {"pattern": f"[{every_hidden_character()}]"}
             schema = {"type": "string", "maxLength": parameter.max_length, "not": hidden}
     return schema | {"description": _description(parameter)}
+
+
+def _tool_parameter(parameter: Parameter, names: SceneNames) -> Schema:
+    """The domain of a parameter of a tool; an `enum` without entries would admit nothing and is no valid schema."""
+    schema = _domain_schema(parameter, names)
+    return {key: value for key, value in schema.items() if key != "enum" or value}
 
 
 def _description(parameter: Parameter) -> str:

@@ -1,1 +1,1 @@
-"""Commands: evaluate, report, compare."""
+"""Commands: evaluate, report, compare, export."""

@@ -25,12 +25,11 @@ from dualbrain.control.recording.channels import (
     read_recording,
     recording_state,
 )
+from dualbrain.control.recording.recorded_robot import recorded_robot
 from dualbrain.control.recording.trace import columns
 from dualbrain.errors import ConfigurationError
 from dualbrain.records import MarginShortfall
 from dualbrain.robots.interface import RobotState
-from dualbrain.robots.loader import find_model_faults, load_builtin_robot
-from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.config import FilterConfig
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.obstacles import Contact, Obstacle
@@ -115,16 +114,6 @@ def _replay_messages(path: Path, result: ReplayResult) -> _ReplayFilter | None:
     return replay_filter
 
 
-def _recorded_robot(data: Mapping[str, Any]) -> RobotModel:
-    """The robot of a recording: the model in it, or the packaged robot that it names; a name never opens a file."""
-    if "body" not in data:
-        return load_builtin_robot(str(data["robot"]))
-    robot_model = msgspec.convert(data["body"], RobotModel)
-    for entry, got, allowed in find_model_faults(robot_model):
-        raise ConfigurationError(f"{entry} of the recorded robot", got=got, allowed=allowed)
-    return robot_model
-
-
 def measured_or_none(values: Array) -> Array | None:
     """A recorded reading; None if the robot did not measure it."""
     return None if np.isnan(values).all() else values
@@ -135,7 +124,7 @@ class _ReplayFilter:
 
     def __init__(self, data: Mapping[str, Any]) -> None:
         """Make the filter of the /episode message `data`: robot, guard, and the changes that a site file made."""
-        robot_model = _recorded_robot(data)
+        robot_model = recorded_robot(data)
         obstacles = msgspec.convert(data.get("standing", ()), tuple[Obstacle, ...])
         config = FilterConfig(cartesian_speed=data.get("cartesian_speed"))
         self._filter, self._guard = SafetyFilter(robot_model, config, obstacles=obstacles), bool(data["guard"])

@@ -127,16 +127,24 @@ def atomic_folder(path: Path) -> Generator[Path]:
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary.mkdir()
         yield temporary
-        for file in temporary.iterdir():
-            with file.open("rb") as written:
-                os.fsync(written.fileno())
-        fsync_folder(temporary)
+        _fsync_tree(temporary)
         temporary.rename(path)
         fsync_folder(path.parent)
     except OSError as error:
         raise FileWriteError(path, error) from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _fsync_tree(folder: Path) -> None:
+    """Sync all files and folders in `folder`, and itself, to the disk."""
+    for entry in folder.iterdir():
+        if entry.is_dir():
+            _fsync_tree(entry)
+            continue
+        with entry.open("rb") as written:
+            os.fsync(written.fileno())
+    fsync_folder(folder)
 
 
 def _temporary_sibling(path: Path) -> Path:

@@ -10,10 +10,11 @@ from typing import Any, get_args, get_origin
 
 import msgspec
 
+from dualbrain.core.storage.arrow_package import import_arrow
 from dualbrain.core.storage.atomic_files import atomic_file
 from dualbrain.core.untrusted.bounded_file import FileRefusal, read_bounded_file, read_regular_file
 from dualbrain.core.untrusted.bounded_process import ProcessFailure, ProcessLimits, stream_bounded
-from dualbrain.errors import DECODE_ERRORS, ConfigurationError, MissingDependencyError
+from dualbrain.errors import DECODE_ERRORS, ConfigurationError
 from dualbrain.evaluation.results.episode_row import EpisodeRow
 
 RESULTS_FILE = "results.parquet"
@@ -24,7 +25,6 @@ MAX_FILE_BYTES = 128 << 20
 """Largest size of a results file [bytes]: a thousand times that of the largest evaluation so far."""
 ROWS_AT_A_TIME = 64
 READING_LIMITS = ProcessLimits(output_bytes=2 << 30)
-INSTALL_HINT = "Install it with `pip install 'dualbrain[evaluation]'`."
 
 
 def write_results(rows: Sequence[EpisodeRow], config: dict[str, Any], path: Path) -> None:
@@ -33,7 +33,7 @@ def write_results(rows: Sequence[EpisodeRow], config: dict[str, Any], path: Path
     The umask determines the file's permissions. Raises `FileWriteError` if the file cannot be written,
     `MissingDependencyError` without the Parquet package.
     """
-    core, io = _import_arrow()
+    core, io = import_arrow()
     fields = msgspec.structs.fields(EpisodeRow)
     columns = [_column(core, one.type, [getattr(row, one.name) for row in rows]) for one in fields]
     heads = [core.Field(one.name, column.type, nullable=True) for one, column in zip(fields, columns, strict=True)]
@@ -84,7 +84,7 @@ def decode_results(argument: bytes) -> Iterator[bytes]:
     name, limit, shown = msgspec.msgpack.decode(argument, type=tuple[str, int, str])
     data = read_bounded_file(Path(name), limit)
     _check_magic(data, Path(shown))
-    _, io = _import_arrow()
+    _, io = import_arrow()
     try:
         reader = io.read_parquet(BytesIO(data))
         fields = _fields_in(set(reader.schema.names))
@@ -122,15 +122,7 @@ def _check_magic(data: bytes, path: Path) -> None:
 
 def require_parquet() -> None:
     """Raise `MissingDependencyError` without the package that reads and writes Parquet files."""
-    _import_arrow()
-
-
-def _import_arrow() -> tuple[Any, Any]:
-    try:
-        from arro3 import core, io  # noqa: PLC0415  (an extra; imported when a table is written or read)
-    except ModuleNotFoundError as error:
-        raise MissingDependencyError("The package arro3-io, of the extra `evaluation`,", fix=INSTALL_HINT) from error
-    return core, io
+    import_arrow()
 
 
 def _column(core: Any, kind: Any, values: list[Any]) -> Any:

@@ -1,0 +1,1 @@
+"""LeRobotDataset v3 from recorded runs: frames, features, statistics, tables, and the writer of the folder."""
