@@ -44,6 +44,9 @@ PUBLIC_PLACES = {
     "memory/state/snapshot.py": "opens the temporary file of `private_file`",
     "robots/builtin/generate.py": "data of the package, for developers",
     "robots/importer/output/robot_folder.py": "a robot description at a path that the user names",
+    "runtime/data_collection/lerobot/dataset_folder.py": "writes into the folder of its caller, an export",
+    "runtime/data_collection/lerobot/export.py": "an export for other programs",
+    "runtime/data_collection/lerobot/tables.py": "writes into the folder of its caller, an export",
     "simulation/models/collision_hulls.py": "data of the package, for developers",
     "visualization/evaluation/markdown_page.py": "a page for publication",
 }

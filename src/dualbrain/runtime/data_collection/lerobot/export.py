@@ -35,7 +35,7 @@ class ExportedEpisode(msgspec.Struct, frozen=True, kw_only=True):
     interventions: int
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Episode:
     """A run without its ticks, which need much more memory than its frames."""
 
@@ -55,7 +55,7 @@ def export_runs(
     task: str = "",
     on_run: Callable[[int], None] = lambda done: None,
 ) -> list[ExportedEpisode]:
-    """Write the recorded `runs` (run folders or recordings) as a dataset of `fps` frames per second to the folder `out`.
+    """Write the recorded `runs` (run folders or recordings) to the folder `out`, at `fps` frames per second.
 
     The folder is complete or absent. `frames` states the rule of sampling and the two kinds of `action`. The task of an
     episode is the instruction of its run, or `task` if it has none. `on_run` is called with the number of runs read.
@@ -113,7 +113,13 @@ def _read_episode(run: RecordedRun, fps: int, action: ActionKind, task: str) -> 
     frames = sample_frames(run.trace, fps, action=action, period=run.robot_model.period, path=run.recording)
     count = int(frames.intervention.sum())
     summary = ExportedEpisode(run=run.name, task=chosen, outcome=run.outcome, frames=len(frames), interventions=count)
-    return _Episode(summary, run.recording, run.robot_model, SceneNames(run.graspable, run.receptive), frames)
+    return _Episode(
+        summary=summary,
+        recording=run.recording,
+        robot_model=run.robot_model,
+        names=SceneNames(run.graspable, run.receptive),
+        frames=frames,
+    )
 
 
 def _require_same_robot(first: _Episode, other: _Episode) -> None:

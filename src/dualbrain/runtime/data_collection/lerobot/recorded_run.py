@@ -52,7 +52,7 @@ class RecordedRun:
     trace: Trace
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class _Messages:
     """The messages of a recording, collected in their order."""
 

@@ -8,7 +8,7 @@ interpolated linearly within its bin. Over several episodes, a quantile is the m
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,7 +67,7 @@ def _aggregate(parts: Sequence[FeatureStatistics]) -> FeatureStatistics:
 
 
 def _histogram_quantiles(values: NDArray[Any]) -> list[float]:
-    edges = np.linspace(values.min() - PADDING, values.max() + PADDING, BINS + 1)
+    edges = cast("NDArray[Any]", np.linspace(values.min() - PADDING, values.max() + PADDING, BINS + 1))
     below = np.cumsum(np.histogram(values, bins=edges)[0])
     return [_quantile(edges, below, share * len(values)) for share in QUANTILES.values()]
 
