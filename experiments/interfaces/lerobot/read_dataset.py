@@ -88,7 +88,7 @@ def train_act(folder, fps, steps):
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
-            losses.append(float(loss))
+            losses.append(loss.item())
             if len(losses) >= steps:
                 break
     return losses

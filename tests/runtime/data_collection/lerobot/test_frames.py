@@ -8,7 +8,7 @@ import pytest
 from dualbrain.control.recording.trace import DEAD_BAND, FULL_INTERVENTION
 from dualbrain.errors import ConfigurationError
 from dualbrain.runtime.data_collection.lerobot.frames import MAX_DISTANCE, nearest_ticks, sample_frames
-from tests.runtime.lerobot_export.sample_runs import PERIOD, sample_rows, sample_trace
+from tests.runtime.data_collection.lerobot.sample_runs import PERIOD, sample_rows, sample_trace
 
 PATH = Path("a.mcap")
 

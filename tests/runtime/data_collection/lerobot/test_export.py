@@ -17,7 +17,7 @@ from dualbrain.runtime.data_collection.lerobot.export import export_runs
 from dualbrain.runtime.data_collection.lerobot.frames import sample_frames
 from dualbrain.runtime.data_collection.lerobot.statistics import STATISTICS, aggregate_statistics, feature_statistics
 from dualbrain.skills.registry import skill_registry
-from tests.runtime.lerobot_export.sample_runs import INSTRUCTION, PERIOD, sample_rows, sample_trace, write_run
+from tests.runtime.data_collection.lerobot.sample_runs import INSTRUCTION, PERIOD, sample_rows, sample_trace, write_run
 
 INDICES = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 
