@@ -14,6 +14,7 @@ from dualbrain.adaptation.adapters.compatibility import require_compatible
 from dualbrain.adaptation.adapters.packaged import packaged_folder
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.evaluation.evaluate import evaluate
+from dualbrain.cli.evaluation.export_lerobot import export_lerobot
 from dualbrain.cli.evaluation.report import compare, report
 from dualbrain.cli.run.demo import demo
 from dualbrain.grounding.vocabulary import load_skill_registry
@@ -110,6 +111,18 @@ def test_replay_of_what_is_no_recording(run_command, tmp_path):
         assert name in err
 
 
+def test_a_run_is_exported_as_one_episode(run_command, completed_run, tmp_path):
+    folder, *_ = completed_run
+    code, out, err = run_command("export", "lerobot", folder / "run", "--out", "cubes", "--json")
+    data = json.loads(out)
+    episode = data["episodes"][0]
+    assert code == ExitCode.SUCCESS
+    assert (episode["run"], episode["task"]) == ("run", "put the red cube in the bowl")
+    assert data["frames"] == episode["frames"] > 100
+    assert f"cubes: 1 episode, {data['frames']} frames" in err
+    assert {path.name for path in (tmp_path / "cubes").iterdir()} == {"data", "meta"}
+
+
 def test_models_list_names_every_file_with_its_licence(run_command, monkeypatch):
     monkeypatch.setenv("COLUMNS", "30")  # names stay whole, so that they can be copied
     code, out, _ = run_command("models", "list")
@@ -151,17 +164,25 @@ def test_wrong_usage_is_2(run_command, arguments):
 def test_help_lists_every_command(run_command):
     code, out, _ = run_command("--help")
     assert code == ExitCode.SUCCESS
-    for name in ("run", "demo", "schema", "check", "replay", "doctor", "models", "robot"):
+    for name in ("run", "demo", "schema", "check", "replay", "doctor", "models", "robot", "export"):
         assert name in out
 
 
-@pytest.mark.parametrize(("command", "function"), [("evaluate", evaluate), ("report", report), ("compare", compare)])
+@pytest.mark.parametrize(
+    ("command", "function"),
+    [
+        (("evaluate",), evaluate),
+        (("report",), report),
+        (("compare",), compare),
+        (("export", "lerobot"), export_lerobot),
+    ],
+)
 def test_the_help_contains_the_docstring_of_the_function(run_command, command, function):
-    docstring = " ".join(inspect.getdoc(function).partition("Parameters\n")[0].split())
-    code, out, _ = run_command(command, "--help")
+    docstring = " ".join(inspect.getdoc(function).partition("Parameters\n")[0].replace("`", "").split())
+    code, out, _ = run_command(*command, "--help")
     assert code == ExitCode.SUCCESS
     assert docstring
-    assert docstring in " ".join(out.split())
+    assert docstring in " ".join(out.replace("`", "").split())
 
 
 def test_the_demo_is_planned_by_one_that_comes_with_dualbrain_and_knows_its_robot():

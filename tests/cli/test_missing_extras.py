@@ -51,6 +51,7 @@ def test_help_and_doctor_work(tmp_path):
         ("plan", "put the red cube in the bowl"),
         ("demo", "--headless"),
         ("replay", "x.mcap"),
+        ("export", "lerobot", "x.mcap", "--out", "y"),
         ("fault", "state", "off"),
         ("gatekeeper",),
         ("evaluate", "--dry-run"),

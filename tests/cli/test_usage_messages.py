@@ -58,6 +58,9 @@ def test_the_folder_of_a_single_run_has_its_own_report(tmp_path, capsys):
         (["models", "fetch"], 2, "dualbrain models fetch"),
         (["models", "fetch", "base-135"], 5, "Closest: 'base-135m'"),
         (["replay", "."], 5, "dualbrain replay episode.mcap"),
+        (["export", "lerobot", "--out", "x"], 2, "dualbrain export lerobot runs/a --out data/cubes"),
+        (["export", "lerobot", "none", "--out", "x", "--fps", "0"], 2, "--fps: got 0, allowed: 1 to 1000."),
+        (["export", "lerobot", "none", "--out", "x"], 5, "none is no recorded run: there is no none."),
         (["replay", "none.mcap"], 5, "There is no recording none.mcap."),
     ],
 )

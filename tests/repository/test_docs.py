@@ -16,6 +16,7 @@ from dualbrain.cli.adapters.make import make
 from dualbrain.cli.adapters.measure import measure
 from dualbrain.cli.adapters.registry import history, list_adapters, promote, rollback, verify
 from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.cli.evaluation.export_lerobot import export_lerobot
 from dualbrain.cli.run.check import check
 from dualbrain.cli.run.demo import demo
 from dualbrain.cli.run.plan import plan
@@ -142,10 +143,12 @@ def option_name(parameter):
     return annotated[0] if annotated else f"--{parameter.name.replace('_', '-')}"
 
 
-@pytest.mark.parametrize("command", [run, demo, check, schema, replay], ids=lambda command: command.__name__)
+@pytest.mark.parametrize(
+    "command", [run, demo, check, schema, replay, export_lerobot], ids=lambda command: command.__name__
+)
 def test_the_page_of_commands_has_every_option(command):
     page = (ROOT / "docs" / "reference" / "commands.md").read_text("utf-8")
-    section = page.split(f"\n## {command.__name__}\n")[1].split("\n## ")[0]
+    section = page.split(f"\n## {command.__name__.removesuffix('_lerobot')}\n")[1].split("\n## ")[0]
     parameters = inspect.signature(command, eval_str=True).parameters.values()
     options = {option_name(parameter) for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY}
     assert options <= set(re.findall(r"--[\w-]+", section))

@@ -122,7 +122,20 @@ app.command(
 
 export = App(name="export", help="Write recorded runs in the formats of other programs.")
 app.command(export)
-export.command("dualbrain.cli.evaluation.export_lerobot:export_lerobot", name="lerobot")
+export.command(
+    "dualbrain.cli.evaluation.export_lerobot:export_lerobot",
+    name="lerobot",
+    help="""Write recorded runs as one LeRobotDataset v3, which LeRobot 0.6 loads and trains from.
+
+    Every run is an episode. A frame has `observation.state` (q), `action` (the control that the filter let through),
+    `dualbrain.u_nom` (the nominal control), `dualbrain.delta`, `dualbrain.h_min`, `dualbrain.status`, and
+    `intervention`: true where the filter changed the control. The task is the instruction; `tools` in meta/info.json
+    are the skills with their parameters. Frame k is the tick nearest to k / fps; over the ticks up to the next frame,
+    delta is the maximum, h_min the minimum and status the worst, so that no intervention is lost between two frames.
+
+    Example: `dualbrain export lerobot runs/a runs/b --out data/cubes`, then in Python
+    `LeRobotDataset("me/cubes", root="data/cubes")`. Failed runs are exported too: name only those to learn from.""",
+)
 
 memory = App(name="memory", help="Inspect, audit and edit the episode memory. Every edit can be undone.")
 app.command(memory)

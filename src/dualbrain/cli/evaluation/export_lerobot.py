@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -10,29 +9,29 @@ import msgspec
 from cyclopts import Parameter
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from dualbrain.cli.common.console import StderrConsole, print_result
+from dualbrain.cli.common.console import StderrConsole, print_message, print_result
 from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.core.text import count_noun
 from dualbrain.errors import UsageError
 
 MAX_FPS = 1000
 
 
 def export_lerobot(
-    *runs: Annotated[Path, Parameter(help="Run folders, as `dualbrain run --out DIR` writes them, or recordings.")],
+    *runs: Path,
     out: Path,
     fps: int = 30,
     action: Literal["velocity", "position"] = "velocity",
     task: str = "",
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Write recorded runs as one LeRobotDataset v3 that LeRobot 0.6 loads and trains from. Every run is an episode.
+    """Write recorded runs as one LeRobotDataset v3, which LeRobot 0.6 loads and trains from.
 
-    A frame has `observation.state` (q), `action` (the control that the filter let through), `dualbrain.u_nom` (the wish
-    before the filter), `dualbrain.delta`, `dualbrain.h_min`, `dualbrain.status`, and `intervention`: true where the
-    filter changed the control. The task is the instruction; meta/info.json holds the skills as `tools`.
-
-    Frame k is the tick nearest to k / fps. Over the ticks up to the next frame, delta is the maximum, h_min the minimum
-    and status the worst, so that no intervention is lost between two frames.
+    Every run is an episode. A frame has `observation.state` (q), `action` (the control that the filter let through),
+    `dualbrain.u_nom` (the nominal control), `dualbrain.delta`, `dualbrain.h_min`, `dualbrain.status`, and
+    `intervention`: true where the filter changed the control. The task is the instruction; `tools` in meta/info.json
+    are the skills with their parameters. Frame k is the tick nearest to k / fps; over the ticks up to the next frame,
+    delta is the maximum, h_min the minimum and status the worst, so that no intervention is lost between two frames.
 
     Example: `dualbrain export lerobot runs/a runs/b --out data/cubes`, then in Python
     `LeRobotDataset("me/cubes", root="data/cubes")`. Failed runs are exported too: name only those to learn from.
@@ -78,5 +77,6 @@ def export_lerobot(
             f"{episode.run}: {episode.frames} frames, {episode.interventions} interventions, {outcome}: {episode.task}"
         )
         console.print(line, markup=False)
-    print(f"{out}: {len(episodes)} episodes, {frames} frames, {changed} of them interventions", file=sys.stderr)
+    count = count_noun(len(episodes), "episode")
+    print_message(f"{out}: {count}, {frames} frames, {changed} of them interventions")
     return ExitCode.SUCCESS
