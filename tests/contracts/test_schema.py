@@ -16,6 +16,7 @@ from dualbrain.contracts.schema import (
     describe_skills,
     first_skills,
     syntax_schema,
+    tool_schemas,
     validation_schema,
 )
 from dualbrain.contracts.skill_spec import NameParameter, NumberParameter
@@ -65,6 +66,25 @@ def test_all_forms_are_draft_07(names: SceneNames) -> None:
     for schema in (validation_schema(REGISTRY, names), decoding_schema(REGISTRY, names), syntax_schema(REGISTRY)):
         jsonschema.Draft7Validator.check_schema(schema)
         jsonschema_rs.Draft7Validator(schema)
+
+
+@pytest.mark.parametrize("names", SCENES)
+def test_every_skill_is_a_tool_with_the_parameters_of_its_step(names: SceneNames) -> None:
+    tools = [tool["function"] for tool in tool_schemas(REGISTRY, names)]
+    assert [tool["name"] for tool in tools] == [skill.name for skill in REGISTRY.skills]
+    for tool, skill in zip(tools, REGISTRY.skills, strict=True):
+        jsonschema.Draft7Validator.check_schema(tool["parameters"])
+        assert list(tool["parameters"]["properties"]) == tool["parameters"]["required"]
+        for parameter in skill.parameters:
+            schema = tool["parameters"]["properties"][parameter.name]
+            match parameter:
+                case NumberParameter():
+                    bounds = (schema["minimum"], schema["maximum"], schema["x-unit"])
+                    assert bounds == (parameter.lower, parameter.upper, parameter.unit)
+                case NameParameter():
+                    assert schema.get("enum", []) == list(names.names_of_kind(parameter.of))
+                case _:
+                    assert schema["type"] == "string"
 
 
 @pytest.mark.parametrize("names", SCENES)

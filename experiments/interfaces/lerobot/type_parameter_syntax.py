@@ -63,7 +63,7 @@ def _lower_list(tokens: list[Token], place: int, changes: _Changes) -> None:
     for token in tokens[first + 1 : last]:
         if depth == 0 and token.type == tokenize.NAME and is_next:
             names.append(token.string)
-        is_next = depth == 0 and token.string == ","
+        is_next = token.string == ","
         depth += (token.string in OPENING) - (token.string in CLOSING)
     changes.variables |= dict.fromkeys(names)
     changes.replacements.append((tokens[first].start, tokens[last].end, ""))

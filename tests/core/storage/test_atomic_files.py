@@ -70,6 +70,14 @@ def test_permissions_of_atomic_files_and_folders_follow_the_umask(tmp_path, umas
     assert (tmp_path / "private").stat().st_mode & 0o777 == 0o600
 
 
+def test_an_atomic_folder_may_have_folders(tmp_path):
+    with atomic_folder(tmp_path / "out") as temporary:
+        (temporary / "a" / "b").mkdir(parents=True)
+        (temporary / "a" / "b" / "file").write_bytes(b"new")
+    assert (tmp_path / "out" / "a" / "b" / "file").read_bytes() == b"new"
+    assert list(tmp_path.iterdir()) == [tmp_path / "out"]
+
+
 def write_until_the_disk_is_full(atomic, path):
     """Write half of the content, then fail because the disk is full."""
     with atomic(path) as temporary:

@@ -13,8 +13,10 @@ from dualbrain.contracts.schema import tool_schemas
 from dualbrain.errors import ConfigurationError, DualbrainError, UnknownNameError
 from dualbrain.robots.loader import load_builtin_robot
 from dualbrain.runtime.data_collection.lerobot import dataset_folder
+from dualbrain.runtime.data_collection.lerobot.dataset_folder import DatasetFolder
 from dualbrain.runtime.data_collection.lerobot.export import export_runs
-from dualbrain.runtime.data_collection.lerobot.frames import sample_frames
+from dualbrain.runtime.data_collection.lerobot.features import INDEX_FEATURES
+from dualbrain.runtime.data_collection.lerobot.frames import Frames, sample_frames
 from dualbrain.runtime.data_collection.lerobot.statistics import STATISTICS, aggregate_statistics, feature_statistics
 from dualbrain.skills.registry import skill_registry
 from tests.runtime.data_collection.lerobot.sample_runs import INSTRUCTION, PERIOD, sample_rows, sample_trace, write_run
@@ -168,6 +170,25 @@ def test_other_robots_have_their_names(tmp_path, robot):
         assert features["observation.state"]["names"][:3] == ["x.pos", "y.pos", "theta.pos"]
         with pytest.raises(ConfigurationError, match=r"mobile base\. Leave out --action position"):
             export_runs([run], tmp_path / "other", action="position")
+
+
+def test_a_vector_of_one_joint_is_a_scalar_column(tmp_path):
+    vector, number = np.ones((5, 1), np.float32), np.ones(5, np.float32)
+    frames = Frames(
+        q=vector,
+        action=vector,
+        u_nom=vector,
+        delta=number,
+        h_min=number,
+        status=np.ones(5, np.int64),
+        intervention=np.ones(5, bool),
+        opening=number,
+    )
+    features = {"action": {"dtype": "float32", "shape": [1], "names": ["joint.vel"]}} | INDEX_FEATURES
+    dataset = DatasetFolder(tmp_path, features, 30, "one_joint")
+    dataset.add_episode(frames, "turn")
+    dataset.finish([])
+    assert data_columns(tmp_path)["action"].shape == (5,)
 
 
 def test_without_an_opening_in_every_frame_there_is_no_such_column(tmp_path):
