@@ -10,7 +10,7 @@ from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.plant.stepped_plant import SteppedPlant
 from dualbrain.simulation.scenes.scene_builder import ROBOT_PREFIX
 from dualbrain.simulation.scenes.scene_spec import ObjectSpec, SceneSpec
-from experiments.safety.plant_adversary import DRIVE_KINDS, PlantAdversary, aggregate, run_episode
+from experiments.safety.plant_adversary import IDENTIFIED_DRIVES, PlantAdversary, aggregate, run_episode
 from experiments.safety.plant_judge import MAX_TOOL_REACH, PlantJudge
 
 
@@ -65,7 +65,7 @@ def test_no_tool_point_exceeds_the_assumed_reach(crowded):
             assert np.linalg.norm(plant.data.geom_xpos[g] - tip) + plant.model.geom_rbound[g] < MAX_TOOL_REACH
 
 
-@pytest.mark.parametrize("kind", DRIVE_KINDS)
+@pytest.mark.parametrize("kind", IDENTIFIED_DRIVES)
 def test_short_runs_hold(kind):
     row = run_episode(kind, 1, 1500)
     assert row["below"] == row["below_spheres"] == row["below_joints"] == 0
@@ -73,7 +73,7 @@ def test_short_runs_hold(kind):
 
 
 def test_report_counts_both_drives():
-    rows = [{"drive": kind, **aggregate([run_episode(kind, 0, 100)])} for kind in DRIVE_KINDS]
+    rows = [{"drive": kind, **aggregate([run_episode(kind, 0, 100)])} for kind in IDENTIFIED_DRIVES]
     text = "\n".join(PlantAdversary().report(rows))
     assert "**200**" in text
-    assert all(kind in text for kind in DRIVE_KINDS)
+    assert all(kind in text for kind in IDENTIFIED_DRIVES)

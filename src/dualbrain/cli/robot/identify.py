@@ -44,7 +44,8 @@ def identify(
     robot
         The robot.
     drive
-        computed_torque (the simulator's default) or velocity (velocity actuators of MuJoCo).
+        computed_torque (the simulator's default), velocity (velocity actuators of MuJoCo), or position (stock position
+        servos, which sag under the weight of the arm).
     seeds
         Number of repetitions with different random numbers.
     seconds

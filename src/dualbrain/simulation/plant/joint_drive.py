@@ -1,4 +1,4 @@
-"""Joint drives of the plant: computed torque, or MuJoCo's velocity actuators with the same torque limits.
+"""Joint drives of the plant with the same torque limits: computed torque, velocity actuators, or position servos.
 
 Computed torque (feedback linearisation; Siciliano et al., Robotics, 8.5.2) demands v̇ = k (u − v); an integral term
 compensates an unknown load:
@@ -30,10 +30,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.errors import ConfigurationError, UnknownNameError
+from dualbrain.simulation.plant.position_servo import PositionServoDrive
 
 Array = NDArray[np.float64]
-DriveKind = Literal["computed_torque", "velocity"]
-DRIVE_KINDS: tuple[DriveKind, ...] = ("velocity", "computed_torque")
+DriveKind = Literal["computed_torque", "velocity", "position"]
+DRIVE_KINDS: tuple[DriveKind, ...] = ("velocity", "computed_torque", "position")
 ARM_ACTUATOR_GROUP = 1
 """Group of the actuators that are the joints' motors."""
 
@@ -122,17 +123,22 @@ def _kappa(share: float) -> float:
     return 2.0 - share - 2.0 * r * cos(log(r))
 
 
-def make_drive(kind: str, model: mujoco.MjModel, data: mujoco.MjData) -> ComputedTorqueDrive | VelocityDrive:
+def make_drive(
+    kind: str, model: mujoco.MjModel, data: mujoco.MjData
+) -> ComputedTorqueDrive | VelocityDrive | PositionServoDrive:
     """The drive called `kind` for the motors of `model`.
 
     Raises `UnknownNameError` for an unknown kind and `ConfigurationError` for motors of another form (`motor_slices`).
     """
-    return (ComputedTorqueDrive if parse_drive_kind(kind) == "computed_torque" else VelocityDrive)(model, data)
+    name = parse_drive_kind(kind)
+    if name == "position":
+        return PositionServoDrive(model, data, *motor_slices(model))
+    return (ComputedTorqueDrive if name == "computed_torque" else VelocityDrive)(model, data)
 
 
 def parse_drive_kind(name: str) -> DriveKind:
     """Check the name of a drive; raises `UnknownNameError`."""
-    known: dict[str, DriveKind] = {"computed_torque": "computed_torque", "velocity": "velocity"}
+    known: dict[str, DriveKind] = {kind: kind for kind in DRIVE_KINDS}
     if name not in known:
         raise UnknownNameError("drive", name, DRIVE_KINDS)
     return known[name]
