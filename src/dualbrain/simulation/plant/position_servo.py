@@ -4,8 +4,8 @@
 
 The stiffness k_p = τ_max / `FULL_TORQUE_ERROR` gives the full torque at that error, and the damping is k_d = 2 ζ √(k_p
 M_ii), with the inertia in the zero position. Nothing compensates gravity or a load: the joints stay behind their
-command ("sag"), the more the heavier the arm is stretched, and at constant speed by k_d/k_p · u. The command stays within
-`MAX_ERROR` of the joint, so that a blocked servo does not wind up.
+command ("sag"), the more the heavier the arm is stretched, and at constant speed by k_d/k_p · u. The command stays
+within `MAX_ERROR` of the joint, so that a blocked servo does not wind up.
 """
 
 # MuJoCo ships no type stubs:
