@@ -53,7 +53,7 @@ def bring_to_rest(guard, q, v, action):
 
 
 @pytest.mark.parametrize("space", SPACES)
-@pytest.mark.parametrize("action", BAD_ACTIONS, ids=repr)
+@pytest.mark.parametrize("action", BAD_ACTIONS, ids=lambda value: type(value).__name__)
 def test_an_unusable_action_brings_the_arm_to_rest_and_the_next_good_one_moves_it(space, action):
     guard, q, v = moving_guard(space)
     if isinstance(action, np.ndarray) and action.shape == (8,):
@@ -66,7 +66,7 @@ def test_an_unusable_action_brings_the_arm_to_rest_and_the_next_good_one_moves_i
 
 
 @pytest.mark.parametrize("space", SPACES)
-@pytest.mark.parametrize("state", BAD_STATES, ids=repr)
+@pytest.mark.parametrize("state", BAD_STATES, ids=lambda value: type(value).__name__)
 @pytest.mark.parametrize("which", ["q", "v"])
 def test_an_unusable_joint_state_stops_the_command(space, state, which):
     guard, q, v = moving_guard(space)
