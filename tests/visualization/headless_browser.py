@@ -21,7 +21,22 @@ FLAGS = (
     "--use-gl=angle",
     "--use-angle=swiftshader",
 )
+STARTS = 5
+"""Number of attempts to start chromedriver."""
 OPENER = build_opener(ProxyHandler({}))
+
+
+def start_driver(program: str) -> tuple[subprocess.Popen[str], str]:
+    """A running chromedriver and its port; if another program takes its port, it ends at once and is started again."""
+    for _ in range(STARTS):
+        driver = subprocess.Popen([program, "--port=0"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+        assert driver.stdout is not None
+        for line in driver.stdout:
+            if "started successfully on port" in line:
+                return driver, line.rstrip().rstrip(".").split()[-1]
+        driver.stdout.close()
+        driver.wait()
+    raise AssertionError("chromedriver did not start")
 
 
 class Browser:
@@ -31,11 +46,8 @@ class Browser:
         driver, chromium = shutil.which("chromedriver"), shutil.which("chromium")
         assert driver, "chromedriver is missing: apt-get install chromium-driver"
         assert chromium, "chromium is missing: apt-get install chromium"
-        self._driver = subprocess.Popen(
-            [driver, "--port=0"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-        )
-        assert self._driver.stdout is not None
-        self._base = f"http://127.0.0.1:{self._port()}"
+        self._driver, port = start_driver(driver)
+        self._base = f"http://127.0.0.1:{port}"
         flags = [*FLAGS, f"--user-data-dir={profile}", f"--window-size={size[0]},{size[1]}", *extra]
         capabilities = {
             "goog:chromeOptions": {"binary": chromium, "args": flags},
@@ -43,13 +55,6 @@ class Browser:
         }
         session = self._call("POST", "/session", {"capabilities": {"alwaysMatch": capabilities}})
         self._base += f"/session/{session['sessionId']}"
-
-    def _port(self) -> str:
-        assert self._driver.stdout is not None
-        for line in self._driver.stdout:
-            if "started successfully on port" in line:
-                return line.rstrip().rstrip(".").split()[-1]
-        raise AssertionError("chromedriver did not start")
 
     def _call(self, method: str, path: str, body: object = None) -> Any:
         data = None if body is None else json.dumps(body).encode()
