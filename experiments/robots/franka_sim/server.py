@@ -14,7 +14,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from experiments.robots.franka_sim.virtual_environment import FOLDER, model_file, server_command
+from experiments.robots.franka_sim.virtual_environment import ENVIRONMENT, model_file, server_command
 
 ADDRESS, PORT = "127.0.0.1", 1337
 """The port of the Franka Control Interface, which the manufacturer's library does not let a caller choose."""
@@ -27,7 +27,7 @@ OPTIONS = ("--enforce-motion-limits", "--no-enforce-comm-constraints", "--no-gri
 def running_server() -> Iterator[str]:
     """The address of a new simulator; one process at a time, because the port is fixed."""
     environment = {**os.environ, "FR3_MJCF": str(model_file())}
-    with (FOLDER / "lock").open("w") as lock, (FOLDER / "server.log").open("wb") as log:
+    with (ENVIRONMENT.folder / "lock").open("w") as lock, (ENVIRONMENT.folder / "server.log").open("wb") as log:
         fcntl.flock(lock, fcntl.LOCK_EX)
         process = subprocess.Popen([*server_command(), *OPTIONS], env=environment, stdout=log, stderr=log)
         try:
@@ -46,4 +46,6 @@ def _wait_until_ready(process: subprocess.Popen[bytes]) -> None:
                 time.sleep(2.0)  # the server drops the probe, and prepares for the next client
                 return
         time.sleep(0.5)
-    raise TimeoutError(f"franka-sim did not listen within {START_TIMEOUT:.0f} s; see {FOLDER / 'server.log'}")
+    raise TimeoutError(
+        f"franka-sim did not listen within {START_TIMEOUT:.0f} s; see {ENVIRONMENT.folder / 'server.log'}"
+    )

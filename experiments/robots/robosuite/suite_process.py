@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dualbrain.core.geometry.shapes import Pose
 from experiments.robots.robosuite.pipe_protocol import PipeError, receive, send
-from experiments.robots.robosuite.virtual_environment import interpreter
+from experiments.robots.robosuite.virtual_environment import ENVIRONMENT
 
 Array = NDArray[np.float64]
 
@@ -67,7 +67,7 @@ class SuiteProcess:
 
     def __init__(self) -> None:
         """Start the process; raises `MissingDependencyError` without its environment."""
-        python = interpreter()
+        python = ENVIRONMENT.interpreter()
         environment = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "PYTHONHOME")}
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115  (lives as long as the process, see close)
         self._process = subprocess.Popen(

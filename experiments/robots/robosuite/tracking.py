@@ -25,7 +25,7 @@ from dualbrain.safety.integration.derating import derate
 from dualbrain.simulation.identification.excitation import ASSUMED_ERROR, ASSUMED_LAG, ExcitationLog
 from dualbrain.simulation.identification.tracking_model import fit_tracking_model
 from experiments.robots.robosuite.suite_process import SuiteProcess
-from experiments.robots.robosuite.virtual_environment import ENVIRONMENT_FOLDER, requirements_digest
+from experiments.robots.robosuite.virtual_environment import ENVIRONMENT
 
 Array = NDArray[np.float64]
 
@@ -68,7 +68,7 @@ def calibrate(suite: SuiteProcess, run_episodes: Callable[[RobotModel], list[lis
     The tracking model is stored beside the environment for the next process, until its inputs change.
     """
     robot_model = derated_robot(suite.open("Lift", 0).period)
-    path = ENVIRONMENT_FOLDER / f"tracking-{_calibration_digest()}.json"
+    path = ENVIRONMENT.folder / f"tracking-{_calibration_digest()}.json"
     if not path.exists():
         versions = ", ".join(f"{name} {version}" for name, version in suite.versions.items())
         model = fit_tracking_model(
@@ -119,4 +119,4 @@ def _with_tracking(robot_model: RobotModel, tracking: TrackingErrorModel) -> Rob
 def _calibration_digest() -> str:
     """Digest of the inputs of the calibration, 12 hex digits."""
     sources = [path.read_bytes() for path in sorted(Path(__file__).resolve().parent.glob("*.py"))]
-    return hashlib.sha256(b"".join([requirements_digest().encode(), *sources])).hexdigest()[:12]
+    return hashlib.sha256(b"".join([ENVIRONMENT.digest.encode(), *sources])).hexdigest()[:12]

@@ -1,6 +1,7 @@
 """LeRobot's environment, and exported datasets in LeRobot itself (slow, only where the environment was created)."""
 
 import ast
+import dataclasses
 import json
 import subprocess
 
@@ -13,7 +14,7 @@ from dualbrain.runtime.data_collection.lerobot.frames import sample_frames
 from dualbrain.runtime.data_collection.lerobot.recorded_run import read_run
 from experiments.interfaces.lerobot import virtual_environment
 from experiments.interfaces.lerobot.type_parameter_syntax import lower_type_parameters
-from experiments.interfaces.lerobot.virtual_environment import COMMAND, HERE, interpreter, required_packages
+from experiments.interfaces.lerobot.virtual_environment import ENVIRONMENT, HERE
 from tests.runtime.data_collection.lerobot.sample_runs import sample_rows, write_run
 from tests.support.completed_run import completed_run
 
@@ -72,23 +73,24 @@ def test_a_module_without_type_parameters_is_unchanged():
 
 
 def test_a_missing_or_outdated_environment_names_the_command(tmp_path):
-    with pytest.raises(MissingDependencyError, match=COMMAND):
-        interpreter(tmp_path)
+    moved = dataclasses.replace(ENVIRONMENT, folder=tmp_path)
+    with pytest.raises(MissingDependencyError, match=ENVIRONMENT.command):
+        moved.interpreter()
     (tmp_path / "venv" / "bin").mkdir(parents=True)
     (tmp_path / "venv" / "bin" / "python").touch()
     (tmp_path / "made-from").write_text("another")
-    with pytest.raises(MissingDependencyError, match=COMMAND):
-        interpreter(tmp_path)
-    (tmp_path / "made-from").write_text(virtual_environment.sources_digest())
-    assert interpreter(tmp_path) == tmp_path / "venv" / "bin" / "python"
-    assert all("==" in package for package in required_packages())
+    with pytest.raises(MissingDependencyError, match=ENVIRONMENT.command):
+        moved.interpreter()
+    (tmp_path / "made-from").write_text(ENVIRONMENT.digest)
+    assert moved.interpreter() == tmp_path / "venv" / "bin" / "python"
+    assert all("==" in package for package in ENVIRONMENT.packages)
 
 
 @pytest.fixture
 def lerobot():
     """The interpreter of LeRobot's environment."""
     try:
-        return interpreter()
+        return ENVIRONMENT.interpreter()
     except MissingDependencyError as missing:
         pytest.skip(str(missing))
 

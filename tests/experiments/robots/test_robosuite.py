@@ -1,5 +1,6 @@
 """The parts of experiment `robosuite_tasks` that need no robosuite: messages, monitor, policies, obstacles, tables."""
 
+import dataclasses
 import os
 import threading
 
@@ -21,7 +22,7 @@ from experiments.robots.robosuite.policies import SPEED_PROFILES, TASKS, BangBan
 from experiments.robots.robosuite.scene import static_obstacles
 from experiments.robots.robosuite.suite_process import SuiteObject, SuiteProcess
 from experiments.robots.robosuite.tracking import ACCELERATION_SHARES, SPEED_SHARES, check_agreement, derated_robot
-from experiments.robots.robosuite.virtual_environment import COMMAND, interpreter, required_packages
+from experiments.robots.robosuite.virtual_environment import ENVIRONMENT
 from experiments.robots.robosuite_tasks import CONDITIONS, CONTROL_CONDITIONS, N_SEEDS, RobosuiteTasks
 
 PERIOD = 0.002
@@ -222,12 +223,13 @@ def test_metrics_are_shares_of_the_data_sheet_and_report_no_error():
 
 
 def test_a_missing_environment_is_reported_with_the_command(tmp_path, monkeypatch):
-    with pytest.raises(MissingDependencyError, match=COMMAND):
-        interpreter(tmp_path)
-    monkeypatch.setattr(suite_process, "interpreter", lambda: interpreter(tmp_path))
+    moved = dataclasses.replace(ENVIRONMENT, folder=tmp_path)
+    with pytest.raises(MissingDependencyError, match=ENVIRONMENT.command):
+        moved.interpreter()
+    monkeypatch.setattr(suite_process, "ENVIRONMENT", moved)
     with pytest.raises(MissingDependencyError, match="The virtual environment of robosuite is missing"):
         SuiteProcess()
-    assert all("==" in package for package in required_packages())
+    assert all("==" in package for package in ENVIRONMENT.packages)
 
 
 def test_every_condition_has_all_seeds_and_a_prefix_has_all_conditions_with_a_task(tmp_path):
