@@ -10,7 +10,7 @@ A stuck, wrong or slow source makes one of them grow; noise and a modelled lag d
 
 from __future__ import annotations
 
-from math import inf, isfinite, nan
+from math import inf, isfinite
 
 import msgspec
 import numpy as np
@@ -75,7 +75,6 @@ class StateMonitor:
         self._last_plausible: RobotState | None = None
         self._last_q: list[float] = []
         self._last_v: list[float] = []
-        self._jump_limits_dt, self._largest_jumps = nan, [nan] * self._n
         self._u = [0.0] * robot_model.n
         self.reset()
 
@@ -123,7 +122,7 @@ class StateMonitor:
             self.reset()
             return 0
         moved = self._displacement(last, state, last_q, q)
-        if not all_within(moved, self._jump_limits(dt)):
+        if not all_within(moved, [fast * dt + self.limits.max_position_jump for fast in self._overspeed_limits]):
             return C.STATE_IMPLAUSIBLE
         flags = 0 if all_within(v, self._overspeed_limits) else C.OVERSPEED
         return flags | self._compare_sources(moved, last_v, v, dt, drive_enabled=state.drive_enabled)
@@ -152,14 +151,6 @@ class StateMonitor:
         if self._nq > self._n:
             return control_displacement(last.q, state.q).tolist()
         return [new - old for new, old in zip(q, last_q, strict=True)]
-
-    def _jump_limits(self, dt: float) -> list[float]:
-        """The largest plausible displacements (n,) [rad, m] within `dt` [s]."""
-        if dt != self._jump_limits_dt:
-            self._jump_limits_dt = dt
-            jump = self.limits.max_position_jump
-            self._largest_jumps = [fast * dt + jump for fast in self._overspeed_limits]
-        return self._largest_jumps
 
     def _compare_sources(
         self, moved: list[float], last_v: list[float], v: list[float], dt: float, *, drive_enabled: bool

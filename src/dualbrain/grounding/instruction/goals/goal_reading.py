@@ -69,39 +69,41 @@ class _Clauses:
 
 def read_goal(instruction: str, scene: Scene) -> Goal | Unread:
     """The goal of `instruction`, given in `scene`; `Unread` if a part of it is not accounted for."""
-    text = " ".join(instruction.lower().replace("\u2019", "'").split())
-    if not text:
-        return Unread("There is no instruction.")
-    if len(text) > MAX_CHARACTERS:
-        return Unread(f"The instruction is longer than {MAX_CHARACTERS} characters.")
-    if not text.isascii() or re.search(r"[^a-z0-9_' ,.;:!?()\-]", text):
-        return Unread("The instruction contains characters that the goal parser does not read.")
-    vocabulary = Vocabulary(scene)
-    if reason := refused_clause(text):
-        return Goal(decline=reason)
-    goal = _read_text(vocabulary.join_names(text), scene, vocabulary)
-    corrected = vocabulary.correct_spelling(text)
-    if corrected == text or refused_clause(corrected) or not (isinstance(goal, Unread) or goal.decline):
-        return goal
-    other = _read_text(vocabulary.join_names(corrected), scene, vocabulary)
-    return goal if isinstance(other, Unread) or other.decline else other  # "bowll" is no absent thing
+    return _read(instruction, scene)[0]
 
 
 def corrected_instruction(instruction: str, scene: Scene) -> str:
     """`instruction` in lower case with misspelled names corrected, if its goal is read only so; else as it is."""
+    return _read(instruction, scene)[1]
+
+
+def _read(instruction: str, scene: Scene) -> tuple[Goal | Unread, str]:
+    """The goal, and the words from which it was read: `instruction`, or its corrected form."""
     text = " ".join(instruction.lower().replace("\u2019", "'").split())
-    if len(text) > MAX_CHARACTERS:
-        return instruction
+    if reason := _unreadable(text):
+        return Unread(reason), instruction
     vocabulary = Vocabulary(scene)
+    if reason := refused_clause(text):
+        return Goal(decline=reason), instruction
+    goal = _read_text(vocabulary.join_names(text), scene, vocabulary)
     corrected = vocabulary.correct_spelling(text)
-    if corrected == text or not _is_possible(_read_text(vocabulary.join_names(corrected), scene, vocabulary)):
-        return instruction
-    return instruction if _is_possible(_read_text(vocabulary.join_names(text), scene, vocabulary)) else corrected
+    if corrected == text or refused_clause(corrected) or not (isinstance(goal, Unread) or goal.decline):
+        return goal, instruction
+    other = _read_text(vocabulary.join_names(corrected), scene, vocabulary)
+    if isinstance(other, Unread) or other.decline:
+        return goal, instruction
+    return other, corrected  # "bowll" is no absent thing
 
 
-def _is_possible(goal: Goal | Unread) -> bool:
-    """Whether a goal was read that is not to be declined."""
-    return isinstance(goal, Goal) and not goal.decline
+def _unreadable(text: str) -> str:
+    """Why the parser cannot read `text` at all; "" if it can."""
+    if not text:
+        return "There is no instruction."
+    if len(text) > MAX_CHARACTERS:
+        return f"The instruction is longer than {MAX_CHARACTERS} characters."
+    if not text.isascii() or re.search(r"[^a-z0-9_' ,.;:!?()\-]", text):
+        return "The instruction contains characters that the goal parser does not read."
+    return ""
 
 
 def requests_home(instruction: str) -> bool:
