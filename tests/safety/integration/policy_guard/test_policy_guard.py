@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from dualbrain.errors import ConfigurationError
 from dualbrain.robots.loader import load_robot
@@ -9,7 +10,7 @@ from dualbrain.safety.cbf.filter import FilterStatus, SafetyFilter
 from dualbrain.safety.integration.policy_guard.action_layout import ActionLayout
 from dualbrain.safety.integration.policy_guard.guard import PolicyGuard
 from dualbrain.safety.integration.policy_guard.joint_actions import JointPosition, JointVelocity
-from dualbrain.safety.integration.policy_guard.tool_actions import ToolPose
+from dualbrain.safety.integration.policy_guard.tool_actions import ToolPose, ToolTwist
 from dualbrain.safety.integration.policy_guard.torque_actions import JointTorque
 from dualbrain.safety.integration.shadow_mode import ShadowFilter
 from tests.safety.integration.gym_environments import (
@@ -20,7 +21,15 @@ from tests.safety.integration.gym_environments import (
     TorqueEnv,
     min_h,
 )
-from tests.safety.integration.policy_guard.kinematic_arm import GRIPPER, HOME, SPACES, make_guard, random_action, scaled
+from tests.safety.integration.policy_guard.kinematic_arm import (
+    GRIPPER,
+    HOME,
+    KINEMATICS,
+    SPACES,
+    make_guard,
+    random_action,
+    scaled,
+)
 
 TOLERANCE = 2e-6
 """Rounding of the kernel, on the motion of a joint in one period [rad or m]."""
@@ -119,11 +128,41 @@ def test_a_servo_with_a_constant_error_still_reaches_the_goal_of_a_relative_poli
 
 
 def test_commanded_positions_stay_within_the_joint_limits():
+    """The joints stay 0.1 rad behind: the filter sees them within their limits when the command reaches them."""
     guard, upper = make_guard("joint position", obstacles=()), [joint.upper.value for joint in DERATED_PANDA.joints]
     guard.reset(HOME)
     for _ in range(400):
-        guard(np.append(np.full(7, 9.0), GRIPPER), np.minimum(guard.target, upper), guard.control * 0.0)
+        guard(np.append(np.full(7, 9.0), GRIPPER), guard.target - 0.1, np.zeros(7))
     assert (guard.target <= np.array(upper) + 1e-9).all()
+    assert (guard.target > np.array(upper) - 0.1).any()
+
+
+@pytest.mark.parametrize("space", [space for space in SPACES if space.startswith("tool")])
+def test_a_changed_tool_action_states_the_motion_of_the_commanded_configuration(space):
+    """Against rotations by SciPy: the pose at the end, its change, or the mean twist, in the axes of the space."""
+    chosen, guard = SPACES[space], make_guard(space)
+    guard.reset(HOME)
+    applied = guard(random_action(space, np.random.default_rng(11), HOME, speed=1.5), HOME, np.zeros(7))[:-1]
+    assert guard.report.changed
+    start, end = KINEMATICS.tool(HOME), KINEMATICS.tool(guard.target)
+    axes = start.rotation if chosen.frame == "tool" else np.eye(3)
+    moved, turned = axes.T @ (end.position - start.position), axes.T @ end.rotation @ start.rotation.T @ axes
+    assert np.linalg.norm(moved) > 1e-4
+    if isinstance(chosen, ToolTwist):
+        moved = moved / (4 * PERIOD)
+        expected = Rotation.from_matrix(turned).as_rotvec() / (4 * PERIOD)
+        found = applied[3:] if chosen.angular else expected
+    else:
+        moved, turned = (moved, turned) if chosen.delta else (end.position, end.rotation)
+        expected = Rotation.from_matrix(turned).as_matrix()
+        w, *xyz = applied[3:] if chosen.rotation == "quaternion" else (1.0, 0.0, 0.0, 0.0)
+        found = {
+            "none": lambda: expected,
+            "quaternion": lambda: Rotation.from_quat([*xyz, w]).as_matrix(),
+            "rotation_vector": lambda: Rotation.from_rotvec(applied[3:]).as_matrix(),
+        }[chosen.rotation]()
+    np.testing.assert_allclose(applied[:3], moved, atol=1e-9)
+    np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
 def test_shadow_mode_reports_and_changes_nothing():

@@ -1,5 +1,7 @@
 """Force sensing from the robot file to the state: declared, shown, measured with its errors, sent and recorded."""
 
+from dataclasses import replace
+
 import msgspec
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from dualbrain.robots.interface import home_state
 from dualbrain.robots.loader import BUILTIN_ROBOTS, encode_robot, load_robot, read_robot
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.contact_force.arm_dynamics import ArmDynamics
+from dualbrain.safety.contact_force.monitor import ContactForceMonitor
 from dualbrain.safety.supervisor.controller import SafetyController
 from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.scenes.generators.tabletop import make_scene
@@ -113,3 +116,26 @@ def test_recordings_from_before_force_sensing_are_read():
     assert np.isnan(row[where["torques"]]).all()
     assert np.isnan(row[where["wrench"]]).all()
     assert not np.isnan(row[where["q"]]).any()
+
+
+@pytest.mark.parametrize("bad", [(np.nan,), (np.inf,), (-np.inf,), (np.inf, -np.inf)])
+def test_a_reading_that_is_not_finite_ends_the_estimate_until_the_next_window(bad):
+    robot_model = load_robot("panda")
+    plant, monitor = Plant(make_scene("bare", 0, "panda"), robot_model), ContactForceMonitor(SafetyFilter(robot_model))
+
+    def states(count):
+        for _ in range(count):
+            plant.advance()
+            yield plant.read()
+
+    for state in states(20):
+        monitor.update(state)
+    assert monitor.force is not None
+    (state,) = states(1)
+    torques = state.torques.copy()
+    torques[: len(bad)] = bad
+    assert not monitor.update(replace(state, torques=torques))
+    assert monitor.force is None
+    for state in states(20):
+        assert not monitor.update(state)
+    assert np.isfinite(monitor.force.magnitude)

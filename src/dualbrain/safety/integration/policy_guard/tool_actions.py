@@ -121,7 +121,7 @@ class ToolPose:
             return position
         if self.rotation == "quaternion":
             return np.concatenate([position, matrix_to_quaternion(rotation)])
-        return np.concatenate([position, rotation_error(np.eye(3), rotation)])
+        return np.concatenate([position, rotation_vector(rotation)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,6 +173,13 @@ def resolve(twist: Array, arm: GuardedArm) -> Array:
     J = arm.tool().jacobian[: len(twist)]
     u = J.T @ np.linalg.solve(J @ J.T + DAMPING**2 * np.eye(len(twist)), twist)
     return limit_speed(u, arm)
+
+
+def rotation_vector(rotation: Array) -> Array:
+    """The rotation vector (3,) [rad] of a rotation matrix; through its quaternion, which is exact near half a turn."""
+    w, *axis = matrix_to_quaternion(rotation)
+    sine = float(np.linalg.norm(axis))
+    return 2.0 * np.arctan2(sine, w) / sine * np.asarray(axis) if sine > 0.0 else np.zeros(3)
 
 
 def rotation_matrix(vector: Array) -> Array:
