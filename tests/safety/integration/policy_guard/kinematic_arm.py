@@ -43,7 +43,9 @@ def random_action(space, rng, q, speed=1.0, steps=4):
     """An action (with a gripper entry) that moves the arm from `q` at about `speed` times full speed."""
     time, chosen = steps * PERIOD, SPACES[space]
     tool, u = KINEMATICS.tool(q), speed * V_MAX * rng.choice([-1.0, 1.0], 7)
-    arm = GuardedArm(safety=KINEMATICS, q=q, v=np.zeros(7), start=q, target=q + time * u, elapsed=time)
+    arm = GuardedArm(
+        safety=KINEMATICS, velocity_limits=V_MAX, q=q, v=np.zeros(7), start=q, target=q + time * u, elapsed=time
+    )
     if isinstance(chosen, JointVelocity):
         values = u
     elif isinstance(chosen, JointPosition):

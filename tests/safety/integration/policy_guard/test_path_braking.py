@@ -5,7 +5,7 @@ import pytest
 
 from dualbrain.errors import ConfigurationError
 from dualbrain.safety.cbf.filter import FilterStatus, SafetyFilter
-from dualbrain.safety.integration.policy_guard.path_braking import brake_along_path
+from dualbrain.safety.integration.policy_guard.path_braking import brake_along_path, braking_step
 from tests.safety.integration.gym_environments import DERATED_PANDA, EXACT_CONFIG, OBSTACLES, PERIOD, V_MAX, min_h
 from tests.safety.integration.policy_guard.kinematic_arm import GRIPPER, HOME, make_guard, random_action
 
@@ -65,7 +65,9 @@ def test_the_chosen_control_is_admitted_and_a_faster_one_is_not():
     step = PERIOD * ACCELERATION
     for _ in range(1000):
         q, u_nom = HOME + rng.uniform(-0.7, 0.7, 7), V_MAX * rng.uniform(-1.0, 1.0, 7)
-        found = brake_along_path(safety, q, np.zeros(7), u_nom, u_prev := 0.5 * u_nom, 0.0, None)
+        found = brake_along_path(
+            safety, braking_step(DERATED_PANDA), q, np.zeros(7), u_nom, u_prev := 0.5 * u_nom, 0.0, None
+        )
         if found is None:
             continue
         control, share = found

@@ -20,9 +20,11 @@ class GuardedArm:
 
     `q`, `v` (n,) [rad, rad/s] are the joint state at its beginning, and `start` (n,) is the commanded configuration
     then. The safe control moves the commanded configuration to `target` (n,) within the time `elapsed` [s].
+    `velocity_limits` (n,) [rad/s] are those of the robot model.
     """
 
     safety: SafetyFilter
+    velocity_limits: Array
     q: Array
     v: Array
     start: Array
@@ -104,6 +106,5 @@ class ActionSpace(Protocol):
 
 def limit_speed(u: Array, arm: GuardedArm) -> Array:
     """`u` (n,), scaled so that no joint exceeds its velocity limit: the direction of the motion remains."""
-    limits = np.array([joint.velocity.value for joint in arm.safety.robot_model.joints])
-    excess = float(np.max(np.abs(u) / limits, initial=0.0))
+    excess = float(np.max(np.abs(u) / arm.velocity_limits, initial=0.0))
     return u / excess if excess > 1.0 else u

@@ -27,7 +27,7 @@ from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.result import FilterResult, FilterStatus
 from dualbrain.safety.integration.policy_guard.action_space import ActionGoal, ActionSpace, GuardedArm
 from dualbrain.safety.integration.policy_guard.joint_actions import JointVelocity
-from dualbrain.safety.integration.policy_guard.path_braking import brake_along_path
+from dualbrain.safety.integration.policy_guard.path_braking import brake_along_path, braking_step
 from dualbrain.safety.integration.shadow_mode import ShadowFilter
 
 Array = NDArray[np.float64]
@@ -114,6 +114,8 @@ class PolicyGuard:
         self._size: int | None = action_size
         self._template: Any = None
         self._original: Any = None
+        self._velocity_limits = np.array([joint.velocity.value for joint in self._model.joints])
+        self._braking_step = braking_step(self._model)
         self._lower = np.array([joint.lower.value for joint in self._model.joints])
         self._upper = np.array([joint.upper.value for joint in self._model.joints])
         self.reset()
@@ -298,7 +300,9 @@ class PolicyGuard:
         if self._arm is None:
             start = q if self._target is None or not self.space.follows_position else self._target
             start = start if len(start) == self._model.n else np.zeros(self._model.n)  # the pose of a base is no joint
-            self._arm = GuardedArm(safety=self.safety, q=q, v=v, start=start, target=start)
+            self._arm = GuardedArm(
+                safety=self.safety, velocity_limits=self._velocity_limits, q=q, v=v, start=start, target=start
+            )
             self._goal = (
                 self.space.rest(self._arm) if self._values is None else self.space.goal(self._values, self._arm)
             )
@@ -333,7 +337,7 @@ class PolicyGuard:
 
     def _braked(self, q: Array, v: Array, u_nom: Array, u_prev: Array, now: float, opening: float | None) -> Array:
         """The nominal control, slowed down along its direction as far as the barriers need it."""
-        found = brake_along_path(self.safety, q, v, u_nom, u_prev, now, opening)
+        found = brake_along_path(self.safety, self._braking_step, q, v, u_nom, u_prev, now, opening)
         if found is None:
             self._speed_share = 0.0
             return u_nom

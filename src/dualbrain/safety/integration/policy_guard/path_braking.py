@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.filter import SafetyFilter
 
 Array = NDArray[np.float64]
@@ -23,17 +24,27 @@ UNCHANGED = 1e-6
 """Largest delta of a control that the filter does not change."""
 
 
+def braking_step(robot_model: RobotModel) -> Array:
+    """The largest change of the control (n,) [rad/s] in one period that the clip admits."""
+    limits = np.array([joint.acceleration.value for joint in robot_model.joints])
+    return ROUNDING * robot_model.period * limits
+
+
 def brake_along_path(
-    safety: SafetyFilter, q: Array, v: Array, u_nom: Array, u_prev: Array, now: float, opening: float | None
+    safety: SafetyFilter,
+    step: Array,
+    q: Array,
+    v: Array,
+    u_nom: Array,
+    u_prev: Array,
+    now: float,
+    opening: float | None,
 ) -> tuple[Array, float] | None:
     """The admitted control (n,) [rad/s] with the largest share s of `u_nom`, and s; None if no control is admitted.
 
-    `q`, `v` (n,) are the joint state, `u_prev` (n,) is the last control, `now` [s] and `opening` [m] are as for
-    `SafetyFilter`.
+    `step` (n,) is `braking_step`; `q`, `v` (n,) are the joint state, `u_prev` (n,) is the last control, `now` [s] and
+    `opening` [m] are as for `SafetyFilter`.
     """
-    step = (
-        ROUNDING * safety.robot_model.period * np.array([one.acceleration.value for one in safety.robot_model.joints])
-    )
     low, high = u_prev - step, u_prev + step
 
     def admitted(shares: Array) -> tuple[Array, NDArray[np.bool_]]:
