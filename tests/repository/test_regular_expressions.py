@@ -6,7 +6,7 @@ import importlib
 import itertools
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -167,6 +167,16 @@ def without_garbage_collection():
     gc.enable()
 
 
+def takes_less(duration: float, work: Callable[[int], None], size: int) -> bool:
+    """Whether one of five calls takes less processor time than `duration` [s]; other processes make a call slower."""
+    for _ in range(5):
+        start = time.process_time()
+        work(size)
+        if time.process_time() - start < duration:
+            return True
+    return False
+
+
 @pytest.mark.parametrize(
     ("where", "pattern", "flags", "functions"), [pytest.param(*rest, id=rest[0]) for _, *rest in patterns()]
 )
@@ -187,13 +197,9 @@ def test_an_expression_takes_linear_time(
                 getattr(compiled, function)(data)
 
         if bound := bound_of(where):
-            start = time.process_time()
-            work(bound)
-            assert time.process_time() - start < BOUNDED_S, f"{where}: {pattern!r} on {begin!r} + {unit!r} + {end!r}"
+            assert takes_less(BOUNDED_S, work, bound), f"{where}: {pattern!r} on {begin!r} + {unit!r} + {end!r}"
             continue
-        start = time.process_time()
-        work(PROBE_SIZE)
-        if time.process_time() - start < PROBE_S:
+        if takes_less(PROBE_S, work, PROBE_SIZE):
             continue
         growth = growth_of_cost(work, 1 << 9, max_size=1 << 15)
         assert growth < MAX_GROWTH, f"{where}: {pattern!r} on {begin!r} + {unit!r} repeated + {end!r}: {growth:.1f}"
