@@ -16,8 +16,8 @@ OBSTACLE_POSITION_NOISE, OBSTACLE_SPEED_NOISE = 0.005, 0.02
 """Error norms of perceived obstacles [m, m/s]."""
 JOINT_POSITION_NOISE, JOINT_SPEED_NOISE = 2e-4, 0.01
 """Error bounds of measured joints [rad, rad/s]."""
-TRACKING = load_robot("panda").tracking
-LAG, POSITION_ERROR = TRACKING.lag, TRACKING.position_error
+PANDA = load_robot("panda")
+LAG, POSITION_ERROR = PANDA.tracking.lag, max(PANDA.tracking.position_errors(PANDA.n))
 """Lag [s] and leaky integral of the tracking residual [rad], as identified for the robot's own drive."""
 MAX_DISTURBANCE = ALPHA * POSITION_ERROR
 """The worst disturbance ydot − u within these bounds, constant and against the nearest row [rad/s]."""

@@ -176,10 +176,11 @@ _TABLE_HEAD = (
 
 
 def _table_row(kind: str, t: Row) -> tuple[object, ...]:
-    found = load_robot("panda").with_drive(kind).tracking
+    model = load_robot("panda").with_drive(kind)
+    lag, error = model.tracking.lag, max(model.tracking.position_errors(model.n))
     shares = " / ".join(f"{count / t['steps']:.2%}" for count in t["status"])
     return (
-        f"{kind} (lag {found.lag * 1e3:g} ms, e {found.position_error * 1e3:g} mrad)",
+        f"{kind} (lag {lag * 1e3:g} ms, e {error * 1e3:g} mrad)",
         f"{t['steps']:.3g}",
         t["below"],
         f"{t['h_scene'] * 1e3:.2f} / {t['h_own'] * 1e3:.2f} mm",

@@ -1,6 +1,6 @@
 /* Rows of the barrier functions (paper 4.2): for a sphere at distance h along the outward normal n of an obstacle,
  *
- *   n'J u  >=  -alpha(h) + n'v_o + velocity_error + tracking * sum_k |n'J_k| + max(0, -dt/2 n'a)
+ *   n'J u  >=  -alpha(h) + n'v_o + velocity_error + sum_k tracking_k |n'J_k| + max(0, -dt/2 n'a)
  *
  * with a the acceleration of the sphere's centre at constant u (the sampling term), alpha(h) = alpha h, and for h < 0
  * the recovery min(alpha |h|, recovery). A row is omitted only if no control within the bounds can violate it and h is
@@ -136,11 +136,11 @@ DBK_SIMD_CLONES static void to_joint_space(const dbk_model *model, dbk_ctx *ctx)
   dbk_real square[DBK_ROW_CAPACITY], total[DBK_ROW_CAPACITY];
   int32_t fixed = 0, clip = 0;
   dbk_row_jacobian(model, ctx, rows, square, total);
-  /* the norm of every row, and the tracking term tracking * sum_k |a_k| */
+  /* the norm of every row, and the tracking term sum_k tracking_k |a_k| */
   for (int32_t r = 0; r < rows->count; ++r) {
     const dbk_real norm = dbk_sqrt(square[r]);
     rows->norm[r] = norm;
-    rows->b[r] += model->tracking * total[r];
+    rows->b[r] += model->tracking_max * total[r];
     fixed |= !(norm > DBK_ZERO_GRADIENT);
     clip |= rows->clip[r] | !(rows->h[r] >= (dbk_real)0);
   }

@@ -3,13 +3,14 @@
 import json
 
 import msgspec
+import numpy as np
 import pytest
 
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.robots.loader import encode_robot, load_robot
 from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.config import FilterConfig
-from dualbrain.safety.cbf.kernel import tracking_error
+from dualbrain.safety.cbf.kernel import tracking_errors
 
 PANDA = load_robot("panda")
 SHORT = ("--seeds", 1, "--seconds", 0.5)
@@ -18,7 +19,7 @@ SHORT = ("--seeds", 1, "--seconds", 0.5)
 def test_it_reports_the_model_and_how_to_store_it(run_command):
     code, out, _ = run_command("robot", "identify", *SHORT, "--load", 0.3)
     assert code == ExitCode.SUCCESS
-    for word in ("lag", "position error", "margin α e of the rows", "stored model", "--write"):
+    for word in ("lag", "position errors", "margins α e of the rows", "stored model", "--write"):
         assert word in out
 
 
@@ -37,7 +38,7 @@ def test_json_and_a_new_data_file(run_command, tmp_path):
     entry = json.loads(out)["entry"]
     assert "body.json" in err
     robot_model = msgspec.json.decode((tmp_path / "body.json").read_bytes(), type=RobotModel)
-    assert msgspec.to_builtins(robot_model.with_drive("velocity").tracking) == entry
+    assert json.loads(msgspec.json.encode(robot_model.with_drive("velocity").tracking)) == entry
     assert robot_model.tracking == PANDA.tracking, "the other drive is left alone"
     assert "--drive velocity --seeds 1 --seconds 0.5 --load 0.5" in entry["provenance"]
     assert encode_robot(robot_model) == (tmp_path / "body.json").read_bytes()
@@ -48,11 +49,12 @@ def test_what_is_written_enters_the_rows(run_command, tmp_path):
     run_command("robot", "identify", *SHORT, "--load", 1, "--write", "body.json")
     robot_model = msgspec.json.decode((tmp_path / "body.json").read_bytes(), type=RobotModel)
     assert robot_model.tracking != PANDA.tracking
-    assert tracking_error(robot_model, FilterConfig()) == pytest.approx(
-        robot_model.alpha * robot_model.tracking.position_error
-    )
-    assert tracking_error(robot_model, FilterConfig(alpha=10.0)) > 10.0 * robot_model.tracking.position_error
-    assert tracking_error(robot_model, FilterConfig(tracking_error=0.5)) == 0.5
+    errors = np.array(robot_model.tracking.position_error)
+    assert errors.shape == (7,)
+    assert len(set(errors.tolist())) > 1
+    np.testing.assert_allclose(tracking_errors(robot_model, FilterConfig()), robot_model.alpha * errors)
+    assert np.all(tracking_errors(robot_model, FilterConfig(alpha=10.0)) > 10.0 * errors)
+    assert np.all(tracking_errors(robot_model, FilterConfig(tracking_error=0.5)) == 0.5)
 
 
 @pytest.mark.parametrize(

@@ -41,7 +41,6 @@ static inline void arm_model(dbk_model *m) {
   m->sampling = (dbk_real)2e-4;
   m->rounding = (dbk_real)1e-5;
   m->lag = (dbk_real)0.02;
-  m->tracking = (dbk_real)0.001;
   m->state_age_max = (dbk_real)0.05;
   m->scene_age_max = (dbk_real)0.5;
   for (int k = 0; k < 7; ++k) {
@@ -53,6 +52,7 @@ static inline void arm_model(dbk_model *m) {
     m->q_upper[k] = (dbk_real)high[k];
     m->v_max[k] = (dbk_real)v[k];
     m->a_max[k] = (dbk_real)a[k];
+    m->tracking[k] = (dbk_real)0.001;
     m->scale[k][k] = m->v_max[k];
   }
   m->tool_rotation[0] = m->tool_rotation[4] = m->tool_rotation[8] = 1;

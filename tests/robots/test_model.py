@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from dualbrain.errors import UnknownNameError
-from dualbrain.robots.loader import BUILTIN_ROBOTS, load_robot
+from dualbrain.robots.loader import BUILTIN_ROBOTS, find_model_faults, load_robot
 from dualbrain.robots.model import RobotModel, TrackingErrorModel
 
 PANDA = load_robot("panda")
@@ -32,6 +32,25 @@ def test_every_bound_is_positive_in_si_units_with_a_provenance():
         assert "Franka FCI" in joint.acceleration.provenance
     for bound in (PANDA.gripper.opening, PANDA.gripper.force, PANDA.gripper.force_min, PANDA.tool_speed):
         assert bound.provenance
+
+
+@pytest.mark.parametrize(
+    ("entry", "value"),
+    [
+        ("position_error", (0.01,) * 6),
+        ("position_error", (0.01,) * 6 + (-0.01,)),
+        ("position_error", -0.01),
+        ("lag", -0.001),
+        ("rate", -3.0),
+    ],
+    ids=["count", "negative for one joint", "negative", "lag", "rate"],
+)
+def test_a_tracking_model_that_fits_no_robot_is_refused(entry, value):
+    wrong = msgspec.structs.replace(PANDA.tracking, **{entry: value})
+    faults = [where for where, _, _ in find_model_faults(msgspec.structs.replace(PANDA, tracking=wrong))]
+    assert faults == [f"{entry} of the drive {PANDA.tracking.drive!r}"]
+    others = msgspec.structs.replace(PANDA, other_drives=(wrong,))
+    assert len(list(find_model_faults(others))) == 1
 
 
 def test_the_automatic_gain_is_the_smallest_ratio_of_acceleration_to_speed():

@@ -71,7 +71,7 @@ def test_a_constant_residual_gives_r_over_alpha():
     plant = FirstOrder(7, 0.004, lambda t: 0.02)
     found = fit_tracking_model([[excitation_log(plant, random_controls(3, 4000))]], RATE, PERIOD, lag=0.004)
     assert found.position_error == pytest.approx(SAFETY_FACTOR * 0.02 / RATE, rel=0.01)
-    assert found.tracking_error == pytest.approx(SAFETY_FACTOR * 0.02, rel=0.01)
+    assert found.tracking_error == pytest.approx([SAFETY_FACTOR * 0.02] * 7, rel=0.01)
     assert found.velocity_error == pytest.approx(0.02, rel=1e-3)
 
 
@@ -112,7 +112,14 @@ def test_the_error_covers_two_standard_deviations_over_seeds():
     found = fit_tracking_model(logs, RATE, PERIOD, lag=0.002)
     spread = np.mean(found.by_seed) + 2.0 * np.std(found.by_seed, ddof=1)
     assert found.position_error == pytest.approx(SAFETY_FACTOR * max(*found.by_seed, spread))
-    assert found.position_error >= SAFETY_FACTOR * max(found.largest)
+    assert np.all(np.array(found.position_errors) >= SAFETY_FACTOR * np.array(found.largest))
+
+
+def test_every_joint_has_its_own_error():
+    residual = np.array([0.0, 0.03, 0.01, 0.0, 0.02, 0.0, 0.005])
+    plant = FirstOrder(7, 0.002, lambda t: residual)
+    found = fit_tracking_model([[excitation_log(plant, random_controls(5, 4000))]], RATE, PERIOD, lag=0.002)
+    np.testing.assert_allclose(found.position_errors, SAFETY_FACTOR * residual / RATE, rtol=0.01, atol=1e-4)
 
 
 def test_an_empty_list_of_logs_is_rejected():
@@ -155,8 +162,8 @@ def test_the_budget_covers_other_gains(alpha):
     r = np.repeat(rng.choice((-0.02, 0.0, 0.02), (60, 7)), 100, axis=0)
     log = ExcitationLog(np.cumsum(r, axis=0) * PERIOD, np.zeros_like(r), np.zeros_like(r))
     e = np.abs(leaky_error(log, 0.0, RATE, PERIOD)).max()
-    budget = TrackingErrorModel(lag=0.0, position_error=float(e), rate=RATE, provenance="test").row_margin(alpha)
-    assert alpha * np.abs(leaky_error(log, 0.0, alpha, PERIOD)).max() <= budget * (1.0 + 1e-9)
+    budget = TrackingErrorModel(lag=0.0, position_error=float(e), rate=RATE, provenance="test").row_margins(alpha, 7)
+    assert alpha * np.abs(leaky_error(log, 0.0, alpha, PERIOD)).max() <= max(budget) * (1.0 + 1e-9)
 
 
 def test_the_error_of_the_robot_model_is_never_rounded_down():
@@ -164,7 +171,8 @@ def test_the_error_of_the_robot_model_is_never_rounded_down():
         [[excitation_log(FirstOrder(7, 0.004, lambda t: 0.02), random_controls(3, 400))]], RATE, PERIOD, lag=0.004
     )
     entry = found.to_error_model("velocity", "test")
-    assert found.position_error <= entry.position_error < found.position_error + 1e-6
+    assert np.all(np.array(found.position_errors) <= entry.position_error)
+    assert np.all(np.array(entry.position_error) < np.array(found.position_errors) + 1e-6)
     assert (entry.drive, entry.rate) == ("velocity", RATE)
 
 

@@ -132,7 +132,7 @@ def run_episode(suite: SuiteProcess, robot_model: RobotModel, parameters: dict[s
         **suite.limit_report(),
         **record.metrics(robot_model),
         "lag": robot_model.tracking.lag,
-        "allowed_error": robot_model.tracking.position_error,
+        "allowed_error": max(robot_model.tracking.position_errors(robot_model.n)),
         "versions": suite.versions,
     }
 

@@ -62,7 +62,6 @@ typedef struct {
   dbk_real recovery;                        /* maximum speed of the recovery from h < 0 [m/s] */
   dbk_real sampling, rounding, self_margin; /* margins for sampling, rounding and self-collision [m] */
   dbk_real lag;                             /* time constant of the drives [s]: y = q + lag v */
-  dbk_real tracking;                        /* bound of the velocity tracking error [rad/s] */
   dbk_real speed_limit;                     /* of every sphere centre and of the tool [m/s]; 0: no limit */
   int32_t speed_first_joint; /* speeds are relative to frame speed_first_joint, such as that of a mobile base */
   dbk_real state_age_max, scene_age_max;    /* [s] */
@@ -70,6 +69,7 @@ typedef struct {
   dbk_real joint_rotation[DBK_MAX_DOF][9], joint_offset[DBK_MAX_DOF][3]; /* row-major; parent <- joint at q = 0 */
   dbk_real q_lower[DBK_MAX_DOF], q_upper[DBK_MAX_DOF], v_max[DBK_MAX_DOF], a_max[DBK_MAX_DOF];
   dbk_real j_max[DBK_MAX_DOF];              /* [rad/s^3]; 0: no limit */
+  dbk_real tracking[DBK_MAX_DOF];           /* bound of the velocity tracking error of each joint [rad/s] */
   dbk_real scale[DBK_MAX_DOF][DBK_MAX_DOF]; /* S = L^-T with R = L L': u = u_nom + S x, cost |x|^2 / 2 */
   dbk_real tool_rotation[9], tool_offset[3];
   int32_t n_links, n_spheres, n_pairs, n_held_links;
@@ -83,6 +83,7 @@ typedef struct {
   /* computed by dbk_prepare */
   dbk_real reach[DBK_MAX_DOF][DBK_SPHERE_CAPACITY]; /* maximum lever arm of joint k on a sphere over all postures [m] */
   dbk_real link_reach[DBK_MAX_DOF][DBK_ALL_LINKS];  /* maximum over the spheres of a link */
+  dbk_real tracking_max, tracking_share[DBK_MAX_DOF]; /* maximum of tracking, and tracking relative to it */
   int32_t sphere_frame[DBK_ALL_SPHERES];
   dbk_bounding_sphere bounding_sphere[DBK_MAX_LINKS];
 } dbk_model;

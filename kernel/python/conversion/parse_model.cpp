@@ -22,7 +22,6 @@ void parse_settings(const nb::dict &d, size_t n, dbk_model &m) {
   m.rounding = number(d, "rounding");
   m.self_margin = number(d, "self_margin");
   m.lag = number(d, "lag");
-  m.tracking = number(d, "tracking");
   m.speed_limit = number(d, "speed_limit");
   m.speed_first_joint = static_cast<int32_t>(number(d, "speed_first_joint"));
   m.state_age_max = number(d, "state_age_max");
@@ -37,6 +36,7 @@ void parse_joints(const nb::dict &d, size_t n, dbk_model &m) {
   fill(d, "v_max", m.v_max, n);
   fill(d, "a_max", m.a_max, n);
   fill(d, "j_max", m.j_max, n);
+  fill(d, "tracking", m.tracking, n);
   fill(d, "joint_kind", m.joint_kind, n);
   const std::vector<double> scale = values(d, "scale");
   expect(scale.size() == n * n, "scale");

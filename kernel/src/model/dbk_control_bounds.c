@@ -10,10 +10,10 @@ static dbk_real braking_speed(dbk_real a, dbk_real period, dbk_real d) {
 
 /* maximum speed toward a position limit at distance d: min(alpha d, braking speed). Beyond the limit (d < 0) the speed
  * is negative, so the joint returns at a limited speed */
-static inline dbk_real approach_speed(const dbk_model *model, dbk_real a_max, dbk_real d) {
+static inline dbk_real approach_speed(const dbk_model *model, int32_t k, dbk_real d) {
   const dbk_real linear = model->alpha_joint * d, recovery = dbk_max(linear, -(dbk_real)4 * model->recovery);
-  const dbk_real inside = dbk_min(linear, braking_speed(a_max, model->period, d));
-  return (d > (dbk_real)0 ? inside : recovery) - model->tracking;
+  const dbk_real inside = dbk_min(linear, braking_speed(model->a_max[k], model->period, d));
+  return (d > (dbk_real)0 ? inside : recovery) - model->tracking[k];
 }
 
 /* The bounds are the intersection of the velocity limits, the acceleration limits around u_prev, and the approach
@@ -29,8 +29,8 @@ DBK_SIMD_CLONES void dbk_control_bounds(const dbk_model *model, const dbk_real y
     const dbk_real v = model->v_max[k], step = model->a_max[k] * model->period;
     const dbk_real low = dbk_max(-v, u_prev[k] - step), high = dbk_min(v, u_prev[k] + step);
     const dbk_real above = model->q_upper[k] - margin - y[k], below = y[k] - model->q_lower[k] - margin;
-    const dbk_real to_upper = approach_speed(model, model->a_max[k], above);
-    const dbk_real to_lower = -approach_speed(model, model->a_max[k], below);
+    const dbk_real to_upper = approach_speed(model, k, above);
+    const dbk_real to_lower = -approach_speed(model, k, below);
     const dbk_real slack = (dbk_real)0.02 * step;
     violated |= (k < model->n) & (((above > (dbk_real)0) & (to_upper < low - slack)) |
                                   ((below > (dbk_real)0) & (to_lower > high + slack)));
@@ -175,8 +175,8 @@ int32_t dbk_jerk_bounds(const dbk_model *model, const dbk_real y[DBK_MAX_DOF], c
     const jerk_stop to_upper = {dbk_max(model->q_upper[k] - margin - y[k], beyond), u, dt, planned};
     const jerk_stop to_lower = {dbk_max(y[k] - model->q_lower[k] - margin, beyond), -u, dt, planned};
     int32_t fits = least <= most;
-    const dbk_real above = change_toward(&to_upper, alpha, model->tracking, step, least, most, &fits);
-    const dbk_real below = -change_toward(&to_lower, alpha, model->tracking, step, -most, -least, &fits);
+    const dbk_real above = change_toward(&to_upper, alpha, model->tracking[k], step, least, most, &fits);
+    const dbk_real below = -change_toward(&to_lower, alpha, model->tracking[k], step, -most, -least, &fits);
     if (!fits || below > above) {
       feasible = 0;
       continue;

@@ -1,4 +1,4 @@
-/* Preparation of a model: maximum lever arms of the joints and bounding spheres of the links. */
+/* Preparation of a model: maximum lever arms of the joints, bounding spheres of the links, shares of the tracking. */
 #include "model/dbk_model.h"
 
 /* maximum distance between the origin of frame k and its parent's origin over the range of joint k */
@@ -85,10 +85,22 @@ static void clear_unused_scale(dbk_model *model) {
   }
 }
 
+/* The tracking margins relative to their maximum. The shares are exactly 1 where all margins are equal, so that their
+ * rows are those of one margin for all joints, to the last bit. */
+static void prepare_tracking(dbk_model *model) {
+  model->tracking_max = (dbk_real)0;
+  for (int32_t k = 0; k < model->n; ++k) { model->tracking_max = dbk_max(model->tracking_max, model->tracking[k]); }
+  for (int32_t k = 0; k < DBK_MAX_DOF; ++k) {
+    const int32_t used = k < model->n && model->tracking_max > (dbk_real)0;
+    model->tracking_share[k] = used ? model->tracking[k] / model->tracking_max : (dbk_real)0;
+  }
+}
+
 /* Computes reach[k][s], an upper bound over all postures of the speed of sphere s per unit speed of joint k. For a
  * revolute joint it is the sum of the lengths of all offsets between the joint and the sphere. */
 void dbk_prepare(dbk_model *model) {
   clear_unused_scale(model);
+  prepare_tracking(model);
   /* the spheres of the links: accumulate the offsets from the sphere's frame toward the base */
   for (int32_t l = 0; l < model->n_links; ++l) {
     const int32_t frame = model->link_frame[l];

@@ -114,7 +114,7 @@ DBK_SIMD_CLONES void dbk_set_sphere_motion(const dbk_model *model, const dbk_sce
     const dbk_real z[3] = {r[2], r[5], r[8]};
     const dbk_real centre = (dbk_real)0.5 * (ctx->lower[k] + ctx->upper[k]);
     const dbk_real low = ctx->trust_lower[k], high = ctx->trust_upper[k], trust_centre = (dbk_real)0.5 * (low + high);
-    const dbk_real half_width = (dbk_real)0.5 * (high - low) + model->tracking;
+    const dbk_real half_width = (dbk_real)0.5 * (high - low) + model->tracking[k];
     const dbk_real *restrict reach = model->reach[k];
     if (model->joint_kind[k] == DBK_PRISMATIC) {
       dbk_add_prismatic(&chain[k], z, centre, trust_centre, &chain[k + 1]);

@@ -6,12 +6,13 @@
  * the entries after the last row */
 typedef struct {
   int32_t first, count;
-  dbk_real *square, *total; /* sum_k a_k^2 and sum_k |a_k| */
+  dbk_real *square, *total; /* sum_k a_k^2, and sum_k share_k |a_k| with the tracking share */
 } span_rows;
 
 /* axes z_k of the joints and points p_k on them */
 typedef struct {
   dbk_real zx[DBK_MAX_DOF], zy[DBK_MAX_DOF], zz[DBK_MAX_DOF], px[DBK_MAX_DOF], py[DBK_MAX_DOF], pz[DBK_MAX_DOF];
+  dbk_real share[DBK_MAX_DOF];
   int32_t prismatic[DBK_MAX_DOF];
 } joint_axes;
 
@@ -23,6 +24,7 @@ static inline void set_axes(const dbk_model *model, const dbk_frames *frames, jo
     out->px[k] = frames->origin[k + 1][0];
     out->py[k] = frames->origin[k + 1][1];
     out->pz[k] = frames->origin[k + 1][2];
+    out->share[k] = model->tracking_share[k];
     out->prismatic[k] = model->joint_kind[k] == DBK_PRISMATIC;
   }
 }
@@ -31,6 +33,7 @@ static inline void set_axes(const dbk_model *model, const dbk_frames *frames, jo
 static inline void fill_one_sphere(const joint_axes *axis, int32_t k, const span_rows *span, dbk_rows *restrict rows) {
   const dbk_real zx = axis->zx[k], zy = axis->zy[k], zz = axis->zz[k];
   const dbk_real px = axis->px[k], py = axis->py[k], pz = axis->pz[k];
+  const dbk_real share = axis->share[k];
   const int32_t prismatic = axis->prismatic[k], count = DBK_PADDED(span->count);
   const dbk_real *cx = rows->mx + span->first, *cy = rows->my + span->first, *cz = rows->mz + span->first;
   const dbk_real *nx = rows->nx + span->first, *ny = rows->ny + span->first, *nz = rows->nz + span->first;
@@ -42,7 +45,7 @@ static inline void fill_one_sphere(const joint_axes *axis, int32_t k, const span
     const dbk_real value = jx * nx[r] + jy * ny[r] + jz * nz[r];
     a[r] = value;
     square[r] += value * value;
-    total[r] += value < (dbk_real)0 ? -value : value;
+    total[r] += share * dbk_abs(value);
   }
 }
 
@@ -51,6 +54,7 @@ static inline void fill_many_spheres(const joint_axes *axis, int32_t k, const sp
                                      dbk_rows *restrict rows) {
   const dbk_real zx = axis->zx[k], zy = axis->zy[k], zz = axis->zz[k];
   const dbk_real px = axis->px[k], py = axis->py[k], pz = axis->pz[k];
+  const dbk_real share = axis->share[k];
   const int32_t prismatic = axis->prismatic[k], count = DBK_PADDED(span->count);
   const dbk_real tx = prismatic ? (dbk_real)0 : zx, ty = prismatic ? (dbk_real)0 : zy,
                  tz = prismatic ? (dbk_real)0 : zz;
@@ -63,7 +67,7 @@ static inline void fill_many_spheres(const joint_axes *axis, int32_t k, const sp
     const dbk_real value = (tx * rx[r] + ty * ry[r] + tz * rz[r]) - (mx * nx[r] + my * ny[r] + mz * nz[r]);
     a[r] = value;
     square[r] += value * value;
-    total[r] += value < (dbk_real)0 ? -value : value;
+    total[r] += share * dbk_abs(value);
   }
 }
 

@@ -145,7 +145,8 @@ def _latency() -> list[Finding]:
         safety.filter(state, state.v, 0.0)
         times.append((time.perf_counter() - start) * 1e6)
     tracking = robot_model.tracking
-    lag = f"lag {tracking.lag * 1e3:.2f} ms, margin α e of the rows {tracking.row_margin(robot_model.alpha):.4f} rad/s"
+    margin = max(tracking.row_margins(robot_model.alpha, robot_model.n))
+    lag = f"lag {tracking.lag * 1e3:.2f} ms, margin α e of the rows up to {margin:.4f} rad/s"
     return [
         Finding("filter step", "ok", f"{statistics.median(times):.1f} µs median, scene 0, called from Python"),
         Finding("tracking model", "ok", f"{robot_model.name}: {lag} ({tracking.provenance})"),

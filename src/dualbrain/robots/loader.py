@@ -92,6 +92,7 @@ def find_model_faults(robot_model: RobotModel) -> Iterator[ModelFault]:
         yield from _joint_faults(joint)
     yield from _link_faults(robot_model)
     yield from _sphere_faults(robot_model)
+    yield from _tracking_faults(robot_model)
     yield from _dynamics_faults(robot_model)
     yield from _force_sensing_faults(robot_model)
     if not 0.0 < robot_model.period <= 1.0:
@@ -104,6 +105,18 @@ def find_model_faults(robot_model: RobotModel) -> Iterator[ModelFault]:
             list(robot_model.home),
             f"{robot_model.nq} values: x, y and heading of a mobile base, then one for each joint",
         )
+
+
+def _tracking_faults(robot_model: RobotModel) -> Iterator[ModelFault]:
+    for tracking in (robot_model.tracking, *robot_model.other_drives):
+        errors = tracking.position_errors(robot_model.n)
+        if len(errors) != robot_model.n or not all(isfinite(error) and error >= 0.0 for error in errors):
+            allowed = f"one number of at least 0, or {robot_model.n} for the joints"
+            yield f"position_error of the drive {tracking.drive!r}", errors, allowed
+        for name in ("lag", "rate"):
+            value: float = getattr(tracking, name)
+            if not (isfinite(value) and value >= 0.0):
+                yield f"{name} of the drive {tracking.drive!r}", value, "at least 0"
 
 
 def _dynamics_faults(robot_model: RobotModel) -> Iterator[ModelFault]:

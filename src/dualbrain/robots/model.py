@@ -81,23 +81,28 @@ class Gripper(msgspec.Struct, frozen=True, kw_only=True):
 class TrackingErrorModel(msgspec.Struct, frozen=True, kw_only=True):
     """How the joints track a velocity command u: y = q + lag v obeys ẏ = u + r with |∫ exp(−α (t − s)) r ds| ≤ e.
 
-    `lag` [s]; `position_error` e of each joint [rad, of a prismatic joint m]; `rate` α [1/s] at which e was identified;
-    `drive` names the identified drive. Measured by `dualbrain robot identify`, or taken from the manufacturer's data.
+    `lag` [s]; `position_error` e [rad, of a prismatic joint m], one number for all joints or one for each; `rate` α
+    [1/s] at which e was identified; `drive` names the identified drive. Measured by `dualbrain robot identify`, or
+    taken from the manufacturer's data.
     """
 
     lag: float
-    position_error: float
+    position_error: float | tuple[float, ...]
     rate: float
     provenance: str
     drive: str = ""
 
-    def row_margin(self, alpha: float) -> float:
-        """Margin [rad/s] of a barrier row of gain `alpha` [1/s] against the tracking error.
+    def position_errors(self, n: int) -> tuple[float, ...]:
+        """The error e of each of `n` joints [rad, of a prismatic joint m]."""
+        return self.position_error if isinstance(self.position_error, tuple) else (self.position_error,) * n
+
+    def row_margins(self, alpha: float, n: int) -> tuple[float, ...]:
+        """Margin [rad/s] of each of `n` joints, of a barrier row of gain `alpha` [1/s] against the tracking error.
 
         The margin is α e at the identified rate, and an upper bound of it at any other rate a: integration by parts
         bounds the leaky integral by e α/a where a < α, and by e (2 − α/a) where a > α.
         """
-        return self.position_error * (self.rate + 2.0 * max(0.0, alpha - self.rate))
+        return tuple(error * (self.rate + 2.0 * max(0.0, alpha - self.rate)) for error in self.position_errors(n))
 
 
 class RigidBody(msgspec.Struct, frozen=True, kw_only=True):

@@ -140,9 +140,13 @@ def _obstacle_rows(body, config, spheres, j, obstacle):
     alpha = obstacle.alpha or body.alpha
     bend = np.maximum(0.0, -0.5 * body.period * np.einsum("sx,sx->s", n, spheres.acceleration[mine]))
     b = np.minimum(-alpha * h, cap) + n @ v + np.where(permit >= 0.0, 0.0, obstacle.velocity_error)
-    b = b + bend + config.tracking_error * np.abs(a).sum(axis=1)
+    b = b + bend + _tracking_term(config, a)
     kind = np.full(len(mine), OBSTACLE)
     return kind, mine, np.full(len(mine), j), h, a, b, permit >= 0.0
+
+
+def _tracking_term(config, a):
+    return np.abs(a) @ np.broadcast_to(config.tracking_error, a.shape[1])
 
 
 def _self_collision_rows(body, config, spheres, near, far, error):
@@ -161,5 +165,5 @@ def _self_collision_rows(body, config, spheres, near, far, error):
     relative = spheres.acceleration[s] - spheres.acceleration[i]
     bend = np.maximum(0.0, -0.5 * body.period * np.einsum("sx,sx->s", n, relative))
     b = np.minimum(-(config.alpha_self or body.alpha) * h, config.recovery_speed) + bend
-    b = b + config.tracking_error * np.abs(a).sum(axis=1)
+    b = b + _tracking_term(config, a)
     return [(np.full(len(s), SELF), s, i, h, a, b, np.zeros(len(s), bool))]

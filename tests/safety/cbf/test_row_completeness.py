@@ -150,8 +150,9 @@ def compare(safety, setting, answer, tolerance):
 def check(body, changes, real, times, seed):
     rng, tolerance, needed = np.random.default_rng(seed), 1e-7 if real == "float64" else 1e-5, 0
     limits = changes.get("acceleration_limits", True)
+    tracking = 0.002 if seed % 2 else tuple(np.random.default_rng(seed).uniform(0.0, 0.01, body.n).tolist())
     config = random_scenes.exact_config(
-        precision=real, alpha=body.alpha, tracking_error=0.002, acceleration_limits=limits
+        precision=real, alpha=body.alpha, tracking_error=tracking, acceleration_limits=limits
     )
     safety = SafetyFilter(body, config)
     for _ in range(times):
@@ -165,6 +166,11 @@ def check(body, changes, real, times, seed):
 @pytest.mark.parametrize("setting", SETTINGS, ids=str)
 def test_no_row_is_missing_and_h_min_is_the_nearest(thin, setting):
     check(thin, SETTINGS[setting], "float32", 30, 11)
+
+
+def test_no_row_is_missing_with_one_tracking_error_for_each_joint(thin):
+    check(thin, {}, "float32", 60, 12)
+    check(thin, {}, "float64", 60, 14)
 
 
 def test_far_from_everything_h_min_is_still_the_nearest(thin, rng):

@@ -71,7 +71,6 @@ def random_model(rng, n=7, links=6, *, slides=True, alpha=None):
         "rounding": float(rng.uniform(0.0, 1e-4)),
         "self_margin": float(rng.uniform(0.0, 5e-3)),
         "lag": float(rng.uniform(0.0, 0.02)),
-        "tracking": float(rng.uniform(0.0, 5e-3)),
         "speed_limit": 0.0,
         "speed_first_joint": 0.0,
         "state_age_max": 0.02,
@@ -84,6 +83,7 @@ def random_model(rng, n=7, links=6, *, slides=True, alpha=None):
         "v_max": v_max,
         "a_max": a_max,
         "j_max": np.zeros(n),
+        "tracking": random_tracking(rng, n),
         "scale": random_scale(rng, n),
         "tool_rotation": random_rotation(rng).ravel(),
         "tool_offset": rng.uniform(-0.1, 0.1, 3),
@@ -93,6 +93,18 @@ def random_model(rng, n=7, links=6, *, slides=True, alpha=None):
         "pairs": np.array(pairs, float).reshape(-1),
         "held_links": np.flatnonzero((frames < n) & (rng.random(links) < 0.5)).astype(float),
     }
+
+
+def random_tracking(rng, n):
+    """Tracking margins [rad/s]: none, the same for all joints, or one for each, of which some may be zero."""
+    largest = float(rng.uniform(0.0, 5e-3))
+    match rng.integers(3):
+        case 0:
+            return np.full(n, largest)
+        case 1:
+            return rng.uniform(0.0, 1.0, n) * largest * (rng.random(n) < 0.8)
+        case _:
+            return np.zeros(n)
 
 
 def random_scale(rng, n):

@@ -196,7 +196,7 @@ class ReferenceRows(ReferenceStep):
             t = self.obstacles[j] if kind == OBSTACLE else None
             J = self.jacobian[i] if t else self.jacobian[i] - self.jacobian[j]
             a = J @ n
-            norm, b = np.linalg.norm(a), rhs + self.model["tracking"] * np.abs(a).sum()
+            norm, b = np.linalg.norm(a), rhs + self.model["tracking"] @ np.abs(a)
             if not norm > ZERO_GRADIENT:
                 self.zero_gradient_rows.append((kind, i, j, h, b))
                 continue

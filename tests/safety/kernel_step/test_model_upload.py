@@ -10,7 +10,7 @@ from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.safety.cbf import kernel
 from dualbrain.safety.cbf.compiled import _kernel
 from dualbrain.safety.cbf.filter import FilterConfig, Obstacle
-from dualbrain.safety.cbf.kernel import kernel_model, max_gain, obstacle_table, tool_frame, tracking_error
+from dualbrain.safety.cbf.kernel import kernel_model, max_gain, obstacle_table, tool_frame, tracking_errors
 from dualbrain.safety.cbf.obstacles import SpeedAndSeparation
 from dualbrain.safety.cbf.rows import Rank
 from tests.safety import geometry_oracle
@@ -109,11 +109,11 @@ def test_settings_are_those_of_the_configuration(panda):
         "rounding": 2e-5,
         "self_margin": 0.004,
         "lag": panda.tracking.lag,
-        "tracking": 0.006,
         "state_age_max": 0.03,
         "scene_age_max": 0.4,
     }
     assert {name: values[name] for name in expected} == expected
+    assert values["tracking"].tolist() == [0.006] * 7
     assert panda.tracking.lag > 0.0
 
 
@@ -130,8 +130,13 @@ def test_gains_fall_back_on_the_filter_and_then_on_the_robot_model(panda):
         values = kernel_model(panda, config)
         assert [values[name] for name in names] == expected
         assert max_gain(panda, config) == max(expected)
-        assert tracking_error(panda, config) == values["tracking"] == panda.tracking.row_margin(max(expected))
-    assert tracking_error(panda, FilterConfig(tracking_error=0.0)) == 0.0
+        margins = panda.tracking.row_margins(max(expected), 7)
+        assert tuple(tracking_errors(panda, config)) == tuple(values["tracking"]) == margins
+    assert not tracking_errors(panda, FilterConfig(tracking_error=0.0)).any()
+    each = tuple(float(k) / 100.0 for k in range(7))
+    assert tuple(tracking_errors(panda, FilterConfig(tracking_error=each))) == each
+    with pytest.raises(ConfigurationError, match=r"'6 numbers', allowed: one number, or 7 for the joints of panda"):
+        kernel_model(panda, FilterConfig(tracking_error=each[:6]))
     assert kernel_model(panda, FilterConfig(lag_compensation=False))["lag"] == 0.0
 
 

@@ -29,7 +29,6 @@ def chain_model(n=2, spheres=(), frames=(2,), counts=(1,), **changes):
         "rounding": 0.0,
         "self_margin": 0.0,
         "lag": 0.0,
-        "tracking": 0.0,
         "speed_limit": 0.0,
         "speed_first_joint": 0.0,
         "state_age_max": 0.05,
@@ -42,6 +41,7 @@ def chain_model(n=2, spheres=(), frames=(2,), counts=(1,), **changes):
         "v_max": np.full(n, 2.0),
         "a_max": np.full(n, 10.0),
         "j_max": np.zeros(n),
+        "tracking": np.zeros(n),
         "scale": np.eye(n),
         "tool_rotation": np.eye(3).ravel(),
         "tool_offset": np.zeros(3),
@@ -279,7 +279,7 @@ def test_recovery_asks_for_no_more_than_the_box_allows(side):
 @pytest.mark.parametrize("outside", [0.0, 0.02, 0.05, 0.1])
 def test_outside_its_range_a_joint_returns_at_most_at_four_times_the_recovery_speed(outside):
     """The speed is alpha d if that is slower, plus the tracking error, so that the joint returns in any case."""
-    model = chain_model(tracking=0.01, a_max=np.full(2, 1e4))
+    model = chain_model(tracking=np.full(2, 0.01), a_max=np.full(2, 1e4))
     for side in (1.0, -1.0):
         made, got = answer(model, q=side * (2.0 + outside), u_nom=np.full(2, 9.0 * side))
         back = min(4.0 * outside, 4.0 * 0.05) + 0.01

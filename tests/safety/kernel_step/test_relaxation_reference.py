@@ -23,7 +23,7 @@ def hard(rng, kind):
 def test_what_is_given_up_is_the_least_rank_by_rank(kind):
     rng = np.random.default_rng(len(kind))
     relaxed = certified = moved = faults = 0
-    for _ in range(60):
+    for _ in range(100):
         found = hard(rng, kind)
         if found is None:
             continue

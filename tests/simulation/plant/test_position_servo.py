@@ -99,7 +99,9 @@ def identified():
 
 def test_the_identified_tracking_error_of_servos_is_that_of_their_sag(identified):
     assert 0.005 < identified.tracking.lag < 0.05
-    assert 0.01 < identified.tracking.position_error < FULL_TORQUE_ERROR
+    errors = identified.tracking.position_errors(7)
+    assert 0.01 < max(errors) < FULL_TORQUE_ERROR
+    assert min(errors) < 0.2 * max(errors), "the joints that carry the weight sag most"
 
 
 def test_with_the_identified_tracking_error_no_servo_brings_h_below_zero(identified):

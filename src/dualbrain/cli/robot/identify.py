@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -115,20 +116,26 @@ def _print_tracking_model(
 ) -> None:
     table = Table("", "", box=None, pad_edge=False, show_header=False)
     table.add_row("lag", f"{entry.lag * 1e3:.3f} ms" + (f", base {base_lag * 1e3:.3f} ms more" if base_lag else ""))
-    table.add_row("position error e", f"{entry.position_error * 1e3:.3f} mrad, with factor 1.25")
-    table.add_row(
-        "margin α e of the rows", f"{entry.row_margin(robot_model.alpha):.5f} rad/s at α = {entry.rate:.2f}/s"
-    )
-    table.add_row("e by seed", ", ".join(f"{e * 1e3:.3f}" for e in found.by_seed) + " mrad")
-    table.add_row("e by joint", ", ".join(f"{e * 1e3:.3f}" for e in found.largest) + " mrad")
+    n = robot_model.n
+    table.add_row("position errors e", f"{_list_milli(entry.position_errors(n))} mrad, with factor 1.25")
+    margins = _list_milli(entry.row_margins(robot_model.alpha, n))
+    table.add_row("margins α e of the rows", f"{margins} mrad/s at α = {entry.rate:.2f}/s")
+    table.add_row("measured, by seed", f"{_list_milli(found.by_seed)} mrad")
+    table.add_row("measured, by joint", f"{_list_milli(found.largest)} mrad")
     table.add_row("largest |ẏ − u|", f"{found.velocity_error:.4f} rad/s")
     known = {tracking.drive: tracking for tracking in (robot_model.tracking, *robot_model.other_drives)}.get(
         entry.drive
     )
     if known is not None:
-        table.add_row("stored model", f"lag {known.lag * 1e3:.3f} ms, e {known.position_error * 1e3:.3f} mrad")
+        errors = _list_milli(sorted(set(known.position_errors(n))))
+        table.add_row("stored model", f"lag {known.lag * 1e3:.3f} ms, e {errors} mrad")
     VisibleConsole().print(table)
     if not written:
         print_result(
             "To use it: --write FILE replaces it in a robot model file; FilterConfig(tracking_error=...) overrides it."
         )
+
+
+def _list_milli(values: Iterable[float]) -> str:
+    """`values` in thousandths."""
+    return ", ".join(f"{value * 1e3:.3f}" for value in values)

@@ -33,8 +33,9 @@ class FilterConfig(msgspec.Struct, frozen=True, kw_only=True):
     - `rounding_margin`: margin for float32 rounding (in rad for joint limits).
     - `self_margin`: clearance between links of the robot.
     - `projection_margin`: clearance of the projection φ in addition to that of the filter.
-    - `tracking_error` [rad/s]: margin per joint for ẏ ≠ u beyond the modelled lag. None takes the identified value α e
-      of the robot model (`TrackingErrorModel.row_margin`), which does not cover a larger gain of one obstacle.
+    - `tracking_error` [rad/s]: margin of every joint, or of each joint, for ẏ ≠ u beyond the modelled lag. None takes
+      the identified value α e of the robot model (`TrackingErrorModel.row_margins`), which does not cover a larger gain
+      of one obstacle.
     - `scene_stale_after`, `state_stale_after`: ages after which moving obstacles and the joint state are rejected.
     - `acceleration_limits`, `jerk_limits`: add these limits of the robot model to the box. With jerk limits a joint
       begins to brake before its position and velocity limits early enough for the ramp of its deceleration. Jerk limits
@@ -58,7 +59,7 @@ class FilterConfig(msgspec.Struct, frozen=True, kw_only=True):
     rounding_margin: float = 1e-5
     self_margin: float = 0.0
     projection_margin: float = 5e-4
-    tracking_error: float | None = None
+    tracking_error: float | tuple[float, ...] | None = None
     scene_stale_after: float = 0.5
     state_stale_after: float = 0.05
     acceleration_limits: bool = True
@@ -75,8 +76,9 @@ class FilterConfig(msgspec.Struct, frozen=True, kw_only=True):
         for name in ("sampling_margin", "rounding_margin", "self_margin", "projection_margin"):
             check_length(f"FilterConfig.{name} [m]", getattr(self, name), MAX_MARGIN)
         check_length("FilterConfig.recovery_speed [m/s]", self.recovery_speed, MAX_RATE)
-        if self.tracking_error is not None:
-            check_length("FilterConfig.tracking_error [rad/s]", self.tracking_error, MAX_RATE)
+        given = self.tracking_error
+        for margin in given if isinstance(given, tuple) else () if given is None else (given,):
+            check_length("FilterConfig.tracking_error [rad/s]", margin, MAX_RATE)
         if self.cartesian_speed is not None:
             check_number(
                 "FilterConfig.cartesian_speed [m/s]", self.cartesian_speed, MIN_CARTESIAN_SPEED, MAX_CARTESIAN_SPEED

@@ -128,7 +128,6 @@ def _settings(robot_model: RobotModel, config: FilterConfig) -> dict[str, Any]:
         "rounding": config.rounding_margin,
         "self_margin": config.self_margin,
         "lag": robot_model.tracking.lag if config.lag_compensation else 0.0,
-        "tracking": tracking_error(robot_model, config),
         "speed_limit": config.cartesian_speed or 0.0,
         "speed_first_joint": float(BASE_JOINTS if robot_model.is_mobile_manipulator else 0),
         "state_age_max": config.state_stale_after,
@@ -136,11 +135,19 @@ def _settings(robot_model: RobotModel, config: FilterConfig) -> dict[str, Any]:
     }
 
 
-def tracking_error(robot_model: RobotModel, config: FilterConfig) -> float:
-    """Tracking margin of every row for ẏ ≠ u [rad/s]: the configured value, or the model's at the largest gain."""
-    if config.tracking_error is not None:
-        return config.tracking_error
-    return robot_model.tracking.row_margin(max_gain(robot_model, config))
+def tracking_errors(robot_model: RobotModel, config: FilterConfig) -> Array:
+    """Tracking margin (n,) of each joint for ẏ ≠ u [rad/s]: the configured one, or the model's at the largest gain.
+
+    Raises:
+        ConfigurationError: `FilterConfig.tracking_error` has another number of entries than the robot has joints.
+    """
+    n, given = robot_model.n, config.tracking_error
+    if given is None:
+        return np.array(robot_model.tracking.row_margins(max_gain(robot_model, config), n))
+    if isinstance(given, tuple) and len(given) != n:
+        allowed = f"one number, or {n} for the joints of {robot_model.name}"
+        raise ConfigurationError("FilterConfig.tracking_error [rad/s]", got=f"{len(given)} numbers", allowed=allowed)
+    return np.broadcast_to(np.asarray(given, float), (n,)).copy()
 
 
 def max_gain(robot_model: RobotModel, config: FilterConfig) -> float:
@@ -171,6 +178,7 @@ def _joint_limits(robot_model: RobotModel, config: FilterConfig, weight: ArrayLi
         "q_upper": np.array([joint.upper.value for joint in robot_model.joints]),
         "v_max": v_max,
         "a_max": a_max if config.acceleration_limits else np.full(robot_model.n, UNLIMITED_ACCELERATION),
+        "tracking": tracking_errors(robot_model, config),
         "j_max": np.array([_jerk_limit(joint) if config.jerk_limits else 0.0 for joint in robot_model.joints]),
         "scale": np.ascontiguousarray(scale),
     }

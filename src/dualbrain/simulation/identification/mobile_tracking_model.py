@@ -43,8 +43,8 @@ class MobileTrackingModel:
 
     def to_error_model(self, drive: str, provenance: str) -> tuple[TrackingErrorModel, float]:
         """The tracking error model and the `base_lag` [s] of the robot model."""
-        worse = max(self.arm, self.base, key=lambda model: model.position_error)
-        both = msgspec.structs.replace(worse, lag=self.arm.lag)
+        errors = (*self.base.position_errors, *self.arm.position_errors)
+        both = msgspec.structs.replace(self.arm, position_errors=errors)
         return both.to_error_model(drive, provenance), round(self.base.lag - self.arm.lag, 6)
 
 

@@ -4,8 +4,8 @@ The filter's rows are evaluated at y = q + lag v. With the residual r = ẏ − 
 
     h(t) ≥ h_model(t) − Σ_k |n'J_k| e_k(t),    e_k(t) = |∫ exp(−α (t − s)) r_k(s) ds|
 
-(comparison lemma; only the leaky integral of the residual matters). A bound e of e_k therefore inflates a barrier by
-e Σ_k |n'J_k|; the row term `tracking` = α e [rad/s] implements it. e_k depends affinely on the lag, through
+(comparison lemma; only the leaky integral of the residual matters). Bounds e_k of all times therefore inflate a barrier
+by Σ_k |n'J_k| e_k; the row terms `tracking` = α e_k [rad/s] implement it. e_k depends affinely on the lag, through
 y = q + lag v, so that max_k,t e_k is convex in the lag and ternary search finds the best lag.
 """
 
@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 ProgressCallback = Callable[[float, str], None]
 
 SAFETY_FACTOR = 1.25
-"""Factor on the largest e of all seeds, or on their mean plus two standard deviations if that is larger."""
+"""Factor on the largest e_k of all seeds, or on their mean plus two standard deviations if that is larger."""
 MAX_LAG, MIN_DURATION = 0.05, 0.5
 """Upper end of the search for the lag, and shortest permitted run [s]."""
 
@@ -38,13 +38,13 @@ MAX_LAG, MIN_DURATION = 0.05, 0.5
 class TrackingModel(msgspec.Struct, frozen=True, kw_only=True):
     """An identified tracking model and its provenance.
 
-    `lag` [s]; `position_error` e [rad], the bound of the leaky integral over joints and time, including the safety
-    factor; `rate` α [1/s] of the leak; `largest` the measured maximum of e_k for each joint [rad]; `by_seed` the
-    measured maximum of e for each seed [rad]; `velocity_error` the measured maximum of |r| [rad/s].
+    `lag` [s]; `position_errors` e_k [rad], the bound of the leaky integral of each joint over time, including the
+    safety factor; `rate` α [1/s] of the leak; `largest` the measured maximum of e_k for each joint [rad]; `by_seed` the
+    measured maximum over the joints for each seed [rad]; `velocity_error` the measured maximum of |r| [rad/s].
     """
 
     lag: float
-    position_error: float
+    position_errors: tuple[float, ...]
     rate: float
     largest: tuple[float, ...]
     by_seed: tuple[float, ...]
@@ -52,15 +52,20 @@ class TrackingModel(msgspec.Struct, frozen=True, kw_only=True):
     provenance: str
 
     @property
-    def tracking_error(self) -> float:
-        """The row term α e [rad/s], `FilterConfig.tracking_error`."""
-        return self.rate * self.position_error
+    def position_error(self) -> float:
+        """The largest bound e of all joints [rad]."""
+        return max(self.position_errors)
+
+    @property
+    def tracking_error(self) -> tuple[float, ...]:
+        """The row terms α e_k [rad/s], `FilterConfig.tracking_error`."""
+        return tuple(self.rate * error for error in self.position_errors)
 
     def to_error_model(self, drive: str, provenance: str) -> TrackingErrorModel:
-        """The entry of the robot model: lag rounded to 1 µs, error rounded up to 1e-6 rad (or m)."""
+        """The entry of the robot model: lag rounded to 1 µs, errors rounded up to 1e-6 rad (or m)."""
         return TrackingErrorModel(
             lag=round(self.lag, 6),
-            position_error=ceil(self.position_error * 1e6) / 1e6,
+            position_error=tuple(ceil(error * 1e6) / 1e6 for error in self.position_errors),
             rate=self.rate,
             provenance=provenance,
             drive=drive,
@@ -142,18 +147,17 @@ def fit_tracking_model(
     parts = [[_affine_parts(log, rate, period) for log in runs] for runs in logs]
     every = [pair for runs in parts for pair in runs]
     best = _best_lag(every) if lag is None else lag
-    largest = np.max([np.abs(a + best * b).max(axis=0) for a, b in every], axis=0)
-    by_seed = [max(float(np.abs(a + best * b).max()) for a, b in runs) for runs in parts]
-    spread = float(np.std(by_seed, ddof=1)) if len(by_seed) > 1 else 0.0
-    error = SAFETY_FACTOR * max(*by_seed, float(np.mean(by_seed)) + 2.0 * spread)
+    by_seed = np.array([np.max([np.abs(a + best * b).max(axis=0) for a, b in runs], axis=0) for runs in parts])
+    largest, spread = by_seed.max(axis=0), by_seed.std(axis=0, ddof=1) if len(by_seed) > 1 else 0.0
+    errors = SAFETY_FACTOR * np.maximum(largest, by_seed.mean(axis=0) + 2.0 * spread)
     fastest = max(float(np.abs(_residual(log, best, period)).max()) for runs in logs for log in runs)
     provenance = f"{source}; largest leaky integral at {rate:.2f}/s of one lag, times {SAFETY_FACTOR:g}"
     return TrackingModel(
         lag=best,
-        position_error=error,
+        position_errors=tuple(errors.tolist()),
         rate=rate,
         largest=tuple(largest.tolist()),
-        by_seed=tuple(by_seed),
+        by_seed=tuple(by_seed.max(axis=1).tolist()),
         velocity_error=fastest,
         provenance=provenance,
     )
