@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from benchmarks.guards.policy_guards import PolicyGuards
 from experiments.adaptation.ablation_curve import AblationCurve
 from experiments.adaptation.retention import Retention
 from experiments.adaptation.rounds import Rounds
@@ -77,6 +78,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         SuiteAdapters(),
         Starter(),
         RobosuiteTasks(),
+        PolicyGuards(),
         FrankaLimits(),
         FreeInstructionsExperiment(),
         FailureExamples(),

@@ -1,0 +1,1 @@
+"""The compared guards, one file each."""
