@@ -29,6 +29,8 @@ DURATION, RANDOM_DURATION = 10.0, 5.0
 """Longest time of an episode with a goal, and length of one without [s]."""
 GOAL_TOLERANCE, REST_SPEED = 0.05, 0.05
 """At the goal every joint is this close [rad] and this slow [rad/s]."""
+STANDSTILL_SPEED, STANDSTILL_DURATION = 0.005, 1.5
+"""An episode with a goal ends when no joint was faster for this time [rad/s, s]: nothing changes any more."""
 
 POLICIES: dict[str, Callable[[GuardScene, np.random.Generator], Policy]] = {
     "careful": CarefulPolicy,
@@ -67,16 +69,21 @@ GUARDS: dict[str, GuardFactory] = {
 }
 
 
-def run_episode(scene: GuardScene, policy_name: str, guard_name: str) -> dict[str, Any]:
-    """Run one policy behind one guard; the row states contacts, the time to the goal, and the cost per action."""
+def run_episode(scene: GuardScene, policy_name: str, guard_name: str, duration: float | None = None) -> dict[str, Any]:
+    """Run one policy behind one guard for `duration` [s] at most, by default the time of its kind.
+
+    The row states contacts, the time to the goal, and the cost per action.
+    """
     robot_model, _ = load_panda()
     plant = scene.make_plant()
     robot, judge = SteppedPlant(plant, contacts=False), PlantJudge(plant)
     interface = RobotInterface(robot_model, scene.start)
     policy = POLICIES[policy_name](scene, np.random.default_rng([scene.seed, 11]))
     guard = GUARDS[guard_name](scene, interface)
+    goal = scene.goal if policy_name != "random" else None
+    longest = duration or (RANDOM_DURATION if goal is None else DURATION)
     try:
-        reached, costs = _run(robot, judge, interface, policy, guard, scene if policy_name != "random" else None)
+        reached, costs = _run(robot, judge, interface, policy, guard, goal, longest)
     finally:
         if isinstance(guard, RobotDam):
             guard.close()
@@ -95,15 +102,20 @@ def _run(
     interface: RobotInterface,
     policy: Policy,
     guard: BenchmarkedGuard,
-    scene: GuardScene | None,
+    goal: Array | None,
+    duration: float,
 ) -> tuple[float | None, list[float]]:
     """Time at which the arm rests at the goal [s], None without, and processor time of the guard per action [us]."""
-    steps, costs = round(PERIOD / interface.period), list[float]()
-    for action in range(round((DURATION if scene else RANDOM_DURATION) / PERIOD)):
+    steps, costs, moved_at = round(PERIOD / interface.period), list[float](), 0.0
+    for action in range(round(duration / PERIOD)):
         robot.measure()
         now, spent = action * PERIOD, 0.0
-        if scene is not None and _is_at_goal(robot, scene.goal):
+        if np.abs(robot.v).max() > STANDSTILL_SPEED:
+            moved_at = now
+        if goal is not None and _is_at_goal(robot, goal):
             return now, costs
+        if goal is not None and now > moved_at + STANDSTILL_DURATION:
+            break
         target = policy.act(robot.q.copy())
         for step in range(steps):
             if step:

@@ -1,11 +1,11 @@
 """Speed of the memory: search, update and start, and the search of vector databases.
 
-    python -m benchmarks.memory_speed [--sizes 10000 100000] [--start 100000] [--peers] [--json]
+    python -m benchmarks.memory.speed [--sizes 10000 100000] [--start 100000] [--peers] [--json]
 
 The search returns the exact top 10 of R, with filters, over random vectors of dimension 512. It alternates in one
 process with one single-threaded matrix-vector product with the same matrix; times are processor times, which other
 load does not lengthen. An update is compared with one synchronized write. `--peers` runs Milvus Lite, LanceDB and
-pgvector in a separate environment (`benchmarks/vector_databases/requirements.txt`), each compared with the same product
+pgvector in a separate environment (`benchmarks/memory/vector_databases/requirements.txt`), each compared with the same product
 in its process, by wall time, because their work is partly in other processes. All times are medians.
 """
 
@@ -52,7 +52,7 @@ from experiments.memory.synthetic_episodes import (
 
 DIM, TOP, LAMBDA = 512, 10, 0.8
 HERE = Path(__file__).resolve().parent
-PEER_PYTHON = HERE.parent / "build" / "memory_peers" / "venv" / "bin" / "python"
+PEER_PYTHON = HERE.parents[1] / "build" / "memory_peers" / "venv" / "bin" / "python"
 SEARCH_FILTER = Filter(robot=ROBOT, registry=REGISTRY, guidance="follow", skills=("grasp",), after=START_TIME)
 WEIGHT_FILTER, MEMORIES_PER_CONTRACT = Filter(robot=ROBOT, registry=REGISTRY), 5
 """Filter of the memories whose weights count for a contract, and number of memories per contract."""
@@ -221,7 +221,7 @@ def _fill_ledger(path: Path, n: int) -> None:
 def run_peers() -> object:
     """Return the result of the vector databases, or the reason why they did not run."""
     if not PEER_PYTHON.exists():
-        return "Not installed; benchmarks/vector_databases/requirements.txt describes the installation."
+        return "Not installed; benchmarks/memory/vector_databases/requirements.txt describes the installation."
     done = subprocess.run(
         [str(PEER_PYTHON), str(HERE / "vector_databases" / "search.py")], capture_output=True, text=True, check=False
     )
