@@ -5,8 +5,8 @@
 The search returns the exact top 10 of R, with filters, over random vectors of dimension 512. It alternates in one
 process with one single-threaded matrix-vector product with the same matrix; times are processor times, which other
 load does not lengthen. An update is compared with one synchronized write. `--peers` runs Milvus Lite, LanceDB and
-pgvector in a separate environment (`benchmarks/memory/vector_databases/requirements.txt`), each compared with the same product
-in its process, by wall time, because their work is partly in other processes. All times are medians.
+pgvector in a separate environment (`vector_databases/requirements.txt`), each compared with the same product in its
+process, by wall time, because their work is partly in other processes. All times are medians.
 """
 
 from __future__ import annotations
