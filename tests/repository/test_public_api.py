@@ -25,6 +25,7 @@ SUB_NAMESPACES = (
     "dualbrain.evaluation",
     "dualbrain.drivers",
     "dualbrain.control",
+    "dualbrain.simulation.environments",
 )
 NAMESPACES = ("dualbrain", *SUB_NAMESPACES)
 SOURCES = [*sorted((ROOT / "examples").glob("*.py")), ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]

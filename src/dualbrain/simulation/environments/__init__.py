@@ -1,0 +1,23 @@
+"""Environments of others that simulate with MuJoCo: their geometry as obstacles, their arm behind the filter."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from dualbrain.core.lazy_exports import lazy_exports
+
+if TYPE_CHECKING:
+    from dualbrain.simulation.environments.guarded_mujoco_env import guard_mujoco_env
+    from dualbrain.simulation.environments.mujoco_arm import MujocoArm
+    from dualbrain.simulation.environments.mujoco_obstacles import MujocoObstacles
+
+_MODULES = {
+    "simulation.environments.guarded_mujoco_env": ("guard_mujoco_env",),
+    "simulation.environments.mujoco_arm": ("MujocoArm",),
+    "simulation.environments.mujoco_obstacles": ("MujocoObstacles",),
+}
+"""Public names by the module that defines them."""
+
+__all__ = ["MujocoArm", "MujocoObstacles", "guard_mujoco_env"]
+
+__getattr__, __dir__ = lazy_exports(__name__, _MODULES)
