@@ -188,6 +188,10 @@ robot.command(
     help="Fill in and sign the commissioning checklist of a real arm.",
 )
 
+ros2 = App(name="ros2", help="Put the safety filter under the controllers of ROS 2.")
+app.command(ros2)
+ros2.command("dualbrain.cli.robot.ros2:node", name="node", help="Guard commands between a policy and a controller.")
+
 adapters = App(name="adapters", help="List, promote and export adapters of the planner.")
 app.command(adapters)
 for _name, _function, _help in (

@@ -13,6 +13,7 @@ EXTRAS = {
     "bitsandbytes": "qlora",
     "casadi": "symbolic",
     "collada": "import",
+    "cyclonedds": "ros2",
     "example_robot_data": "simulation",
     "gguf": "planner",
     "gymnasium": "gym",
@@ -37,6 +38,7 @@ EXTRAS = {
     "trimesh": "simulation",
     "viser": "view",
     "xllamacpp": "planner",
+    "yaml": "ros2",
     "yourdfpy": "import",
 }
 """The extra that installs each optional module."""

@@ -1,0 +1,54 @@
+"""Assembly of the node's core from its parameters: robot model, site, obstacles, filter and description check."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from dualbrain.drivers.ros2.command_filter import CommandFilter
+from dualbrain.drivers.ros2.joint_order import JointOrder
+from dualbrain.drivers.ros2.parameters import NodeParameters
+from dualbrain.drivers.ros2.robot_description import DescriptionCheck, source_digest
+from dualbrain.errors import ConfigurationError
+from dualbrain.robots.loader import BUILTIN_ROBOTS, load_robot
+from dualbrain.robots.site_config import read_site
+from dualbrain.safety.cbf.config import operating_config
+from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.safety.cbf.obstacles import Obstacle
+from dualbrain.safety.integration.derating import derate
+from dualbrain.safety.integration.site import site_obstacles, site_robot
+
+
+def make_command_filter(parameters: NodeParameters, obstacles: Sequence[Obstacle] = ()) -> CommandFilter:
+    """The core of the node for `parameters`, with the planes and boxes of the site and `obstacles` as obstacles.
+
+    Raises:
+        ConfigurationError: a file, a name or a value of the parameters is not usable, there is no obstacle at all, or
+            one moves, because the node receives no observations of it.
+        UnknownNameError: there is no such robot.
+    """
+    robot_model = load_robot(parameters.robot)
+    site = read_site(Path(parameters.site)) if parameters.site else None
+    robot_model = derate(site_robot(robot_model, site) if site else robot_model, period=parameters.period)
+    everything = (*(site_obstacles(robot_model, site) if site else ()), *obstacles)
+    if moving := [obstacle.name for obstacle in everything if obstacle.moves]:
+        raise ConfigurationError.stating(
+            f"{moving[0]} moves, and the node receives no observations of it.",
+            fix="Leave it out of the scene, or declare the space that it may occupy as a keep_out box of the site.",
+        )
+    if not everything:
+        raise ConfigurationError.stating(
+            "The node has no obstacle: not even the table or floor would be protected.",
+            fix="Give a site file with at least one [[plane]] (`site`), or a scene (`--scene`).",
+        )
+    safety = SafetyFilter(robot_model, operating_config(robot_model), obstacles=everything)
+    order = JointOrder(robot_model, parameters)
+    folder = Path(parameters.robot)
+    description = DescriptionCheck(
+        robot_model,
+        order.names_of_robot,
+        mode=parameters.check_description,
+        digest="" if parameters.robot in BUILTIN_ROBOTS else source_digest(folder),
+        base_frame=parameters.base_frame,
+    )
+    return CommandFilter(safety, parameters, description)
