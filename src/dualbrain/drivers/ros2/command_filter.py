@@ -31,6 +31,9 @@ EARLY = 0.9
 LATE = 1.5
 """Periods between two steps beyond which a step counts as late: the control was held longer than the filter assumes."""
 
+MAX_LATE_SHARE = 0.05
+"""Share of late steps beyond which they are a warning: without a real-time kernel some come late."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Diagnosis:
@@ -247,13 +250,13 @@ class CommandFilter:
             self.problems.note(Level.ERROR, "standing", problem)
         if self.description.warning:
             self.problems.note(Level.WARN, "description", self.description.warning)
-        if late := self._counts["late steps"]:
-            self.problems.note(
-                Level.WARN,
-                "late",
-                f"{late} steps came more than {LATE:g} periods after the one before. Remedy: publish joint_states at "
-                f"{1.0 / self._period:g} Hz or more, or set `period` to their interval",
+        late, steps = self._counts["late steps"], self._counts["steps"]
+        if late > MAX_LATE_SHARE * steps:
+            text = (
+                f"{late} of {steps} steps came more than {LATE:g} periods after the one before. Remedy: publish "
+                f"joint_states at {1.0 / self._period:g} Hz or more, or set `period` to their interval"
             )
+            self.problems.note(Level.WARN, "late", text)
         problems = self.problems.take()
         worst = problems[0][0] if problems else Problem(Level.OK, self._state(now))
         values = [
