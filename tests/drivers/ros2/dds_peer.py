@@ -37,23 +37,21 @@ LOCAL = """<CycloneDDS><Domain><General><Interfaces><NetworkInterface name='lo'/
 
 
 @contextmanager
-def running_node(folder, domain, *more):
-    """The command `dualbrain ros2 node` with the parameters `PARAMETERS` and the lines `more`."""
+def running_node(folder, domain, *more, dds=LOCAL):
+    """The command `dualbrain ros2 node` with the parameters `PARAMETERS` and the lines `more`; `dds` configures DDS."""
     (folder / "node.yaml").write_text(PARAMETERS + "".join(f"    {line}\n" for line in more))
     (folder / "site.toml").write_text(SITE)
     command = [sys.executable, "-m", "dualbrain", "ros2", "node", "--params", str(folder / "node.yaml")]
     command += ["--site", str(folder / "site.toml"), "--domain", str(domain)]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, env=os.environ | {"CYCLONEDDS_URI": LOCAL}, text=True)
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, env=os.environ | {"CYCLONEDDS_URI": dds}, text=True)
     try:
         yield process
-    finally:
         process.send_signal(signal.SIGINT)
-        try:
-            _, errors = process.communicate(timeout=10.0)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            _, errors = process.communicate()
-            raise AssertionError(f"the node did not end: {errors}") from None
+        _, errors = process.communicate(timeout=10.0)
+    finally:
+        process.kill()
+        process.wait()
+        process.stderr.close()
     assert process.returncode == 0, errors
 
 

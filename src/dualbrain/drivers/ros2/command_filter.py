@@ -193,17 +193,8 @@ class CommandFilter:
         if problem := self._standing_problem():
             self.refuse("standing", problem, now)
             return rest
-        if now < self._rest_until:
-            self._source.cancel()
-            return rest
-        action = self._source.action(q, ros_now)
-        if action is None:
-            return rest
-        if isinstance(action, str):
-            self.refuse("command", action, now)
-            return rest
         silent = now - self._command_time
-        if silent > self.parameters.command_timeout and not self._source.may_be_silent:
+        if self.parameters.command_timeout < silent < inf and not self._source.may_be_silent:
             self.problems.note(
                 Level.STALE,
                 "silent command",
@@ -211,7 +202,13 @@ class CommandFilter:
                 "check the policy or controller, or increase `command_timeout`",
             )
             return rest
-        return action
+        if now < self._rest_until:
+            self._source.cancel()
+            return rest
+        action = self._source.action(q, ros_now)
+        if isinstance(action, str):
+            self.refuse("command", action, now)
+        return rest if action is None or isinstance(action, str) else action
 
     def _standing_problem(self) -> str:
         """The problem that lasts until its cause is removed, or ""."""

@@ -136,7 +136,7 @@ class SafetyFilter:
         self._permits: tuple[Contact, ...] = ()
         self._held_error, self._grasp_changes = 0.0, 0
         self._tool_rotation, self._tool_offset = tool_frame(robot_model)
-        self._part_links = _links_by_part(robot_model)
+        self._part_links = links_by_part(robot_model)
         links = [link.name for link in robot_model.links for sphere in robot_model.spheres if sphere.link == link.name]
         self._refusals: dict[str, str] = {}
         self._names = RowNames(
@@ -601,7 +601,7 @@ class SafetyFilter:
         return flat[:count, :3], flat[:count, 3], self._groups + held
 
 
-def _links_by_part(robot_model: RobotModel) -> dict[str, tuple[int, ...]]:
+def links_by_part(robot_model: RobotModel) -> dict[str, tuple[int, ...]]:
     """Link indices of every part name of permits: links, groups (which take precedence) and "held"."""
     parts: dict[str, tuple[int, ...]] = {link.name: (i,) for i, link in enumerate(robot_model.links)}
     parts |= {

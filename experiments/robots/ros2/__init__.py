@@ -1,0 +1,1 @@
+"""The ROS 2 node beside real `rclpy` nodes, which run in an environment of their own."""
