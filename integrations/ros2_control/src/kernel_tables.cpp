@@ -3,6 +3,7 @@
 #include <cstdlib>
 #include <fstream>
 #include <map>
+#include <set>
 #include <sstream>
 #include <stdexcept>
 
@@ -32,7 +33,15 @@ class Lines {
   const std::vector<std::string> &words(const std::string &key) const {
     const auto found = lines_.find(key);
     if (found == lines_.end()) { fail("The tables lack `" + key + "`"); }
+    read_.insert(key);
     return found->second;
+  }
+
+  // a key that nothing read may be a margin that this controller does not know
+  void expect_all_read() const {
+    for (const auto &line : lines_) {
+      if (read_.count(line.first) == 0) { fail("The tables have the unknown key `" + line.first + "`"); }
+    }
   }
 
   Numbers numbers(const std::string &key) const {
@@ -57,9 +66,10 @@ class Lines {
   }
 
   std::map<std::string, std::vector<std::string>> lines_;
+  mutable std::set<std::string> read_;
 };
 
-// Copies exactly `count` values of `key` to `to`, which has room for `room`.
+// copies exactly `count` values of `key` to `to`, which has room for `room`.
 template <typename T>
 void fill(const Lines &lines, const char *key, T *to, size_t count, size_t room) {
   const Numbers values = lines.numbers(key);
@@ -68,7 +78,7 @@ void fill(const Lines &lines, const char *key, T *to, size_t count, size_t room)
   for (size_t i = 0; i < count; ++i) { to[i] = static_cast<T>(values[i]); }
 }
 
-// A setting is one number for the whole robot, or one per joint, as the kernel declares it.
+// a setting is one number for the whole robot, or one per joint, as the kernel declares it.
 void setting(const Lines &lines, const char *key, dbk_real &to, size_t) { fill(lines, key, &to, 1, 1); }
 
 template <size_t N>
@@ -77,7 +87,8 @@ void setting(const Lines &lines, const char *key, dbk_real (&to)[N], size_t join
 }
 
 void read_settings(const Lines &lines, size_t n, dbk_model &m) {
-  m.n = static_cast<int32_t>(n);
+  fill(lines, "n", &m.n, 1, 1);
+  if (m.n != static_cast<int32_t>(n)) { fail("`n` is not the number of `joints`"); }
   setting(lines, "period", m.period, n);
   setting(lines, "alpha", m.alpha, n);
   setting(lines, "alpha_self", m.alpha_self, n);
@@ -196,6 +207,7 @@ KernelTables read_kernel_tables(const std::string &path) {
   read_spheres(lines, *tables.model);
   dbk_prepare(tables.model.get());
   read_scene(lines, *tables.scene);
+  lines.expect_all_read();
   return tables;
 }
 

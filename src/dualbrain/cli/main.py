@@ -191,6 +191,9 @@ robot.command(
 ros2 = App(name="ros2", help="Put the safety filter under the controllers of ROS 2.")
 app.command(ros2)
 ros2.command("dualbrain.cli.robot.ros2:node", name="node", help="Guard commands between a policy and a controller.")
+ros2.command(
+    "dualbrain.cli.robot.ros2:tables", name="tables", help="Write robot and obstacles for the ros2_control controller."
+)
 
 adapters = App(name="adapters", help="List, promote and export adapters of the planner.")
 app.command(adapters)

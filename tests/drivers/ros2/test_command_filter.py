@@ -362,7 +362,7 @@ def test_a_wrong_set_up_is_an_error(changes, words):
 
 
 def test_a_node_without_obstacles_or_with_moving_ones_is_an_error():
-    with pytest.raises(ConfigurationError, match="no obstacle"):
+    with pytest.raises(ConfigurationError, match="There is no obstacle"):
         make_core(())
     with pytest.raises(ConfigurationError, match="crate moves"):
         make_core((msgspec.structs.replace(CRATE, static=False),))

@@ -72,6 +72,35 @@ def node(
     return ExitCode.SUCCESS
 
 
+def tables(*, out: Path, robot: str = "panda", site: Path | None = None, scene: str = "", period: float = 0.001) -> int:
+    """Write the tables of robot and obstacles that the controller in integrations/ros2_control reads.
+
+    Parameters
+    ----------
+    out
+        File to write.
+    robot
+        The robot, or a folder of `dualbrain robot init`.
+    site
+        Site file (TOML) with planes and keep-out boxes; see docs/how-to/site.md.
+    scene
+        A number, FAMILY:SEED or a scene file, whose objects are obstacles. None of them may move.
+    period
+        Period of the controller manager in s.
+    """
+    from dualbrain.core.storage.atomic_files import write_atomically
+    from dualbrain.drivers.ros2.assembly import make_filter
+    from dualbrain.safety.integration.kernel_tables import format_kernel_tables
+
+    safety = make_filter(robot, site, period, _scene_obstacles(scene, robot) if scene else ())
+    write_atomically(out, format_kernel_tables(safety).encode())
+    print(
+        f"{out}: {safety.robot_model.name} at {1.0 / period:g} Hz, {len(safety.tables.obstacles)} obstacles",
+        file=sys.stderr,
+    )
+    return ExitCode.SUCCESS
+
+
 def _parameters(
     params: Path | None, name: str, robot: str, site: Path | None, commands: str, safe_commands: str
 ) -> NodeParameters:

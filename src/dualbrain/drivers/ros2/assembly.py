@@ -19,36 +19,46 @@ from dualbrain.safety.integration.derating import derate
 from dualbrain.safety.integration.site import site_obstacles, site_robot
 
 
-def make_command_filter(parameters: NodeParameters, obstacles: Sequence[Obstacle] = ()) -> CommandFilter:
-    """The core of the node for `parameters`, with the planes and boxes of the site and `obstacles` as obstacles.
+def make_filter(robot: str, site_file: Path | None, period: float, obstacles: Sequence[Obstacle] = ()) -> SafetyFilter:
+    """The filter of `robot` at `period` [s], with the planes and boxes of the site and `obstacles` as obstacles.
 
     Raises:
-        ConfigurationError: a file, a name or a value of the parameters is not usable, there is no obstacle at all, or
-            one moves, because the node receives no observations of it.
+        ConfigurationError: a file or a value is not usable, there is no obstacle at all, or one moves, because nothing
+            observes it.
         UnknownNameError: there is no such robot.
     """
-    robot_model = load_robot(parameters.robot)
-    site = read_site(Path(parameters.site)) if parameters.site else None
-    robot_model = derate(site_robot(robot_model, site) if site else robot_model, period=parameters.period)
+    robot_model = load_robot(robot)
+    site = read_site(site_file) if site_file else None
+    robot_model = derate(site_robot(robot_model, site) if site else robot_model, period=period)
     everything = (*(site_obstacles(robot_model, site) if site else ()), *obstacles)
     if moving := [obstacle.name for obstacle in everything if obstacle.moves]:
         raise ConfigurationError.stating(
-            f"{moving[0]} moves, and the node receives no observations of it.",
+            f"{moving[0]} moves, and nothing observes it in ROS.",
             fix="Leave it out of the scene, or declare the space that it may occupy as a keep_out box of the site.",
         )
     if not everything:
         raise ConfigurationError.stating(
-            "The node has no obstacle: not even the table or floor would be protected.",
+            "There is no obstacle: not even the table or floor would be protected.",
             fix="Give a site file with at least one [[plane]] (`site`), or a scene (`--scene`).",
         )
-    safety = SafetyFilter(robot_model, operating_config(robot_model), obstacles=everything)
-    order = JointOrder(robot_model, parameters)
-    folder = Path(parameters.robot)
+    return SafetyFilter(robot_model, operating_config(robot_model), obstacles=everything)
+
+
+def make_command_filter(parameters: NodeParameters, obstacles: Sequence[Obstacle] = ()) -> CommandFilter:
+    """The core of the node for `parameters`, with `obstacles` beside those of the site.
+
+    Raises:
+        ConfigurationError: as `make_filter`, or a name or value of the parameters is not usable.
+        UnknownNameError: there is no such robot.
+    """
+    site_file = Path(parameters.site) if parameters.site else None
+    safety = make_filter(parameters.robot, site_file, parameters.period, obstacles)
+    imported = parameters.robot not in BUILTIN_ROBOTS
     description = DescriptionCheck(
-        robot_model,
-        order.names_of_robot,
+        safety.robot_model,
+        JointOrder(safety.robot_model, parameters).names_of_robot,
         mode=parameters.check_description,
-        digest="" if parameters.robot in BUILTIN_ROBOTS else source_digest(folder),
+        digest=source_digest(Path(parameters.robot)) if imported else "",
         base_frame=parameters.base_frame,
     )
     return CommandFilter(safety, parameters, description)
