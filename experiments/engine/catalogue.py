@@ -36,6 +36,7 @@ from experiments.robots.franka_limits import FrankaLimits
 from experiments.robots.grasping import Grasping
 from experiments.robots.robosuite_tasks import RobosuiteTasks
 from experiments.robots.robot_zoo import RobotZoo
+from experiments.robots.ros2.rates import Ros2Rates
 from experiments.safety.adversary import Adversary
 from experiments.safety.conservatism import Conservatism
 from experiments.safety.margin_causes import MarginCauses
@@ -79,6 +80,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         Starter(),
         RobosuiteTasks(),
         PolicyGuards(),
+        Ros2Rates(),
         FrankaLimits(),
         FreeInstructionsExperiment(),
         FailureExamples(),

@@ -295,6 +295,7 @@ def test_a_trajectory_into_an_obstacle_is_cancelled_when_the_arm_stays_behind():
         (trajectory((1.0, GOAL, None), (2.0, GOAL, np.zeros(7))), ("Point 1", "7 velocities")),
         (trajectory((1.0, GOAL * np.nan, None)), ("Point 0", "not finite")),
         (trajectory((1.0, GOAL, None), (1.0, HOME, None)), ("do not increase",)),
+        (trajectory(*((1.0 + k, HOME, None) for k in range(1001))), ("1001 points", "1 to 1000")),
         (trajectory((-1.0, HOME, None), (1.0, HOME, None)), ("do not increase",)),
     ],
 )

@@ -5,6 +5,7 @@ The stubs were written for this test; nothing here shows that the controller run
 
 import shutil
 import subprocess
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from dualbrain.safety.cbf.filter import Contact
 from dualbrain.safety.cbf.obstacles import NearSpeed
 from dualbrain.safety.integration.derating import derate
 from dualbrain.safety.integration.kernel_tables import HEADER, format_kernel_tables
-from tests.kernel.compilers import GCC, ROOT, WARNINGS, kernel_sources
+from tests.kernel.compilers import GCC, ROOT, WARNINGS, compiler_flags, kernel_sources
 
 pytestmark = pytest.mark.skipif(
     shutil.which("gcc") is None or shutil.which("g++") is None, reason="no compiler for C and C++ is installed"
@@ -188,3 +189,18 @@ def test_tables_express_only_fixed_obstacles_of_an_arm():
         format_kernel_tables(safety)
     with pytest.raises(ConfigurationError, match="mobile base"):
         format_kernel_tables(SafetyFilter(load_robot("mobile_panda")))
+
+
+def test_the_package_files_name_the_controller():
+    plugin = ElementTree.parse(PACKAGE / "dualbrain_controllers.xml").getroot()
+    package = ElementTree.parse(PACKAGE / "package.xml").getroot()
+    kind = plugin.find("class").get("type")
+    assert f"PLUGINLIB_EXPORT_CLASS({kind}," in (PACKAGE / "src/safety_filter_controller.cpp").read_text("utf-8")
+    assert plugin.get("path") == package.findtext("name")
+    cmake = (PACKAGE / "CMakeLists.txt").read_text("utf-8")
+    assert f"project({package.findtext('name')} " in cmake
+    assert plugin.find("class").get("name") in (PACKAGE / "config/example.yaml").read_text("utf-8")
+    for dependency in package.iterfind("depend"):
+        assert f"find_package({dependency.text} REQUIRED)" in cmake
+    flags = [flag for flag in compiler_flags() if flag.startswith("-f")]
+    assert all(flag in cmake for flag in flags)

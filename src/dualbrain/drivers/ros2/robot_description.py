@@ -84,7 +84,7 @@ class DescriptionCheck:
         only. `base_frame`, if it is given, must be a link whose frame is that of the robot model.
         """
         self._model, self._names, self._mode, self._digest, self._base = robot_model, names, mode, digest, base_frame
-        self.base_frame, self.warning = base_frame, ""
+        self.base_frame, self.warning, self._text = base_frame, "", ""
         self.summary = "not checked" if mode == "none" else "not received"
         self.problem = (
             ""
@@ -94,10 +94,13 @@ class DescriptionCheck:
         )
 
     def receive(self, text: str) -> None:
-        """Check the URDF `text`; sets `problem`, `warning`, `summary` and `base_frame`."""
-        if self._mode == "none":
+        """Check the URDF `text`; sets `problem`, `warning`, `summary` and `base_frame`.
+
+        The same text is not checked again: a check takes tens of milliseconds.
+        """
+        if self._mode == "none" or text == self._text:
             return
-        self.warning = ""
+        self._text, self.warning = text, ""
         data = text.encode(errors="replace")
         digest = hashlib.sha256(data).hexdigest()
         exact = digest == self._digest

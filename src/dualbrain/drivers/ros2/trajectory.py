@@ -12,7 +12,8 @@ from dualbrain.drivers.ros2.joint_order import JointOrder
 
 Array = NDArray[np.float64]
 
-MAX_POINTS = 100_000
+MAX_POINTS = 1000
+"""Most points of a trajectory: the node reads a longer one for more than 50 ms, in which it sends no command."""
 
 
 @dataclass(frozen=True, slots=True)
