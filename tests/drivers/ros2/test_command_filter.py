@@ -196,13 +196,18 @@ def test_nothing_is_sent_before_the_first_joint_state():
     assert "/joint_states" in diagnosis.message
 
 
-def test_faster_joint_states_are_stepped_once_per_period():
+@pytest.mark.parametrize(("interval", "jitter"), [(0.001, 0.0), (0.002, 0.0), (0.005, 0.0), (0.005, 0.002)])
+def test_there_is_one_step_per_period(interval, jitter):
     cell = Cell()
-    sent = 0
-    for index in range(100):
-        cell.now = 100.0 + 0.001 * index
-        sent += cell.states(velocities=[0.0] * 7) is not None
-    assert sent == 20
+    rng = np.random.default_rng(0)
+    steps = []
+    for index in range(round(1.0 / interval)):
+        cell.now = 100.0 + interval * index + rng.uniform(0.0, jitter)
+        if cell.states(velocities=[0.0] * 7) is not None:
+            steps.append(cell.now)
+    assert len(steps) == pytest.approx(1.0 / PERIOD, abs=1)
+    assert np.diff(steps).min() > 0.4 * PERIOD
+    assert np.diff(steps).max() < 1.6 * PERIOD
 
 
 def test_steps_that_come_late_are_reported():

@@ -1,6 +1,7 @@
 """The node without DDS: joint states and commands in, safe velocities and a diagnosis out.
 
-One step of the guard is run for every joint state that is a period newer than the last one. Every unusable input
+The guard runs one step per period, for the joint state that is closest to its due time: single intervals follow the
+jitter of the stamps, and the mean interval is the period. Every unusable input
 brings the arm to rest for `recovery_time`, and cancels a trajectory. Without joint states the last control is braked
 within the acceleration limits, one step per period.
 """
@@ -26,8 +27,8 @@ from dualbrain.safety.integration.policy_guard.guard import PolicyGuard
 
 Array = NDArray[np.float64]
 
-EARLY = 0.9
-"""Share of the period after which a joint state counts as the next one, against the jitter of its stamps."""
+EARLY = 0.5
+"""Share of the period by which a joint state may come before a step is due."""
 LATE = 1.5
 """Periods between two steps beyond which a step counts as late: the control was held longer than the filter assumes."""
 
@@ -65,7 +66,7 @@ class CommandFilter:
         self._guard = PolicyGuard(safety, self._source.space, deviation=parameters.deviation)
         self._period = safety.robot_model.period
         self._steps = 0
-        self._stamp, self._stepped_stamp = -inf, -inf
+        self._stamp, self._due = -inf, -inf
         self._state_time, self._step_time, self._command_time = -inf, -inf, -inf
         self._rest_until = -inf
         self._q: Array | None = None
@@ -110,9 +111,10 @@ class CommandFilter:
         if first:
             self._guard.reset(q, v)
         self._stamp, self._state_time = states.stamp, now
-        if states.stamp - self._stepped_stamp < EARLY * self._period:
+        if states.stamp < self._due - EARLY * self._period:
             return None
-        self._stepped_stamp = states.stamp
+        in_time = states.stamp < self._due + self._period
+        self._due = (self._due if in_time else states.stamp) + self._period
         return self._step(q, v, now, ros_now)
 
     def idle(self, now: float) -> list[float] | None:
@@ -126,7 +128,7 @@ class CommandFilter:
             )
             return None
         silent = now - self._state_time
-        if silent <= self.parameters.state_silence or now - self._step_time < EARLY * self._period:
+        if silent <= self.parameters.state_silence or now - self._step_time < self._period:
             return None
         text = (
             f"No usable joint state for {silent:.2f} s; the arm comes to rest. Remedy: check joint_state_broadcaster "
@@ -150,7 +152,7 @@ class CommandFilter:
 
     def restart_clock(self, text: str, now: float) -> None:
         """The clock of ROS jumped: the arm comes to rest, and the next joint state begins a new order of stamps."""
-        self._stamp = self._stepped_stamp = -inf
+        self._stamp = self._due = -inf
         self._step_time = min(self._step_time, now)
         self._state_time = min(self._state_time, now)
         self._command_time = -inf

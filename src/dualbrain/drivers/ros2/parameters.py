@@ -27,7 +27,7 @@ class NodeParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
       joints in the robot model. Both are those of the robot model by default.
     - `command_type`: "velocity" (Float64MultiArray, in the order of `joints`), "trajectory" (JointTrajectory) or
       "twist" (TwistStamped in `base_frame` or `tool_frame`). The safe command is always a Float64MultiArray.
-    - `period` [s]: period of the filter; one step for every joint state that is at least this much newer.
+    - `period` [s]: period of the filter; one step per period, for the joint state that is closest to its due time.
     - `command_timeout` [s], `state_timeout` [s] (0: three periods): silence after which the arm comes to rest.
     - `max_state_age` [s]: largest difference of the stamp of a joint state from the clock.
     - `recovery_time` [s]: the arm rests this long after the last unusable input.
