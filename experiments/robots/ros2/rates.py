@@ -43,7 +43,7 @@ class Ros2Rates:
 
     name = "ros2_rates"
     claim = (
-        "Between rclpy nodes over DDS, the filter node answers a joint state within about two milliseconds (median), a "
+        "Between rclpy nodes over DDS, the filter node answers a joint state within three milliseconds (median), a "
         "fraction of the period up to 250 Hz; the share of states answered within their period depends on the load."
     )
     intervals = "lowest and highest value of the runs"

@@ -244,6 +244,18 @@ def test_another_writer_of_the_safe_command_brings_the_arm_to_rest():
     assert_recovers(cell)
 
 
+def test_two_sources_of_commands_bring_the_arm_to_rest():
+    cell = moving_cell()
+    cell.core.report_writers((), ("Process 7 (teleop)", "Process 8 (policy)"))
+    cell.run(0.3, SLOW)
+    assert_rests(cell, Level.ERROR, "Process 7 (teleop) and Process 8 (policy) publish on", "multiplexer")
+    cell.core.report_writers((), ("Process 8 (policy)",))
+    assert_recovers(cell)
+    cell = moving_cell(one_source=False)
+    cell.core.report_writers((), ("Process 7 (teleop)", "Process 8 (policy)"))
+    assert cell.run(0.3, SLOW) == pytest.approx(SLOW, abs=1e-5)
+
+
 def test_without_a_robot_description_the_arm_rests():
     cell = Cell(make_core(check_description="exact"))
     cell.run(0.3, SLOW)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from dualbrain.drivers.ros2 import dds_types as ros
-from dualbrain.drivers.ros2.dds_node import RELIABLE_NEWEST
+from dualbrain.drivers.ros2.dds_node import RELIABLE, RELIABLE_NEWEST
 from dualbrain.drivers.ros2.problems import Level
-from tests.drivers.ros2.dds_peer import LOCAL, SAFE, Peer, running_node, take_markers
+from tests.drivers.ros2.dds_peer import COMMANDS, LOCAL, SAFE, Peer, running_node, take_markers
 from tests.drivers.ros2.node_under_test import NAMES, PANDA, urdf_of
 
 pytestmark = pytest.mark.realtime
@@ -47,6 +47,12 @@ def test_the_node_guards_reports_and_brings_the_arm_to_rest(tmp_path, domain):
         other = peer.writer(SAFE, ros.Float64MultiArray, RELIABLE_NEWEST)
         status = peer.wait_for(Level.ERROR, "also publishes on /velocity_controller/commands", command=SLOW)
         assert f"Process {os.getpid()}" in status.message
+        assert np.all(peer.v == 0.0)
+        del other
+
+        peer.wait_for_motion(SLOW)
+        other = peer.writer(COMMANDS, ros.Float64MultiArray, RELIABLE)
+        peer.wait_for(Level.ERROR, "publish on /policy/commands", command=SLOW)
         assert np.all(peer.v == 0.0)
         del other
 

@@ -87,7 +87,7 @@ def test_narrower_limits_are_a_warning():
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (" ", "line 1"),
+        ("", "line 1"),
         ("<robot", "well-formed"),
         ("<mujoco/>", "<mujoco>"),
         ('<!DOCTYPE x [<!ENTITY a "b">]><robot/>', "DOCTYPE"),

@@ -71,6 +71,7 @@ class CommandFilter:
         self._rest_until = -inf
         self._q: Array | None = None
         self._other_writers: tuple[str, ...] = ()
+        self._sources: tuple[str, ...] = ()
         self._counts = dict.fromkeys(("steps", "late steps", "states refused", "commands", "commands refused"), 0)
         self._status, self._delta, self._h_min, self._explanation = FilterStatus.SAFE, 0.0, nan, ""
 
@@ -159,9 +160,9 @@ class CommandFilter:
         self._rest_until = -inf  # on the clock before the jump
         self.refuse("clock", text, now)
 
-    def report_writers(self, others: tuple[str, ...]) -> None:
-        """Set the other publishers of the safe command; the arm rests while there is any."""
-        self._other_writers = others
+    def report_writers(self, others: tuple[str, ...], sources: tuple[str, ...] = ()) -> None:
+        """Set the `others` that publish the safe command and all `sources` of commands: beside others the arm rests."""
+        self._other_writers, self._sources = others, sources
 
     # --- one step -----------------------------------------------------------------------------------------------
 
@@ -217,8 +218,12 @@ class CommandFilter:
         if self._other_writers:
             return (
                 f"{', '.join(self._other_writers)} also publishes on {self.parameters.safe_command_topic}, past the "
-                "filter. Remedy: remap its output to "
-                f"{self.parameters.command_topic}"
+                f"filter. Remedy: remap its output to {self.parameters.command_topic}"
+            )
+        if len(self._sources) > 1 and self.parameters.one_source:
+            return (
+                f"{' and '.join(self._sources)} publish on {self.parameters.command_topic}. Remedy: start one of them "
+                "only, let a multiplexer choose, or set `one_source` to false"
             )
         return self.description.problem
 

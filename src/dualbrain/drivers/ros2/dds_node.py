@@ -203,7 +203,11 @@ class DdsNode:
 
     def _report(self, now: float) -> None:
         if self._is_due("discovery", DISCOVERY_INTERVAL, now):
-            self._core.report_writers(self._other_writers())
+            parameters = self._core.parameters
+            others, sources = (
+                self._writers(topic) for topic in (parameters.safe_command_topic, parameters.command_topic)
+            )
+            self._core.report_writers(others, sources)
         if self._is_due("markers", MARKERS_INTERVAL, now) and self._markers.get_matched_subscriptions():
             self._publish_markers()
         if self._is_due("diagnostics", DIAGNOSTICS_INTERVAL, now):
@@ -222,16 +226,15 @@ class DdsNode:
             self._due[name] = now + interval
         return due
 
-    def _other_writers(self) -> tuple[str, ...]:
-        """Descriptions of all other publishers on the topic of the safe commands."""
-        topic = ros.topic_name(absolute_topic(self._core.parameters.safe_command_topic))
-        own = self._safe.guid
-        others = [
+    def _writers(self, topic: str) -> tuple[str, ...]:
+        """Descriptions of all publishers on `topic` but the node itself."""
+        name, own = ros.topic_name(absolute_topic(topic)), self._safe.guid
+        found = [
             endpoint
             for endpoint in self._publications.read(MAX_ENDPOINTS, condition=self._alive[0])
-            if not isinstance(endpoint, InvalidSample) and endpoint.topic_name == topic and endpoint.key != own
+            if not isinstance(endpoint, InvalidSample) and endpoint.topic_name == name and endpoint.key != own
         ]
-        return tuple(self._describe_participant(endpoint.participant_key) for endpoint in others)
+        return tuple(self._describe_participant(endpoint.participant_key) for endpoint in found)
 
     def _describe_participant(self, key: Any) -> str:
         """Process and host of a participant, as far as its DDS implementation states them."""

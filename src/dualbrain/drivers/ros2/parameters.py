@@ -35,6 +35,7 @@ class NodeParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
       trajectory is cancelled.
     - `check_description`: "exact" (the URDF file that the robot was imported from; of a packaged robot its kinematics),
       "kinematics", or "none".
+    - `one_source`: whether the arm rests while more than one publisher of commands exists.
     - `deviation`: as for `PolicyGuard`.
     """
 
@@ -57,6 +58,7 @@ class NodeParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     trajectory_gain: float = 5.0
     path_tolerance: float = 0.35
     check_description: Literal["exact", "kinematics", "none"] = "exact"
+    one_source: bool = True
     deviation: Deviation = "nearest"
     use_sim_time: bool = False
 

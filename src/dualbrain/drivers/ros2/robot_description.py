@@ -84,7 +84,8 @@ class DescriptionCheck:
         only. `base_frame`, if it is given, must be a link whose frame is that of the robot model.
         """
         self._model, self._names, self._mode, self._digest, self._base = robot_model, names, mode, digest, base_frame
-        self.base_frame, self.warning, self._text = base_frame, "", ""
+        self.base_frame, self.warning = base_frame, ""
+        self._text: str | None = None
         self.summary = "not checked" if mode == "none" else "not received"
         self.problem = (
             ""
@@ -100,7 +101,8 @@ class DescriptionCheck:
         """
         if self._mode == "none" or text == self._text:
             return
-        self._text, self.warning = text, ""
+        self._text = text
+        self.warning = ""
         data = text.encode(errors="replace")
         digest = hashlib.sha256(data).hexdigest()
         exact = digest == self._digest
