@@ -46,7 +46,8 @@ def running_node(folder, domain, *more, dds=LOCAL):
     process = subprocess.Popen(command, stderr=subprocess.PIPE, env=os.environ | {"CYCLONEDDS_URI": dds}, text=True)
     try:
         yield process
-        process.send_signal(signal.SIGINT)
+        if process.poll() is None:
+            process.send_signal(signal.SIGINT)
         _, errors = process.communicate(timeout=10.0)
     finally:
         process.kill()

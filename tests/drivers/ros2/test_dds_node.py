@@ -60,6 +60,7 @@ def test_the_node_guards_reports_and_brings_the_arm_to_rest(tmp_path, domain):
         process.send_signal(signal.SIGTERM)
         peer.run(0.5, SLOW)
         assert np.all(peer.v == 0.0)
+        assert process.wait(timeout=10.0) == 0
 
 
 def test_silent_joint_states_and_a_simulated_clock(tmp_path, domain):
