@@ -74,6 +74,12 @@ def test_commands_and_velocities_are_in_the_order_of_the_controller():
     assert cell.run(0.5, SLOW[::-1]) == pytest.approx(SLOW[::-1], abs=1e-5)
 
 
+def test_the_filter_begins_at_the_measured_velocity():
+    cell = Cell()
+    cell.v = np.array(SLOW)
+    assert cell.states() == pytest.approx(SLOW - np.sign(SLOW) * ACCELERATIONS * PERIOD, abs=1e-5)
+
+
 def test_joints_have_other_names_in_ros():
     names = [f"left_{name}" for name in NAMES]
     cell = Cell(make_core(joints=names, robot_joints=NAMES), names=names)

@@ -27,12 +27,12 @@ PACKAGE = ROOT / "integrations/ros2_control"
 STUBS = ROOT / "tests/integrations/ros2_control/stubs"
 CPP_WARNINGS = [flag for flag in WARNINGS if flag != "-Wstrict-prototypes"]
 OBSTACLES = (
-    Obstacle("table", HalfSpace(), Pose((0.0, 0.0, -0.05)), parts=("arm", "hand", "fingers")),
-    Obstacle("crate", Box((0.1, 0.1, 0.3)), Pose((0.45, 0.42, 0.3)), margin=0.01),
-    Obstacle("post", Capsule(0.04, 0.3), Pose((0.4, -0.4, 0.3))),
-    Obstacle("person", Sphere(0.1), Pose((0.3, 0.0, 1.1)), near=NearSpeed(speed=0.2)),
+    Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.2)), parts=("hand", "fingers")),
+    Obstacle("crate", Box((0.1, 0.1, 0.3)), Pose((0.45, 0.3, 0.3)), margin=0.01),
+    Obstacle("post", Capsule(0.04, 0.3), Pose((0.4, -0.3, 0.4)), near=NearSpeed(speed=0.1, distance=0.1)),
 )
-STEPS = 600
+STEPS, HOLD = 1500, 150
+"""Steps of a recorded case, and steps with the same reference."""
 
 
 def make_filter(name="panda", obstacles=OBSTACLES):
@@ -76,22 +76,25 @@ def recorded_cases(safety, seed):
     n = safety.robot_model.n
     v_max = np.array([joint.velocity.value for joint in safety.robot_model.joints])
     q, v = np.array(safety.robot_model.home), 0.1 * rng.uniform(-v_max, v_max)
-    lines, controls = [f"activate {numbers(q, v)}"], []
+    lines, controls, met = [f"activate {numbers(q, v)}"], [], set()
     safety.reset(np.float32(v))
     for step in range(STEPS):
-        if step % 60 == 0:
-            reference = rng.uniform(-1.2, 1.2, n) * v_max
+        if step % HOLD == 0:
+            reference = rng.uniform(-0.5, 0.5, n) * v_max
         lines.append(f"step {numbers(q, v, reference)}")
-        controls.append(safety(q, v, reference).u)
+        result = safety(q, v, reference)
+        controls.append(result.u)
+        met |= {name for name in ("table", "crate", "post") if name in result.explain()}
         v = v + 0.3 * (controls[-1] - v)
         q = q + safety.robot_model.period * v
-    return lines, np.array(controls)
+    return lines, np.array(controls), met
 
 
-@pytest.mark.parametrize(("name", "seed"), [("panda", 0), ("panda", 1), ("ur5e", 2), ("fr3", 3)])
+@pytest.mark.parametrize(("name", "seed"), [("panda", 0), ("panda", 1), ("ur5e", 1), ("fr3", 1)])
 def test_the_controls_are_those_of_the_python_filter_bit_for_bit(harness, tmp_path, name, seed):
     safety = make_filter(name)
-    lines, controls = recorded_cases(safety, seed)
+    lines, controls, met = recorded_cases(safety, seed)
+    assert "crate" in met
     names, rows = run(harness, tmp_path, format_kernel_tables(safety), lines)
     joints = [joint.name for joint in safety.robot_model.joints]
     assert names == [
@@ -161,7 +164,7 @@ def test_joints_may_have_other_names_in_ros(harness, tmp_path):
         (lambda text: text.replace("\nq_lower 7 ", "\nq_lower 8 0.0 "), "expected number"),
         (lambda text: text[: len(text) // 2], "`"),
         (lambda text: text + "joint_margin 1 0.1\n", "unknown key `joint_margin`"),
-        (lambda text: text.replace("\nnear 5 3.0", "\nnear 5 9.0"), "unknown obstacle"),
+        (lambda text: text.replace("\nnear 5 2.0", "\nnear 5 9.0"), "unknown obstacle"),
     ],
 )
 def test_wrong_tables_are_refused(harness, tmp_path, change, words):
