@@ -21,7 +21,7 @@ import numpy as np
 from dualbrain.grounding.offline_gate import scene_from_spec
 from dualbrain.records import Scene
 from dualbrain.robots.interface import home_state
-from dualbrain.robots.loader import BUILTIN_ROBOTS, load_robot
+from dualbrain.robots.loader import SIMULATED_ROBOTS, load_robot
 from dualbrain.robots.model import RobotModel, SelfCollisionPairs, Tool
 from dualbrain.safety.barriers.traversable_region import traversable_region
 from dualbrain.safety.cbf.filter import SafetyFilter
@@ -77,7 +77,7 @@ def robot_scene(robot_model: RobotModel) -> Scene:
     family = (
         "workroom:0" if robot_model.is_mobile_manipulator else "empty_room:0" if robot_model.is_mobile else "bare:0"
     )
-    robot = robot_model.name if robot_model.name in BUILTIN_ROBOTS else "panda"
+    robot = robot_model.name if robot_model.name in SIMULATED_ROBOTS else "panda"
     return scene_from_spec(open_scene(family, robot))
 
 
@@ -108,7 +108,7 @@ def mean_us(safety: SafetyFilter) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=40)
-    filters = {name: make_filter(name) for name in (*BUILTIN_ROBOTS, *SYNTHETIC_ROBOTS)}
+    filters = {name: make_filter(name) for name in (*SIMULATED_ROBOTS, *SYNTHETIC_ROBOTS)}
     rounds = parser.parse_args().rounds
     times = {name: [] for name in filters}
     for _ in range(rounds):

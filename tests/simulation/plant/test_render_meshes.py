@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 
 from dualbrain.core.geometry.rotations import quaternion_to_matrix
-from dualbrain.robots.loader import BUILTIN_ROBOTS, load_robot
+from dualbrain.robots.loader import SIMULATED_ROBOTS, load_robot
 from dualbrain.simulation.plant.factory import make_plant
 from dualbrain.simulation.plant.render_meshes import COLLISION_GEOM_GROUP, link_meshes
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
 
-@pytest.mark.parametrize("robot", BUILTIN_ROBOTS)
+@pytest.mark.parametrize("robot", SIMULATED_ROBOTS)
 def test_every_collision_geom_is_within_the_mesh_of_its_link(robot):
     robot_model = load_robot(robot)
     plant = make_plant(open_scene("0", robot), robot_model)

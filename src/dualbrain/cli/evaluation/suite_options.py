@@ -102,7 +102,7 @@ def _parse_planners(planner: str) -> dict[str, str]:
 
 def _possible_robots(task: Task) -> tuple[str, ...]:
     """Robots that can perform `task`: those that it names, or else all built-in robots of its family."""
-    from dualbrain.robots.loader import BUILTIN_ROBOTS
+    from dualbrain.robots.loader import SIMULATED_ROBOTS
     from dualbrain.simulation.tasks.families import task_families_for
 
-    return task.robots or tuple(name for name in BUILTIN_ROBOTS if task.family in task_families_for(name))
+    return task.robots or tuple(name for name in SIMULATED_ROBOTS if task.family in task_families_for(name))

@@ -16,7 +16,7 @@ from dualbrain.core.untrusted.bounded_file import FileRefusal, read_regular_file
 from dualbrain.core.untrusted.toml_document import TomlFault, parse_toml
 from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.evaluation.protocol.method import Method, find_method
-from dualbrain.robots.loader import BUILTIN_ROBOTS
+from dualbrain.robots.loader import SIMULATED_ROBOTS
 from dualbrain.simulation.tasks.families import Level, RequestType, supports_depth_perception, task_families_for
 
 PILOT_SEEDS = range(10_000, 20_000)
@@ -210,10 +210,10 @@ def _check_name(suite: Suite) -> None:
 
 
 def _check_robots(suite: Suite) -> None:
-    """The robots are packaged ones: the name of a robot in a suite opens no file."""
+    """The robots are packaged ones with a plant: the name of a robot in a suite opens no file."""
     for robot in (*suite.robots, *(robot for task in suite.tasks for robot in task.robots)):
-        if robot not in BUILTIN_ROBOTS:
-            raise UnknownNameError("packaged robot", robot[:80], BUILTIN_ROBOTS, owner=f"suite {suite.name}")
+        if robot not in SIMULATED_ROBOTS:
+            raise UnknownNameError("packaged robot", robot[:80], SIMULATED_ROBOTS, owner=f"suite {suite.name}")
 
 
 def _check_unique(suite: Suite) -> None:

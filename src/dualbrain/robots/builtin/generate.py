@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from dualbrain.errors import UnknownNameError
 from dualbrain.robots.assets.meshes import Mesh
-from dualbrain.robots.builtin import fr3, mobile_base, mobile_panda, panda, ur5e
+from dualbrain.robots.builtin import fr3, mobile_base, mobile_panda, panda, so101, ur5e
 from dualbrain.robots.collision_model.coverage import SphereSet, measure_excess
 from dualbrain.robots.collision_model.fit_problem import LinkCoverSpec
 from dualbrain.robots.collision_model.self_collision import choose_pairs
@@ -177,6 +177,12 @@ ARM_DEFINITIONS: dict[str, RobotDefinition] = {"panda": panda, "fr3": fr3, "ur5e
 """Definitions of the arms. To add a packaged robot, write its definition and add it here and to `BUILTIN_ROBOTS`."""
 
 
+def _to_stderr(line: str) -> None:
+    """Write one line of progress."""
+    sys.stderr.write(line + "\n")
+    sys.stderr.flush()
+
+
 def _make_base(previous: RobotModel | None) -> RobotModel:
     return mobile_base.make_model(previous.tracking if previous else DEFAULT_TRACKING)
 
@@ -186,36 +192,35 @@ def _make_mobile_panda(previous: RobotModel | None) -> RobotModel:
     return mobile_panda.make_model(load_robot("panda"), tracking, lag)
 
 
-MOBILE_ROBOTS: dict[str, Callable[[RobotModel | None], RobotModel]] = {
+def _make_so101(previous: RobotModel | None) -> RobotModel:
+    return so101.make_model(previous.tracking if previous else DEFAULT_TRACKING, _to_stderr)
+
+
+OTHER_ROBOTS: dict[str, Callable[[RobotModel | None], RobotModel]] = {
     "base": _make_base,
     "mobile_panda": _make_mobile_panda,
+    "so101": _make_so101,
 }
-"""Functions that make the models of robots with a mobile base, from the model in the existing data file."""
+"""Functions that make the models of the other robots, from the model in the existing data file."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line: `panda --out FILE [--seed N]`; progress on stderr."""
     parser = argparse.ArgumentParser(prog="python -m dualbrain.robots.builtin.generate", description=__doc__)
-    parser.add_argument("robot", help=f"one of {', '.join((*ARM_DEFINITIONS, *MOBILE_ROBOTS))}")
+    parser.add_argument("robot", help=f"one of {', '.join((*ARM_DEFINITIONS, *OTHER_ROBOTS))}")
     parser.add_argument("--out", type=Path, required=True, help="file to write")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
-    if options.robot not in (*ARM_DEFINITIONS, *MOBILE_ROBOTS):
-        raise UnknownNameError("robot", options.robot, (*ARM_DEFINITIONS, *MOBILE_ROBOTS))
-    if options.robot in MOBILE_ROBOTS:
+    if options.robot not in (*ARM_DEFINITIONS, *OTHER_ROBOTS):
+        raise UnknownNameError("robot", options.robot, (*ARM_DEFINITIONS, *OTHER_ROBOTS))
+    if options.robot in OTHER_ROBOTS:
         previous = load_robot(options.robot) if data_file(options.robot).is_file() else None
-        robot_model = MOBILE_ROBOTS[options.robot](previous)
+        robot_model = OTHER_ROBOTS[options.robot](previous)
     else:
         robot_model = make_arm(options.robot, options.seed, FitOptions(), N_CONFIGURATIONS, _to_stderr)
     options.out.write_bytes(encode_robot(robot_model))
     _to_stderr(f"{options.out}: {len(robot_model.spheres)} spheres, {len(robot_model.self_pairs.kept)} link pairs kept")
     return 0
-
-
-def _to_stderr(line: str) -> None:
-    """Write one line of progress."""
-    sys.stderr.write(line + "\n")
-    sys.stderr.flush()
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ import mujoco
 from dualbrain.core.geometry.shapes import Vector
 from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.robots.builtin.mobile_panda import ARM_MOUNT_POSITION
-from dualbrain.robots.loader import load_robot
+from dualbrain.robots.loader import BUILTIN_ROBOTS, load_robot
 from dualbrain.robots.mobile_manipulator import BASE_JOINTS
 from dualbrain.robots.model import RobotModel
 from dualbrain.simulation.models.menagerie import adapt_panda, find_menagerie_file
@@ -85,9 +85,9 @@ def load_mujoco_model(
     model is used. `visuals` adds surface meshes, which do not change the physics. Raises `UnknownNameError` for an
     unknown robot and `ConfigurationError` for a robot of the user, or a file that cannot be loaded or lacks an element.
     """
-    if name not in MODEL_FILES and Path(name).exists():
+    if name not in MODEL_FILES and (name in BUILTIN_ROBOTS or Path(name).exists()):
         raise ConfigurationError.stating(
-            f"The robot {name} cannot be simulated: only packaged robots have a MuJoCo model.",
+            f"The robot {name} cannot be simulated: only {', '.join(MODEL_FILES)} have a MuJoCo model.",
             fix="Its contracts can be checked (`dualbrain check`, `schema`), and `SafetyFilter` filters its commands.",
         )
     if name not in MODEL_FILES:

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Sized
 from copy import copy
 from dataclasses import dataclass
-from math import inf, isfinite, isnan, nan
+from math import inf, isfinite, nan
 from typing import Any, Literal
 
 import numpy as np
@@ -31,6 +31,8 @@ from dualbrain.safety.integration.policy_guard.path_braking import brake_along_p
 from dualbrain.safety.integration.shadow_mode import ShadowFilter
 
 Array = NDArray[np.float64]
+HOLD_TIME = 0.1
+"""Time [s] without a step after which a robot that follows positions rests at the commanded one."""
 Deviation = Literal["nearest", "along_path"]
 DEVIATIONS: tuple[Deviation, ...] = ("nearest", "along_path")
 """How the guard deviates from a nominal control: to the nearest safe control, or by braking along its direction."""
@@ -67,6 +69,45 @@ class GuardReport:
     h_min: float
     explanation: str
     problem: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StepResults:
+    """The results of the filter since an action began: the last, that with the largest change, and sums.
+
+    `count` steps; `delta` and `delta_rows` are sums; `h_min` [m] is NaN if no step computed it.
+    """
+
+    last: FilterResult
+    largest: FilterResult
+    count: int
+    status: FilterStatus
+    delta: float
+    delta_rows: float
+    h_min: float
+
+    @classmethod
+    def after(cls, before: StepResults | None, result: FilterResult) -> StepResults:
+        """The results with one more."""
+        if before is None:
+            return cls(
+                last=result,
+                largest=result,
+                count=1,
+                status=result.status,
+                delta=result.delta,
+                delta_rows=result.delta_rows,
+                h_min=result.h_min,
+            )
+        return cls(
+            last=result,
+            largest=result if result.delta > before.largest.delta else before.largest,
+            count=before.count + 1,
+            status=max(before.status, result.status),
+            delta=before.delta + result.delta,
+            delta_rows=before.delta_rows + result.delta_rows,
+            h_min=float(np.fmin(before.h_min, result.h_min)),
+        )
 
 
 class PolicyGuard:
@@ -149,7 +190,7 @@ class PolicyGuard:
         self._values: Array | None = None
         self._arm: GuardedArm | None = None
         self._now, self._until, self._problem = -inf, 0.0, ""
-        self._results: list[FilterResult] = []
+        self._results: StepResults | None = None
         self._speed_share, self._u_prev = 1.0, self._start_velocity(v)
         self._last_command: Array | None = None
         self._changed = False
@@ -166,22 +207,27 @@ class PolicyGuard:
     @property
     def control(self) -> Array:
         """The last safe control (n,) [rad/s], for a robot that takes joint velocities; NaN before the first step."""
-        return self._results[-1].u if self._results else np.full(self._model.n, nan)
+        return self._results.last.u if self._results else np.full(self._model.n, nan)
+
+    @property
+    def problem(self) -> str:
+        """Why the arm comes to rest, with a remedy; "" without a problem since the last action began."""
+        return self._problem
 
     @property
     def report(self) -> GuardReport:
         """What the guard did since the last action began; raises `ConfigurationError` before the first step."""
-        if not self._results:
+        results = self._results
+        if results is None:
             raise ConfigurationError.stating("The guard has filtered no action yet.", fix="Call the guard first.")
-        heights = [result.h_min for result in self._results if not isnan(result.h_min)]
         return GuardReport(
             changed=self._changed,
-            status=max(result.status for result in self._results),
-            delta=sum(result.delta for result in self._results) / len(self._results),
-            delta_rows=sum(result.delta_rows for result in self._results) / len(self._results),
+            status=results.status,
+            delta=results.delta / results.count,
+            delta_rows=results.delta_rows / results.count,
             speed_share=self._speed_share,
-            h_min=min(heights, default=nan),
-            explanation=max(self._results, key=lambda result: result.delta).explain(),
+            h_min=results.h_min,
+            explanation=results.largest.explain(),
             problem=self._problem,
         )
 
@@ -207,22 +253,26 @@ class PolicyGuard:
         self.step(q, v, start, opening)
         for index in range(1, self.steps_per_action):
             predicted = q if self._arm is None else q + self._arm.target - self._arm.start
-            self.step(predicted, self._results[-1].u, start + index * self._dt, opening)
+            self.step(predicted, self.control, start + index * self._dt, opening)
         return self.command()
 
     # --- a loop that measures in every period of the filter -----------------------------------------------------
 
     def begin(self, action: Any, now: float) -> None:
         """Begin `action` at `now` [s]; `step` moves the arm."""
-        self._problem, self._results, self._goal, self._arm = "", [], None, None
-        self._speed_share = 1.0
+        self.rest("", now)
         values = self.space.layout.read(action, self._count, self._size)
-        self._original, self._values = action, None
+        self._original = action
         if isinstance(values, str):
             self._refuse(f"{values}; the arm comes to rest. Remedy: check the output of the policy")
         else:
             self._values, self._template = values, copy(action)
             self._size = len(action) if isinstance(action, Sized) else None
+
+    def rest(self, problem: str, now: float) -> None:
+        """Begin no motion at `now` [s]: the arm comes to rest, and the report states the `problem`."""
+        self._problem, self._results, self._goal, self._arm = problem, None, None, None
+        self._speed_share, self._original, self._values = 1.0, None, None
         self._until = now + self.steps_per_action * self._dt
 
     def step(self, q: ArrayLike, v: ArrayLike, now: float, opening: float | None = None) -> FilterResult:
@@ -234,21 +284,22 @@ class PolicyGuard:
                 "The joint state is not finite; the arm comes to rest. Remedy: check the sensors of the joints"
             )
         self._check_clock(now)
+        self._end_hold(now)
         arm = self._current_arm(q, v)
         self._check_following(q, arm)
         nominal = self._nominal(arm, now)
         result = self._filter(q, v, nominal, now, opening)
         self._now = now if isfinite(now) else self._now
         self._move_target(arm, nominal if self.shadow else result.u)
-        self._results.append(result)
+        self._results = StepResults.after(self._results, result)
         return result
 
     def command(self) -> Any:
         """The safe action for the motion since `begin`, in the layout of the policy."""
         arm, goal = self._arm, self._goal
-        if arm is None or goal is None:
+        if arm is None or goal is None or self._results is None:
             raise ConfigurationError.stating("No action has begun.", fix="Call `begin` and `step` first.")
-        safe = all(result.status is FilterStatus.SAFE for result in self._results)
+        safe = self._results.status is FilterStatus.SAFE
         self._changed = self.shadow is None and not (safe and not self._problem and goal.is_reached(arm))
         if not self._changed:
             self._last_command = goal.command(arm)
@@ -282,6 +333,12 @@ class PolicyGuard:
         elif now > self._until + self.limits.action_timeout:
             late = now - self._until
             self._refuse(f"The last action ended {late:.2f} s ago; the arm comes to rest. Remedy: check the policy")
+
+    def _end_hold(self, now: float) -> None:
+        """After a time without steps, a robot that follows positions has come to rest: the last control was zero."""
+        if self.space.follows_position and now - self._now > HOLD_TIME and isfinite(self._now):
+            self.safety.reset(0.0)
+            self._u_prev = np.zeros(self._model.n)
 
     def _check_following(self, q: Array, arm: GuardedArm) -> None:
         """Refuse to move a commanded position that the joints do not follow."""

@@ -1,0 +1,217 @@
+"""The thread that owns a servo bus: it reads the joints, and writes the newest safe values in every period.
+
+A policy sends actions at its own rate from another thread; the newest one counts. Only this thread writes to the bus.
+A reading or writing that fails, a stalled policy, and a second sender bring the arm to rest; the servos then hold the
+last commanded position.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from dualbrain.errors import ConfigurationError
+from dualbrain.safety.integration.servo_bus.guarded_servos import GuardedServos, ServoState
+
+logger = logging.getLogger(__name__)
+
+ANSWER_TIMEOUT = 0.5
+"""Longest time [s] that `send` waits for the first period of its action."""
+SENDER_MEMORY = 0.5
+"""Time [s] since the last action of one sender within which another sender is refused."""
+LATE_PERIODS = 2
+"""A period that begins later than this many periods counts as late."""
+TWO_SENDERS = (
+    "Two threads send actions; the arm comes to rest. Remedy: let one policy or one operator command the arm at a time"
+)
+
+Reader = Callable[[], Mapping[str, Any]]
+Writer = Callable[[Mapping[str, float]], object]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BusTiming:
+    """Periods of the thread: their number, how many began late, and the longest time between two [s]."""
+
+    periods: int
+    late: int
+    longest: float
+
+
+class BusThread:
+    """Runs `servos` on a bus: `read` gives values [deg] by servo, `write` takes them.
+
+    State: the newest action that waits for the next period, the newest reading, and the timing of the periods.
+    """
+
+    def __init__(
+        self,
+        servos: GuardedServos,
+        read: Reader,
+        write: Writer,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Own the bus of `read` and `write` from `start` to `stop`; `clock` [s] must not jump."""
+        self.servos = servos
+        self._read, self._write, self._clock = read, write, clock
+        self._changed = threading.Condition()
+        self._thread: threading.Thread | None = None
+        self._stopping = False
+        self._failure: BaseException | None = None
+        self._action: Any = None
+        self._waiting = False
+        self._sent = self._done = 0
+        self._sender, self._sender_time = 0, float("-inf")
+        self._problem = self._logged = ""
+        self._reading: Mapping[str, Any] = {}
+        self._state = ServoState(written={}, intervened=False, problem="")
+        self._periods, self._late, self._longest, self._last = 0, 0, 0.0, float("nan")
+
+    # --- the side of the policy -----------------------------------------------------------------------------------
+
+    def start(self, commanded: Mapping[str, Any] | None = None) -> None:
+        """Start the thread; `commanded` are the values [deg] that the servos hold now, if they are known."""
+        if self._thread is not None:
+            raise ConfigurationError.stating("The bus thread runs already.", fix="Call `stop` first.")
+        self.servos.reset(commanded)
+        self._stopping, self._failure = False, None
+        self._thread = threading.Thread(target=self._run, name="dualbrain-servo-bus", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread; the servos hold the last commanded position."""
+        thread, self._thread = self._thread, None
+        with self._changed:
+            self._stopping = True
+            self._changed.notify_all()
+        if thread is not None and thread is not threading.current_thread():
+            thread.join()
+
+    @property
+    def is_running(self) -> bool:
+        """Whether the thread runs."""
+        return self._thread is not None and self._thread.is_alive()
+
+    @property
+    def is_current(self) -> bool:
+        """Whether the caller is this thread."""
+        return self._thread is threading.current_thread()
+
+    @property
+    def reading(self) -> Mapping[str, Any]:
+        """The newest reading; empty before the first."""
+        return self._reading
+
+    @property
+    def state(self) -> ServoState:
+        """What the guard did since the last action began, after its last period."""
+        return self._state
+
+    @property
+    def timing(self) -> BusTiming:
+        """The timing of the periods so far."""
+        return BusTiming(periods=self._periods, late=self._late, longest=self._longest)
+
+    def send(self, action: Any) -> ServoState:
+        """Make `action` the newest one, wait for its first period, and return the state after that.
+
+        Raises:
+            ConfigurationError: the thread does not run; the message states why.
+        """
+        self._check_sender()
+        with self._changed:
+            self._require_running()
+            self._action, self._waiting, self._sent = action, True, self._sent + 1
+            number = self._sent
+            self._changed.notify_all()
+            self._changed.wait_for(lambda: self._done >= number or self._stopping, ANSWER_TIMEOUT)
+            self._require_running()
+            return self._state
+
+    def refuse(self, problem: str) -> None:
+        """Bring the arm to rest with the `problem` from the next period on, until the next action."""
+        with self._changed:
+            self._problem = problem
+
+    def _check_sender(self) -> None:
+        now, sender = self._clock(), threading.get_ident()
+        if sender != self._sender and now - self._sender_time < SENDER_MEMORY:
+            self.refuse(TWO_SENDERS)
+        self._sender, self._sender_time = sender, now
+
+    def _require_running(self) -> None:
+        if self._failure is not None:
+            raise ConfigurationError.stating(
+                f"The bus thread has ended: {self._failure}.",
+                fix="Check the connection of the arm, then connect again.",
+            )
+        if not self.is_running:
+            raise ConfigurationError.stating("The bus thread does not run.", fix="Connect the robot first.")
+
+    # --- the side of the bus --------------------------------------------------------------------------------------
+
+    def run_period(self) -> None:
+        """One period: read, take the newest action, filter, write."""
+        now = self._clock()
+        self._count(now)
+        reading, problem = self._try_read()
+        with self._changed:
+            action, waiting, number = self._action, self._waiting, self._sent
+            problem = self._problem or problem
+            self._waiting, self._problem, self._reading = False, "", reading or self._reading
+        if problem:
+            self.servos.rest(problem, now)
+        elif waiting:
+            self.servos.begin(action, now)
+        values = self.servos.step(reading, now)
+        if values:
+            self._try_write(values)
+        with self._changed:
+            self._state, self._done = self.servos.state, number
+            self._changed.notify_all()
+        self._log_problem()
+
+    def _run(self) -> None:
+        period, due = self.servos.period, self._clock()
+        try:
+            while not self._stopping:
+                self.run_period()
+                due = max(due + period, self._clock())
+                with self._changed:
+                    self._changed.wait_for(lambda: self._stopping, max(0.0, due - self._clock()))
+        except BaseException as error:
+            logger.exception("The servo bus thread has ended; the servos hold their last command.")
+            with self._changed:
+                self._failure = error
+                self._changed.notify_all()
+
+    def _try_read(self) -> tuple[Mapping[str, Any], str]:
+        try:
+            return self._read(), ""
+        except Exception as error:
+            return {}, f"The joints could not be read: {error}; the arm comes to rest. Remedy: check cable and power"
+
+    def _try_write(self, values: Mapping[str, float]) -> None:
+        try:
+            self._write(values)
+        except Exception as error:
+            problem = f"The servos could not be written: {error}; the arm comes to rest. Remedy: check cable and power"
+            self.refuse(problem)
+
+    def _count(self, now: float) -> None:
+        gap = now - self._last
+        if gap > 0.0:
+            self._longest = max(self._longest, gap)
+            self._late += gap > LATE_PERIODS * self.servos.period
+        self._periods, self._last = self._periods + 1, now
+
+    def _log_problem(self) -> None:
+        problem = self._state.problem
+        if problem and problem != self._logged:
+            logger.warning("%s.", problem.rstrip("."))
+        self._logged = problem

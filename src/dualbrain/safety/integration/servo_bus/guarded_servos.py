@@ -1,0 +1,163 @@
+"""Position servos behind the guard: actions and readings by the name of the servo, the newest safe values to write.
+
+The servos follow the commanded position of the guard with a sag and a lag, which the tracking error of the robot model
+bounds. Commands of servos without a joint, such as a gripper, pass unchanged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.safety.cbf.result import FilterStatus
+from dualbrain.safety.integration.policy_guard.guard import Deviation, GuardLimits, GuardReport, PolicyGuard
+from dualbrain.safety.integration.policy_guard.joint_actions import JointPosition
+from dualbrain.safety.integration.servo_bus.servo_map import ServoMap
+from dualbrain.safety.integration.servo_bus.velocity_estimate import VelocityEstimate
+
+Array = NDArray[np.float64]
+
+INTERVENTION_DELTA = 1e-4
+"""Change of the control by barriers, above which the filter has intervened."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServoState:
+    """What the guard did since the last action began.
+
+    `written`: the values last given out [deg, and as commanded]; empty before the first usable action. `intervened`:
+    whether barriers or a problem changed the motion; clipping to the limits of speed and acceleration alone does not
+    count. `problem`: why the arm comes to rest, with a remedy; "" without one.
+    """
+
+    written: Mapping[str, float]
+    intervened: bool
+    problem: str
+
+
+class GuardedServos:
+    """One arm of position servos: `begin` an action, then `step` in every period of the filter.
+
+    State: the guard with the commanded positions, the velocity estimate, and the values of the passed servos.
+    """
+
+    def __init__(
+        self,
+        safety: SafetyFilter,
+        servos: ServoMap,
+        *,
+        action_period: float,
+        deviation: Deviation = "nearest",
+        limits: GuardLimits | None = None,
+    ) -> None:
+        """Guard with `safety`, which must have no other caller.
+
+        `action_period` [s] is the time between two actions; the motion of an action is spread over it, in whole periods
+        of the filter.
+        """
+        self.safety, self.servos = safety, servos
+        self.period = safety.robot_model.period
+        steps = max(1, round(action_period / self.period))
+        self.guard = PolicyGuard(
+            safety,
+            JointPosition(layout=servos),
+            period=steps * self.period,
+            deviation=deviation,
+            limits=limits or GuardLimits(),
+        )
+        self._velocity = VelocityEstimate()
+        self.reset()
+
+    def reset(self, commanded: Mapping[str, Any] | None = None) -> None:
+        """Forget all actions and readings.
+
+        `commanded` are the values [deg] that the servos hold now, if they are known; else the first reading counts, and
+        the arm gives way by its sag when the first action begins.
+        """
+        start = None if commanded is None else self.servos.positions(commanded)
+        self.guard.reset(start if start is not None and np.isfinite(start).all() else None)
+        self._velocity.reset()
+        self._passed: dict[str, float] = {}
+        self._begun = self._intervened = False
+        self.was_intervened = False
+        """Whether the filter intervened in the action before the last one."""
+
+    @property
+    def state(self) -> ServoState:
+        """What happened since the last action began."""
+        return ServoState(
+            written=self._values() if self._begun else {}, intervened=self._intervened, problem=self.guard.problem
+        )
+
+    @property
+    def report(self) -> GuardReport:
+        """The report of the guard on the last action; raises `ConfigurationError` before the first step."""
+        return self.guard.report
+
+    def begin(self, action: Any, now: float) -> None:
+        """Begin `action` (values [deg] by servo) at `now` [s]; an unusable one brings the arm to rest."""
+        self._next_action()
+        self.guard.begin(action, now)
+        if not self.servos.find_problem(action):
+            self._accept(action)
+
+    def rest(self, problem: str, now: float) -> None:
+        """Begin no motion at `now` [s]: the arm comes to rest, and the state has the `problem`."""
+        self._next_action()
+        self.guard.rest(problem, now)
+
+    def step(self, reading: Any, now: float) -> dict[str, float] | None:
+        """Filter one period at the `reading` (values [deg] by servo) and return the values to write.
+
+        A reading that lacks a joint or is not finite brings the arm to rest. None before the first usable action: the
+        servos hold what they hold.
+        """
+        q = self.servos.positions(reading if isinstance(reading, Mapping) else {})
+        if not self._begun:
+            self._velocity.update(now, q)
+            return None
+        result = self.guard.step(q, self._velocity.update(now, q), now)
+        self._note(result.delta_rows, result.status)
+        return self._values()
+
+    def __call__(self, action: Any, reading: Any, now: float) -> dict[str, float]:
+        """The safe values for one action in a loop without a bus: all periods at once, on the predicted motion.
+
+        The joints then have to follow within the tracking error until the next call. An unusable first action gives an
+        empty mapping.
+        """
+        q = self.servos.positions(reading if isinstance(reading, Mapping) else {})
+        v = self._velocity.update(now, q)
+        self._next_action()
+        if self.servos.find_problem(action):
+            self.guard.begin(action, now)
+        else:
+            self._accept(action)
+        if not self._begun:
+            return {}
+        self.guard(action, q, v, now)
+        report = self.guard.report
+        self._note(report.delta_rows, report.status)
+        return self._values()
+
+    def _accept(self, action: Mapping[str, Any]) -> None:
+        self._begun = True
+        self._passed |= {key: action[key] for key in self.servos.passed if key in action}
+
+    def _note(self, delta_rows: float, status: FilterStatus) -> None:
+        """Keep whether the filter intervened."""
+        intervened = delta_rows > INTERVENTION_DELTA or status > FilterStatus.MODIFIED or bool(self.guard.problem)
+        self._intervened = self._intervened or intervened
+
+    def _next_action(self) -> None:
+        self.was_intervened, self._intervened = self._intervened, False
+
+    def _values(self) -> dict[str, float]:
+        target = self.guard.target
+        known = self.servos.values(target) if np.isfinite(target).all() else {}
+        return {**known, **self._passed}
