@@ -37,6 +37,7 @@ from experiments.robots.grasping import Grasping
 from experiments.robots.robosuite_tasks import RobosuiteTasks
 from experiments.robots.robot_zoo import RobotZoo
 from experiments.robots.ros2.rates import Ros2Rates
+from experiments.robots.so101.careless_servos import CarelessServos
 from experiments.safety.adversary import Adversary
 from experiments.safety.conservatism import Conservatism
 from experiments.safety.margin_causes import MarginCauses
@@ -82,6 +83,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         PolicyGuards(),
         Ros2Rates(),
         FrankaLimits(),
+        CarelessServos(),
         FreeInstructionsExperiment(),
         FailureExamples(),
         Clauses(),

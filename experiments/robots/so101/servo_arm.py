@@ -32,6 +32,8 @@ RESOLUTION = 2.0 * np.pi / 4096
 """Step of an encoder [rad]."""
 TIMESTEP = 0.001
 COLLISION_GROUP = 3
+TURNTABLE = "shoulder"
+"""The body that only turns about the vertical axis, 16 mm above the table: its distance says nothing."""
 SETTLING_TIME = 2.0
 """Time [s] at the beginning in which the arm comes to rest under its own weight."""
 MAX_DISTANCE = 0.3
@@ -72,6 +74,16 @@ class ServoArm:
         """Command `start` (6,) [rad] and let the arm settle; `period` [s] is that of `apply`."""
         self.model = _make_model(obstacles, load, contacts)
         self.data = mujoco.MjData(self.model)
+        model, bodies = self.model, self.model.geom_bodyid
+        self._is_fixed = model.body_weldid[bodies] == 0
+        self._things = [i for i in range(model.ngeom) if bodies[i] == 0]
+        self._moving = [
+            i
+            for i in range(model.ngeom)
+            if model.geom_group[i] == COLLISION_GROUP
+            and not self._is_fixed[i]
+            and model.body(bodies[i]).name != TURNTABLE
+        ]
         self._steps, self._period = round(period / TIMESTEP), period
         self._address = [int(self.model.joint(name).qposadr[0]) for name in SERVOS]
         ranges = np.array([self.model.joint(name).range for name in ARM])
@@ -115,26 +127,24 @@ class ServoArm:
         for _ in range(self._steps if seconds is None else max(1, round(seconds / TIMESTEP))):
             mujoco.mj_step(self.model, self.data)
 
-    def touches(self) -> tuple[int, float]:
-        """Present contacts of the arm with the table, an obstacle, or itself, and the largest normal force [N]."""
-        force, largest = np.zeros(6), 0.0
+    def scene_contacts(self) -> tuple[int, float]:
+        """Number of present contacts of moving parts with table or obstacles, and the largest normal force [N]."""
+        force, count, largest = np.zeros(6), 0, 0.0
         for index in range(self.data.ncon):
+            contact = self.data.contact[index]
+            if not (self._is_fixed[contact.geom1] or self._is_fixed[contact.geom2]):
+                continue  # a contact between two links
+            count += 1
             mujoco.mj_contactForce(self.model, self.data, index, force)
             largest = max(largest, abs(float(force[0])))
-        return self.data.ncon, largest
+        return count, largest
 
     def clearance(self) -> float:
-        """The least distance [m] of the moving parts from the table and the obstacles, at most `MAX_DISTANCE`."""
-        things = [i for i in range(self.model.ngeom) if self.model.geom_bodyid[i] == 0]
-        own = [
-            i
-            for i in range(self.model.ngeom)
-            if self.model.geom_group[i] == COLLISION_GROUP and self.model.geom_bodyid[i] > 1
-        ]
+        """The least distance [m] of the links from upper arm to jaw to table and obstacles, at most `MAX_DISTANCE`."""
         distances = (
             mujoco.mj_geomDistance(self.model, self.data, one, other, MAX_DISTANCE, None)
-            for one in own
-            for other in things
+            for one in self._moving
+            for other in self._things
         )
         return min(distances)
 
