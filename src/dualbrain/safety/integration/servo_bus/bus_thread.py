@@ -69,7 +69,8 @@ class BusThread:
         self._sender, self._sender_time = 0, float("-inf")
         self._problem = self._logged = ""
         self._reading: Mapping[str, Any] = {}
-        self._state = ServoState(written={}, intervened=False, problem="")
+        self._state = ServoState(written={}, intervened=False, intervening=False, problem="")
+        self._intervened = False
         self._periods, self._late, self._longest, self._last = 0, 0, 0.0, float("nan")
 
     # --- the side of the policy -----------------------------------------------------------------------------------
@@ -133,6 +134,12 @@ class BusThread:
             self._require_running()
             return self._state
 
+    def take_intervention(self) -> bool:
+        """Whether barriers or a problem changed the motion since the last call."""
+        with self._changed:
+            found, self._intervened = self._intervened, False
+        return found
+
     def refuse(self, problem: str) -> None:
         """Bring the arm to rest with the `problem` from the next period on, until the next action."""
         with self._changed:
@@ -173,6 +180,7 @@ class BusThread:
             self._try_write(values)
         with self._changed:
             self._state, self._done = self.servos.state, number
+            self._intervened = self._intervened or self._state.intervening
             self._changed.notify_all()
         self._log_problem()
 

@@ -32,11 +32,13 @@ class ServoState:
 
     `written`: the values last given out [deg, and as commanded]; empty before the first usable action. `intervened`:
     whether barriers or a problem changed the motion; clipping to the limits of speed and acceleration alone does not
-    count. `problem`: why the arm comes to rest, with a remedy; "" without one.
+    count. `intervening`: whether they did in the last period. `problem`: why the arm comes to rest, with a remedy; ""
+    without one.
     """
 
     written: Mapping[str, float]
     intervened: bool
+    intervening: bool
     problem: str
 
 
@@ -83,15 +85,16 @@ class GuardedServos:
         self.guard.reset(start if start is not None and np.isfinite(start).all() else None)
         self._velocity.reset()
         self._passed: dict[str, float] = {}
-        self._begun = self._intervened = False
-        self.was_intervened = False
-        """Whether the filter intervened in the action before the last one."""
+        self._begun = self._intervened = self._intervening = False
 
     @property
     def state(self) -> ServoState:
         """What happened since the last action began."""
         return ServoState(
-            written=self._values() if self._begun else {}, intervened=self._intervened, problem=self.guard.problem
+            written=self._values() if self._begun else {},
+            intervened=self._intervened,
+            intervening=self._intervening,
+            problem=self.guard.problem,
         )
 
     @property
@@ -101,14 +104,14 @@ class GuardedServos:
 
     def begin(self, action: Any, now: float) -> None:
         """Begin `action` (values [deg] by servo) at `now` [s]; an unusable one brings the arm to rest."""
-        self._next_action()
+        self._intervened = False
         self.guard.begin(action, now)
         if not self.servos.find_problem(action):
             self._accept(action)
 
     def rest(self, problem: str, now: float) -> None:
         """Begin no motion at `now` [s]: the arm comes to rest, and the state has the `problem`."""
-        self._next_action()
+        self._intervened = False
         self.guard.rest(problem, now)
 
     def step(self, reading: Any, now: float) -> dict[str, float] | None:
@@ -133,7 +136,7 @@ class GuardedServos:
         """
         q = self.servos.positions(reading if isinstance(reading, Mapping) else {})
         v = self._velocity.update(now, q)
-        self._next_action()
+        self._intervened = False
         if self.servos.find_problem(action):
             self.guard.begin(action, now)
         else:
@@ -151,11 +154,9 @@ class GuardedServos:
 
     def _note(self, delta_rows: float, status: FilterStatus) -> None:
         """Keep whether the filter intervened."""
-        intervened = delta_rows > INTERVENTION_DELTA or status > FilterStatus.MODIFIED or bool(self.guard.problem)
-        self._intervened = self._intervened or intervened
-
-    def _next_action(self) -> None:
-        self.was_intervened, self._intervened = self._intervened, False
+        changed = delta_rows > INTERVENTION_DELTA or status > FilterStatus.MODIFIED
+        self._intervening = changed or bool(self.guard.problem)
+        self._intervened = self._intervened or self._intervening
 
     def _values(self) -> dict[str, float]:
         target = self.guard.target
