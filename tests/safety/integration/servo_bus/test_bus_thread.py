@@ -11,7 +11,7 @@ from dualbrain.safety.integration.servo_bus.bus_thread import SENDER_MEMORY, Bus
 from tests.safety.integration.servo_bus.ideal_servos import KEYS, PERIOD, SO101, IdealServos, action, make_servos
 
 HOME = np.array(SO101.home)
-FREE = HOME + np.array([-0.3, -0.1, 0.0, 0.0, 0.5])
+FREE = HOME + np.array([0.3, -0.1, 0.0, 0.0, 0.5])
 
 
 class Clock:

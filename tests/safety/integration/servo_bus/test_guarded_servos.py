@@ -15,7 +15,7 @@ from tests.safety.integration.servo_bus.ideal_servos import (
 )
 
 HOME = np.array(SO101.home)
-FREE = HOME + np.array([-0.3, -0.1, 0.0, 0.0, 0.5])
+FREE = HOME + np.array([0.3, -0.1, 0.0, 0.0, 0.5])
 INTO_THE_TABLE = np.array([0.0, 1.0, 0.8, 0.5, 0.0])
 
 
@@ -164,3 +164,15 @@ def test_one_call_per_action_is_the_same_filter_on_the_predicted_motion():
     safety(servos.q, np.zeros(5), np.zeros(5), 0.0)
     assert min(row.h for row in safety.rows()) > 0.0
     assert guarded.state.intervened
+
+
+def test_a_far_goal_is_reached_on_a_straight_line_without_overshoot():
+    guarded, servos = make_servos(obstacles=()), IdealServos()
+    goal = HOME + np.array([0.8, 0.0, -0.2, -0.1, 1.2])
+    run(guarded, servos, 600, action(goal))
+    path = np.radians([[values[key] for key in KEYS[:5]] for values in servos.written])
+    shares = ((path - HOME) @ (goal - HOME)) / ((goal - HOME) @ (goal - HOME))
+    assert shares.max() <= 1.0 + 1e-6
+    assert shares[-1] == pytest.approx(1.0, abs=1e-6)
+    assert (np.diff(shares) > -1e-9).all()
+    assert np.abs(path - HOME - np.outer(shares, goal - HOME)).max() < 1e-6

@@ -51,11 +51,15 @@ class JointPosition:
     A position is approached on a straight line in joint space within the period of the policy, or at the velocity limit
     if it is too far for that. The guard integrates its own commanded position, so that a servo with a constant error
     still follows the policy.
+
+    With `stops` the speed is limited so that the joints can stop at the position within their acceleration limits:
+    positions that are far away are then reached without overshoot, and moving ones are followed v²/2a later.
     """
 
     layout: Layout = field(default_factory=ActionLayout)
     delta: bool = False
     reference: Literal["commanded", "measured"] = "commanded"
+    stops: bool = False
     commands_velocity: bool = field(default=True, init=False)
     follows_position: bool = field(default=True, init=False)
 
@@ -66,9 +70,9 @@ class JointPosition:
     def goal(self, values: Array, arm: GuardedArm) -> ActionGoal:
         """A motion to a position."""
         if not self.delta:
-            return _PositionGoal(values, np.zeros_like(values))
+            return _PositionGoal(values, np.zeros_like(values), self.stops)
         origin = arm.q if self.reference == "measured" else arm.start
-        return _PositionGoal(origin + values, origin)
+        return _PositionGoal(origin + values, origin, self.stops)
 
     def rest(self, arm: GuardedArm) -> ActionGoal:
         """The commanded position."""
@@ -97,16 +101,31 @@ class _VelocityGoal:
 
 @dataclass(frozen=True, slots=True)
 class _PositionGoal:
-    """A position, and the origin of the values of the action."""
+    """A position, the origin of the values of the action, and whether the joints stop there."""
 
     position: Array
     origin: Array
+    stops: bool = False
 
     def control(self, arm: GuardedArm, remaining: float) -> Array:
-        return limit_speed((self.position - arm.target) / max(remaining, arm.period), arm)
+        way = self.position - arm.target
+        u = limit_speed(way / max(remaining, arm.period), arm)
+        return u * _stopping_share(way, u, arm) if self.stops else u
 
     def command(self, arm: GuardedArm) -> Array:
         return arm.target - self.origin
 
     def is_reached(self, arm: GuardedArm) -> bool:
         return bool(np.abs(arm.target - self.position).max() <= POSITION_TOLERANCE)
+
+
+def _stopping_share(way: Array, u: Array, arm: GuardedArm) -> float:
+    """The largest share of `u` (n,) [rad/s], at most 1, from which every joint can stop within its `way` (n,) [rad].
+
+    At the constant deceleration a a joint stops within v dt/2 + v²/2a, dt being the period.
+    """
+    a = np.array([joint.acceleration.value for joint in arm.safety.robot_model.joints])
+    half_step = 0.5 * a * arm.period
+    fastest = np.sqrt(half_step**2 + 2.0 * a * np.abs(way)) - half_step
+    moving = np.abs(u) > 0.0
+    return float(np.min(fastest[moving] / np.abs(u[moving]), initial=1.0))

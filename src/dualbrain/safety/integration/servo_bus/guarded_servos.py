@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.safety.cbf.filter import SafetyFilter
-from dualbrain.safety.cbf.result import FilterStatus
+from dualbrain.safety.cbf.result import FilterResult, FilterStatus
 from dualbrain.safety.integration.policy_guard.guard import Deviation, GuardLimits, GuardReport, PolicyGuard
 from dualbrain.safety.integration.policy_guard.joint_actions import JointPosition
 from dualbrain.safety.integration.servo_bus.servo_map import ServoMap
@@ -23,7 +23,9 @@ from dualbrain.safety.integration.servo_bus.velocity_estimate import VelocityEst
 Array = NDArray[np.float64]
 
 INTERVENTION_DELTA = 1e-4
-"""Change of the control by barriers, above which the filter has intervened."""
+"""Change of the control above which the filter has intervened."""
+JOINT_MOTION = "joint_motion"
+"""Name of the limits of speed and acceleration among the barriers."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,7 +69,7 @@ class GuardedServos:
         steps = max(1, round(action_period / self.period))
         self.guard = PolicyGuard(
             safety,
-            JointPosition(layout=servos),
+            JointPosition(layout=servos, stops=True),
             period=steps * self.period,
             deviation=deviation,
             limits=limits or GuardLimits(),
@@ -125,7 +127,7 @@ class GuardedServos:
             self._velocity.update(now, q)
             return None
         result = self.guard.step(q, self._velocity.update(now, q), now)
-        self._note(result.delta_rows, result.status)
+        self._note(result)
         return self._values()
 
     def __call__(self, action: Any, reading: Any, now: float) -> dict[str, float]:
@@ -143,18 +145,21 @@ class GuardedServos:
             self._accept(action)
         if not self._begun:
             return {}
-        self.guard(action, q, v, now)
-        report = self.guard.report
-        self._note(report.delta_rows, report.status)
+        self.guard.begin(action, now)
+        self._note(self.guard.step(q, v, now))
+        for index in range(1, self.guard.steps_per_action):
+            q, v = q + self.period * self.guard.control, self.guard.control
+            self._note(self.guard.step(q, v, now + index * self.period))
         return self._values()
 
     def _accept(self, action: Mapping[str, Any]) -> None:
         self._begun = True
         self._passed |= {key: action[key] for key in self.servos.passed if key in action}
 
-    def _note(self, delta_rows: float, status: FilterStatus) -> None:
-        """Keep whether the filter intervened."""
-        changed = delta_rows > INTERVENTION_DELTA or status > FilterStatus.MODIFIED
+    def _note(self, result: FilterResult) -> None:
+        """Keep whether barriers changed the control; limits of speed and acceleration of the joints do not count."""
+        by_barriers = result.delta > INTERVENTION_DELTA and any(name != JOINT_MOTION for name in result.barriers)
+        changed = by_barriers or result.status > FilterStatus.MODIFIED
         self._intervening = changed or bool(self.guard.problem)
         self._intervened = self._intervened or self._intervening
 

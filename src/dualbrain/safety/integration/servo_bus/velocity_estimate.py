@@ -42,7 +42,7 @@ class VelocityEstimate:
         if self._readings and not 0.0 < now - self._readings[-1][0] <= MAX_GAP:
             self.reset()
         self._readings.append((now, q.copy()))
-        times = np.array([time for time, _ in self._readings]) - now
+        times = np.array([time for time, _ in self._readings], float) - now
         times -= times.mean()
         spread = float(times @ times)
         if spread <= 0.0:
