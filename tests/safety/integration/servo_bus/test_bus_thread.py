@@ -149,7 +149,7 @@ def test_two_senders_bring_the_arm_to_rest():
 def test_a_thread_that_does_not_run_or_has_ended_is_an_error_with_the_cause():
     servos = IdealServos()
     bus = BusThread(make_servos(), servos.read, servos.write)
-    with pytest.raises(ConfigurationError, match="does not run. Connect the robot first"):
+    with pytest.raises(ConfigurationError, match=r"does not run\. Connect the robot first"):
         bus.send(action(FREE))
     bus.servos.step = lambda reading, now: 1 / 0
     bus.start()
