@@ -2,9 +2,9 @@
 
 Run: python -m experiments.interfaces.lerobot.virtual_environment
 
-It installs LeRobot 0.6.1 with a CPU torch (1.6 GB on disk), without dualbrain. LeRobot is fetched by name without its
-dependencies and unpacked; files in the syntax of Python 3.12 are translated (`type_parameter_syntax`), and torchvision
-gets the declarations of `torchvision_operators`.
+It installs LeRobot 0.6.1 with a CPU torch (1.6 GB on disk), without dualbrain, whose sources the tests put on the path.
+LeRobot is fetched by name without its dependencies and unpacked; files in the syntax of Python 3.12 are translated
+(`type_parameter_syntax`), and torchvision gets the declarations of `torchvision_operators`.
 """
 
 from __future__ import annotations
@@ -27,6 +27,8 @@ ENVIRONMENT = VirtualEnvironment(
     command="python -m experiments.interfaces.lerobot.virtual_environment",
     sources=(HERE / "requirements.txt", OPERATORS, HERE / "type_parameter_syntax.py"),
 )
+SOURCE_PACKAGE = "feetech-servo-sdk"
+"""The package that has no wheel."""
 VARIABLES = {"HF_HUB_OFFLINE": "1", "HF_DATASETS_OFFLINE": "1", "OMP_NUM_THREADS": "1", "TOKENIZERS_PARALLELISM": "0"}
 """Variables of every process of the environment: it must not ask a server for a dataset."""
 
@@ -48,7 +50,8 @@ def create() -> Path:
 def _install() -> None:
     packages = ENVIRONMENT.packages
     lerobot, vision = (next(one for one in packages if one.startswith(name)) for name in ("lerobot==", "torchvision=="))
-    ENVIRONMENT.pip("install", "--only-binary", ":all:", *(one for one in packages if one not in (lerobot, vision)))
+    others = (one for one in packages if one not in (lerobot, vision))
+    ENVIRONMENT.pip("install", "--only-binary", ":all:", "--no-binary", SOURCE_PACKAGE, *others)
     ENVIRONMENT.pip("install", "--no-deps", vision)  # its wheel asks for another build of torch
     (packages_folder,) = (ENVIRONMENT.folder / "venv" / "lib").glob("python3*/site-packages")
     _unpack_lerobot(lerobot, packages_folder)

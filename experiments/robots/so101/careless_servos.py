@@ -19,7 +19,7 @@ from dualbrain.safety.integration.servo_bus.guarded_servos import GuardedServos
 from dualbrain.safety.integration.servo_bus.servo_map import ServoMap
 from experiments.engine.experiment import Options, Row, WorkUnit
 from experiments.figures.tables import format_proportion, markdown_table
-from experiments.robots.so101.servo_arm import ARM, SERVOS, ServoArm
+from experiments.robots.so101.servo_arm import SERVOS, ServoArm
 
 SEEDS = 40
 SECONDS, POLICY_RATE, BUS_PERIOD = 30.0, 30.0, 0.005

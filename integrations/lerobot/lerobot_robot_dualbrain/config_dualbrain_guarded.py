@@ -32,12 +32,16 @@ class DualbrainGuardedConfig(RobotConfig):
     @property
     def settings(self) -> ServoSettings:
         """The settings of the guard."""
+        calibration = {
+            name: ServoCalibration(**entry) if isinstance(entry, dict) else entry
+            for name, entry in self.calibration.items()
+        }
         return ServoSettings(
             model=self.model,
             site=self.site,
             rate=self.rate,
             action_rate=self.action_rate,
-            calibration=self.calibration,
+            calibration=calibration,
             digest=self.digest,
             deviation=self.deviation,
         )
