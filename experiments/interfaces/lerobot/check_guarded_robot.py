@@ -38,12 +38,13 @@ def guarded(**options):
 
 def check_refusals(folder):
     range_units = SO101FollowerConfig(port="none", id="a", calibration_dir=folder, use_degrees=False)
-    assert "use_degrees=true" in message(lambda: guarded(inner=range_units))
+    assert "use_degrees: true" in message(lambda: guarded(inner=range_units))
     clamped = SO101FollowerConfig(port="none", id="a", calibration_dir=folder, max_relative_target=5.0)
     assert "max_relative_target" in message(lambda: guarded(inner=clamped))
     assert "does not tell its units" in message(guarded)
     assert "has the digest" in message(lambda: guarded(units="degrees", digest="0123456789abcdef"))
     assert "panda_joint1" in message(lambda: guarded(units="degrees", model="panda"))
+    assert "cannot be used" in message(lambda: guarded(inner={"type": "no_such_robot"}))
     follower = SO101FollowerConfig(port="none", id="a", calibration_dir=folder)
     robot = guarded(inner=follower)
     assert list(robot.action_features) == [f"{name}.pos" for name in JOINTS]

@@ -34,7 +34,7 @@ class DualbrainGuarded(Robot):
         """
         super().__init__(config)
         self.config = config
-        robot = inner or make_robot_from_config(config.inner)
+        robot = inner or make_robot_from_config(config.inner_config)
         self.servos = make_guarded_servos(config.settings, tuple(robot.action_features))
         check_configuration(robot, self.servos.servos.keys, config.units)
         self.inner = InnerRobot(robot)

@@ -28,7 +28,7 @@ def check_configuration(inner: Robot, keys: tuple[str, ...], units: str) -> None
     if found != DEGREES:
         known = f"takes {found}" if found else "does not tell its units"
         fix = (
-            "Set `--robot.inner.use_degrees=true`, and record or train in degrees."
+            "Set `use_degrees: true` in `--robot.inner`, and record or train in degrees."
             if found
             else "If its joints are in degrees, set `--robot.units=degrees`."
         )
@@ -37,7 +37,7 @@ def check_configuration(inner: Robot, keys: tuple[str, ...], units: str) -> None
         raise ConfigurationError.stating(
             f"The robot {inner.name} clips commands itself (max_relative_target): the safe command would not reach the "
             "servos.",
-            fix="Leave `--robot.inner.max_relative_target` out; the guard limits speed and acceleration.",
+            fix="Leave `max_relative_target` out of `--robot.inner`; the guard limits speed and acceleration.",
         )
 
 

@@ -83,8 +83,7 @@ def robot_options(log):
         "--robot.type=dualbrain_guarded",
         "--robot.units=degrees",
         "--robot.mark_interventions=true",
-        "--robot.inner.type=recording_servos",
-        f"--robot.inner.log={log}",
+        f"--robot.inner={{type: recording_servos, log: {log}}}",
     ]
 
 
