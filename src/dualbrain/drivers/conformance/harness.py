@@ -52,6 +52,8 @@ class DriverHarness:
         self.driver, self.robot_model, self.under_test = under_test.driver, under_test.robot_model, under_test
         self.n, self.period = under_test.robot_model.n, under_test.driver.timing.period
         self.states: list[RobotState] = [under_test.driver.read()]
+        self.written: list[tuple[Array, RobotState]] = []
+        """Every command (n,) [rad/s] with the state after its period."""
 
     @property
     def state(self) -> RobotState:
@@ -74,6 +76,7 @@ class DriverHarness:
         for _ in range(periods):
             self.driver.write(self.make_command(u))
             self.wait()
+            self.written.append((u, self.state))
 
     def n_periods(self, seconds: float) -> int:
         """Number of periods in `seconds` [s], at least 1."""

@@ -27,6 +27,8 @@ from dualbrain.drivers.conformance.harness import (
 
 POSITION_TOLERANCE = 2e-3
 """Maximum position error [rad] after a motion."""
+STATE_DELAY_PERIODS = 2.0
+"""Periods by which a state may be older than the command before it."""
 MAX_MOTION_AT_REST, MAX_SPEED_AT_REST = 1e-3, 0.01
 """Maximum motion of an arm at rest [rad], and the speed below which an arm counts as at rest [rad/s]."""
 MAX_BRAKING_TIME = 0.5
@@ -195,6 +197,37 @@ def _reaches_model_limits(trial: DriverHarness) -> str:
     return ""
 
 
+def _follows_position(trial: DriverHarness) -> str:
+    """The joints stay within the declared tracking error of the integrated command, also while they move."""
+    if not trial.switch_on():
+        return _enable_failure(trial)
+    for joint in range(trial.n):
+        peak, seconds = trial.max_swing(joint)
+        for sign in (trial.inward_sign(joint), -trial.inward_sign(joint)):
+            before, first = float(trial.state.q[joint]), len(trial.written)
+            trial.swing_joint(joint, sign * peak, seconds)
+            trial.write(np.zeros(trial.n), trial.n_periods(SETTLE_TIME))
+            if not trial.state.drive_enabled:
+                return f"the drive went off: {trial.driver.faults()}"
+            error = _largest_position_error(trial, joint, first, before)
+            allowed = trial.robot_model.tracking.position_error + STATE_DELAY_PERIODS * trial.period * peak
+            if error > allowed + POSITION_TOLERANCE:
+                return (
+                    f"joint {joint + 1} was up to {error:.4f} rad from the integral of its commands; the robot model "
+                    f"declares {trial.robot_model.tracking.position_error:.4f} rad"
+                )
+    return ""
+
+
+def _largest_position_error(trial: DriverHarness, joint: int, first: int, before: float) -> float:
+    """The largest |q + lag v − q_0 − ∫u dt| [rad] of a joint since the command with the index `first`."""
+    lag, integral, largest = trial.robot_model.tracking.lag, before, 0.0
+    for u, state in trial.written[first:]:
+        integral += float(u[joint]) * trial.period
+        largest = max(largest, abs(float(state.q[joint] + lag * state.v[joint]) - integral))
+    return largest
+
+
 # --- stops --------------------------------------------------------------------------------------------------------
 
 
@@ -336,6 +369,10 @@ def _enable_failure(trial: DriverHarness) -> str:
     return f"the drive did not come on within {trial.driver.timing.drive_on_timeout} s: {trial.driver.faults()}"
 
 
+def _is_arm(under_test: DriverUnderTest) -> bool:
+    return not under_test.robot_model.is_mobile
+
+
 def _has_watchdog(under_test: DriverUnderTest) -> bool:
     return isfinite(under_test.driver.watchdog)
 
@@ -356,6 +393,12 @@ REQUIREMENTS: tuple[Requirement, ...] = (
         "as hard as the body may",
         "a command within the limits of the robot model is executed without clipping",
         _reaches_model_limits,
+    ),
+    Requirement(
+        "follows",
+        "in motion the joints stay within the tracking error of the robot model from the integral of their commands",
+        _follows_position,
+        _is_arm,
     ),
     Requirement("stops", "a stop is reported within 10 ms and brings the arm to rest; it may be repeated", _stops),
     Requirement("forgets", "a command from before a stop is never executed after it", _discards_old_command),
