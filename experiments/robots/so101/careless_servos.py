@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 
 from dualbrain.core.geometry.shapes import Box, HalfSpace, Pose
+from dualbrain.robots.collision_model.self_collision import chain_frames, sphere_centres
 from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.config import operating_config
 from dualbrain.safety.cbf.filter import SafetyFilter
@@ -31,7 +32,7 @@ CLAMP = np.radians(5.0)
 """LeRobot's `max_relative_target` in the runs with its clamp [rad]."""
 MODES = ("raw", "clamp", "guarded", "guarded_without_error")
 """Unguarded, with LeRobot's clamp, guarded, and guarded by a filter that knows neither lag nor tracking error."""
-CONTACT_CHECK = 2
+CONTACT_CHECK = 4
 """Every n-th bus period the distances are measured."""
 KEYS = tuple(f"{name}.pos" for name in SERVOS)
 
@@ -47,6 +48,7 @@ class Episode:
     interventions: list[bool] = field(default_factory=list[bool])
     faults: int = 0
     steps: int = 0
+    path: list[np.ndarray] = field(default_factory=list[np.ndarray])
 
 
 class CarelessServos:
@@ -101,7 +103,10 @@ def run_episode(mode: str, seed: int, seconds: float = SECONDS) -> Row:
         episode.travel += float(np.abs(arm.q - last).sum())
         last = arm.q
         judge(arm, episode, period)
+    heights = sphere_heights(np.array(episode.path), obstacles)
     return {
+        "h_spheres": float(heights.min()),
+        "below": int(np.sum(heights < 0.0)),
         "touched": episode.touched,
         "force": episode.force,
         "clearance": episode.clearance,
@@ -113,12 +118,35 @@ def run_episode(mode: str, seed: int, seconds: float = SECONDS) -> Row:
 
 
 def judge(arm: ServoArm, episode: Episode, period: int) -> None:
-    """Note contacts of the moving parts with table and crate, and their least distance."""
+    """Note the posture, contacts of the moving parts with table and crate, and their least distance."""
+    episode.path.append(arm.posture())
     count, force = arm.scene_contacts()
     episode.touched |= count > 0
     episode.force = max(episode.force, force)
     if period % CONTACT_CHECK == 0:
         episode.clearance = min(episode.clearance, arm.clearance())
+        episode.touched |= episode.clearance < 0.0  # the pads of the jaws make no contacts
+
+
+def sphere_heights(path: np.ndarray, obstacles: tuple[Obstacle, ...]) -> np.ndarray:
+    """The least distance (m,) [m] of the filter's spheres from table and crate at the postures `path` (m, 5) [rad].
+
+    The spheres of base and shoulder are left out: no joint moves them toward the table.
+    """
+    robot_model = load_robot("so101")
+    turns, origins = chain_frames(robot_model.joints, path)
+    crate = obstacles[1]
+    assert isinstance(crate.shape, Box)
+    least = np.full(len(path), np.inf)
+    for link in robot_model.links[2:]:
+        spheres = [sphere for sphere in robot_model.spheres if sphere.link == link.name]
+        centres = sphere_centres(link, np.array([sphere.centre for sphere in spheres]), turns, origins, 0.0)
+        radii = np.array([sphere.radius for sphere in spheres])
+        outside = np.abs(centres - np.array(crate.pose.position)) - np.array(crate.shape.half_extents)
+        to_crate = np.linalg.norm(np.maximum(outside, 0.0), axis=2) + np.minimum(outside.max(axis=2), 0.0)
+        gaps = np.minimum(to_crate, centres[:, :, 2]) - radii
+        least = np.minimum(least, gaps.min(axis=1))
+    return least
 
 
 def careless_policy(seed: int) -> Callable[[int], np.ndarray]:
@@ -192,6 +220,7 @@ TABLE_HEAD = (
     "mode",
     "episodes that touch table or crate",
     "least distance [mm]",
+    "least h on the filter's spheres [mm]; periods with h < 0",
     "greatest force [N]",
     "joint travel per episode [deg]",
     "periods in which the filter intervened",
@@ -205,6 +234,7 @@ def _table_row(mode: str, rows: list[Row]) -> tuple[object, ...]:
         mode.replace("_", " "),
         format_proportion(sum(row["touched"] for row in rows), len(rows)),
         f"{min(row['clearance'] for row in rows) * 1e3:.1f}",
+        f"{min(row['h_spheres'] for row in rows) * 1e3:.1f}; {sum(row['below'] for row in rows)}",
         f"{max(row['force'] for row in rows):.1f}",
         f"{np.mean([row['travel'] for row in rows]):.0f}",
         f"{np.mean([row['interventions'] for row in rows]):.0%}" if guarded else "",

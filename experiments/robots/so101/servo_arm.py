@@ -106,6 +106,10 @@ class ServoArm:
         self.q: Array = self.positions()[:5]
         self.v: Array = self._velocity.update(self.now, self.q)
 
+    def posture(self) -> Array:
+        """The true positions (5,) [rad] of the joints, for judgement only."""
+        return self.data.qpos[self._address[:5]].copy()
+
     def positions(self) -> Array:
         """The positions (6,) [rad] of all servos, with the resolution of the encoders."""
         return RESOLUTION * np.round(self.data.qpos[self._address] / RESOLUTION)
