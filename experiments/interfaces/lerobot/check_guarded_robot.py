@@ -41,7 +41,7 @@ def check_refusals(folder):
     assert "use_degrees: true" in message(lambda: guarded(inner=range_units))
     clamped = SO101FollowerConfig(port="none", id="a", calibration_dir=folder, max_relative_target=5.0)
     assert "max_relative_target" in message(lambda: guarded(inner=clamped))
-    assert "does not tell its units" in message(guarded)
+    assert "does not report its units" in message(guarded)
     assert "has the digest" in message(lambda: guarded(units="degrees", digest="0123456789abcdef"))
     assert "panda_joint1" in message(lambda: guarded(units="degrees", model="panda"))
     assert "cannot be used" in message(lambda: guarded(inner={"type": "no_such_robot"}))

@@ -37,7 +37,7 @@ CONTACT_CHECK = 4
 KEYS = tuple(f"{name}.pos" for name in SERVOS)
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class Episode:
     """What one episode has touched so far, and how far the arm has moved."""
 

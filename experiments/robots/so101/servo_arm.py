@@ -33,7 +33,7 @@ RESOLUTION = 2.0 * np.pi / 4096
 TIMESTEP = 0.001
 COLLISION_GROUP = 3
 TURNTABLE = "shoulder"
-"""The body that only turns about the vertical axis, 16 mm above the table: its distance says nothing."""
+"""The body that only turns about the vertical axis, 16 mm above the table: its distance is constant."""
 SETTLING_TIME = 2.0
 """Time [s] at the beginning in which the arm comes to rest under its own weight."""
 MAX_DISTANCE = 0.3

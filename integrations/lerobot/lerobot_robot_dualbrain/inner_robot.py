@@ -26,7 +26,7 @@ def check_configuration(inner: Robot, keys: tuple[str, ...], units: str) -> None
     """
     found = _units(inner, keys) or units
     if found != DEGREES:
-        known = f"takes {found}" if found else "does not tell its units"
+        known = f"takes {found}" if found else "does not report its units"
         fix = (
             "Set `use_degrees: true` in `--robot.inner`, and record or train in degrees."
             if found
@@ -82,7 +82,7 @@ class InnerRobot:
         return self.observation() if found is None else found
 
     def commanded(self) -> Mapping[str, Any] | None:
-        """The positions that the servos hold, None if the robot cannot tell."""
+        """The positions that the servos hold, None if the robot does not report them."""
         try:
             return self._from_bus("Goal_Position")
         except Exception:  # not every bus has this register

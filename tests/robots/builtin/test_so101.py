@@ -130,7 +130,7 @@ def test_the_jaw_is_covered_at_every_opening():
         assert are_covered(vertices @ moved[:3, :3].T + moved[:3, 3], spheres, tolerance=2e-5).all(), angle
 
 
-def test_no_sphere_of_a_moving_link_stands_off_by_more_than_is_stated():
+def test_no_sphere_of_a_moving_link_exceeds_it_by_more_than_is_stated():
     rng = np.random.default_rng(1)
     for name, meshes in so101.link_shapes().items():
         surface = np.vstack([sample_surface(mesh, 20_000, rng) for mesh in meshes])

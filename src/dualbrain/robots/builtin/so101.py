@@ -211,12 +211,13 @@ def jaw_envelope() -> list[Mesh]:
     1/cos(δ/2) for an angle δ between neighbours, so that the arcs between the angles are inside.
     """
     jaw = read_part(JAW_MESH).vertices + JAW_OFFSET
-    edges = np.linspace(*JAW_RANGE, JAW_SECTORS + 1)
+    edges: list[float] = np.linspace(*JAW_RANGE, JAW_SECTORS + 1).tolist()
     half_step = 0.5 * (edges[1] - edges[0]) / (JAW_STEPS - 1)
     outward = np.array([1.0 / cos(half_step), 1.0 / cos(half_step), 1.0])
     envelope: list[Mesh] = []
     for first, last in pairwise(edges):
-        swept = np.vstack([_turned(jaw * outward, angle) for angle in np.linspace(first, last, JAW_STEPS)])
+        angles: list[float] = np.linspace(first, last, JAW_STEPS).tolist()
+        swept = np.vstack([_turned(jaw * outward, angle) for angle in angles])
         envelope.append(transform_mesh(convex_hull_mesh(swept), JAW_AXIS_ORIGIN, JAW_AXIS_ROTATION))
     return envelope
 

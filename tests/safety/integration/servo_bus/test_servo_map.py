@@ -1,4 +1,4 @@
-"""Names, signs and offsets of servos: the same position whatever the order, and a reason for every unusable action."""
+"""Names, signs and offsets of servos: the same position in any order, and a reason for every unusable action."""
 
 import numpy as np
 import pytest

@@ -122,7 +122,7 @@ class GuardedServos:
         A reading that lacks a joint or is not finite brings the arm to rest. None before the first usable action: the
         servos hold what they hold.
         """
-        q = self.servos.positions(reading if isinstance(reading, Mapping) else {})
+        q = self.servos.read_positions(reading)
         if not self._begun:
             self._velocity.update(now, q)
             return None
@@ -136,7 +136,7 @@ class GuardedServos:
         The joints then have to follow within the tracking error until the next call. An unusable first action gives an
         empty mapping.
         """
-        q = self.servos.positions(reading if isinstance(reading, Mapping) else {})
+        q = self.servos.read_positions(reading)
         v = self._velocity.update(now, q)
         self._intervened = False
         if self.servos.find_problem(action):

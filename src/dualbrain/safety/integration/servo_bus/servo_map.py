@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,10 +110,11 @@ class ServoMap:
         """A copy of `action` with the joint positions `values` (n,) [rad]; all other entries as they are."""
         return {**action, **self.values(values)}
 
-    def find_problem(self, action: Any) -> str:
-        """Why `action` is unusable; "" if it names every joint, only known servos, and finite numbers."""
-        if not isinstance(action, Mapping):
-            return f"the action is no mapping of servo names but {type(action).__name__}"
+    def find_problem(self, given: object) -> str:
+        """Why the action `given` is unusable; "" if it names every joint, only known servos, and finite numbers."""
+        if not isinstance(given, Mapping):
+            return f"the action is no mapping of servo names but {type(given).__name__}"
+        action = cast("Mapping[str, Any]", given)
         missing = [key for key in self.keys if key not in action]
         if missing:
             return f"the action lacks {_listed(missing)}"
@@ -122,6 +123,10 @@ class ServoMap:
             return f"the action names {_listed(unknown)}; the robot has {_listed((*self.keys, *self.passed))}"
         bad = [key for key, value in action.items() if not _is_finite(value)]
         return f"the value of {_listed(bad)} in the action is no finite number" if bad else ""
+
+    def read_positions(self, reading: object) -> Array:
+        """Joint positions (n,) [rad] of a reading, NaN where it has none; also of one that is no mapping."""
+        return self.positions(cast("Mapping[str, Any]", reading) if isinstance(reading, Mapping) else {})
 
     def positions(self, values: Mapping[str, Any]) -> Array:
         """Joint positions (n,) [rad] of `values` [deg], which may name other servos too; NaN for a missing one."""
