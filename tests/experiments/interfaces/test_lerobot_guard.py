@@ -1,21 +1,26 @@
 """LeRobot's commands and its asynchronous client end in the guard (slow, only where its environment was created)."""
 
+import ast
+import dataclasses
 import json
 import os
 import signal
 import subprocess
 import sys
 import time
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from dualbrain import __version__
 from dualbrain.core.geometry.shapes import HalfSpace
 from dualbrain.errors import MissingDependencyError
 from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.obstacles import Obstacle
+from dualbrain.safety.integration.servo_bus.servo_settings import ServoSettings
 from experiments.interfaces.lerobot.virtual_environment import ENVIRONMENT, HERE, process_environment
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -101,6 +106,34 @@ def check_commands(log, least):
         safety.reset()
         assert result.h_min > 0.0
     return path
+
+
+def test_lerobot_can_discover_the_distribution():
+    project = tomllib.loads((PLUGINS[0] / "pyproject.toml").read_text())
+    name = project["project"]["name"]
+    assert name.startswith("lerobot_robot_")  # LeRobot looks for underscores, and imports a module of the same name
+    assert project["tool"]["setuptools"]["packages"] == [name]
+    assert (PLUGINS[0] / name / "__init__.py").is_file()
+    assert project["project"]["version"] == __version__
+    assert project["project"]["license"] == "Apache-2.0"
+
+
+def test_the_guarded_robot_has_every_setting_and_the_page_describes_every_option():
+    name = "lerobot_robot_dualbrain"
+    tree = ast.parse((PLUGINS[0] / name / "config_dualbrain_guarded.py").read_text())
+    (config,) = (node for node in tree.body if isinstance(node, ast.ClassDef))
+    options = {node.target.id for node in config.body if isinstance(node, ast.AnnAssign)}
+    settings = {field.name for field in dataclasses.fields(ServoSettings)}
+    assert settings < options
+    page = (ROOT / "docs" / "how-to" / "guard_lerobot.md").read_text()
+    assert [option for option in sorted(options) if f"`{option}`" not in page] == []
+    assert page.count("\n") <= 40
+    (step,) = (
+        node
+        for node in ast.parse((PLUGINS[0] / name / "safety_filter_step.py").read_text()).body
+        if isinstance(node, ast.ClassDef)
+    )
+    assert {node.target.id for node in step.body if isinstance(node, ast.AnnAssign)} == settings
 
 
 @pytest.mark.slow
