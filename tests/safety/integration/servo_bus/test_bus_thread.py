@@ -92,13 +92,19 @@ def test_an_intervention_is_taken_once():
     assert not bus.take_intervention()
 
 
-def test_late_periods_are_counted():
+def test_late_periods_are_counted_and_many_are_logged(caplog):
     bus, _, clock = make_bus()
     run(bus, clock, 10)
     clock.now += 0.1
     run(bus, clock, 10)
     assert bus.timing.late == 1
     assert bus.timing.longest == pytest.approx(0.1 + PERIOD)
+    bus.stop()
+    assert not caplog.text
+    clock.now += 0.1
+    run(bus, clock, 1)
+    bus.stop()
+    assert "2 of 21 periods of the servo bus began late, the longest after 105 ms" in caplog.text
 
 
 def start_thread(servos=None, **options):

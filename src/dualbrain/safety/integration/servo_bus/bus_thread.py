@@ -25,6 +25,8 @@ SENDER_MEMORY = 0.5
 """Time [s] since the last action of one sender within which another sender is refused."""
 LATE_PERIODS = 2
 """A period that begins later than this many periods counts as late."""
+LATE_SHARE = 0.05
+"""Share of late periods above which `stop` logs a warning."""
 TWO_SENDERS = (
     "Two threads send actions; the arm comes to rest. Remedy: let one policy or one operator command the arm at a time"
 )
@@ -92,6 +94,14 @@ class BusThread:
             self._changed.notify_all()
         if thread is not None and thread is not threading.current_thread():
             thread.join()
+        if self._late > LATE_SHARE * self._periods:
+            logger.warning(
+                "%d of %d periods of the servo bus began late, the longest after %.0f ms: the arm was slower than "
+                "commanded. Remedy: lower the rate of the bus, or look at the load of the machine and the latency of the port.",
+                self._late,
+                self._periods,
+                1e3 * self._longest,
+            )
 
     @property
     def is_running(self) -> bool:
