@@ -97,7 +97,7 @@ class BusThread:
         if self._late > LATE_SHARE * self._periods:
             logger.warning(
                 "%d of %d periods of the servo bus began late, the longest after %.0f ms: the arm was slower than "
-                "commanded. Remedy: lower the rate of the bus, or look at the load of the machine and the latency of the port.",
+                "commanded. Remedy: lower the rate of the bus, or look at machine load and the latency of the port.",
                 self._late,
                 self._periods,
                 1e3 * self._longest,
