@@ -125,7 +125,7 @@ def test_the_guarded_robot_has_every_setting_and_the_page_describes_every_option
     options = {node.target.id for node in config.body if isinstance(node, ast.AnnAssign)}
     settings = {field.name for field in dataclasses.fields(ServoSettings)}
     assert settings < options
-    page = (ROOT / "docs" / "how-to" / "guard_lerobot.md").read_text()
+    page = (ROOT / "docs" / "how-to" / "guard" / "lerobot.md").read_text()
     assert [option for option in sorted(options) if f"`{option}`" not in page] == []
     assert page.count("\n") <= 40
     (step,) = (

@@ -39,7 +39,7 @@ def node(
     robot
         The robot, or a folder of `dualbrain robot init`. Default: that of the parameters, else panda.
     params
-        Parameters in a YAML file in the form of ROS 2; see docs/how-to/ros2.md.
+        Parameters in a YAML file in the form of ROS 2; see docs/how-to/guard/ros2.md.
     site
         Site file (TOML) with planes and keep-out boxes; see docs/how-to/site.md.
     scene

@@ -201,7 +201,7 @@ def _follows_position(trial: DriverHarness) -> str:
     """The joints stay within the declared tracking error of the integrated command, also while they move."""
     if not trial.switch_on():
         return _enable_failure(trial)
-    for joint in range(trial.n):
+    for joint, declared in enumerate(trial.robot_model.tracking.position_errors(trial.n)):
         peak, seconds = trial.max_swing(joint)
         for sign in (trial.inward_sign(joint), -trial.inward_sign(joint)):
             before, first = float(trial.state.q[joint]), len(trial.written)
@@ -210,11 +210,10 @@ def _follows_position(trial: DriverHarness) -> str:
             if not trial.state.drive_enabled:
                 return f"the drive went off: {trial.driver.faults()}"
             error = _largest_position_error(trial, joint, first, before)
-            allowed = trial.robot_model.tracking.position_error + STATE_DELAY_PERIODS * trial.period * peak
-            if error > allowed + POSITION_TOLERANCE:
+            if error > declared + STATE_DELAY_PERIODS * trial.period * peak + POSITION_TOLERANCE:
                 return (
                     f"joint {joint + 1} was up to {error:.4f} rad from the integral of its commands; the robot model "
-                    f"declares {trial.robot_model.tracking.position_error:.4f} rad"
+                    f"declares {declared:.4f} rad"
                 )
     return ""
 

@@ -124,7 +124,7 @@ def parse_parameters(data: bytes, file_name: str, node_name: str) -> NodeParamet
     try:
         return msgspec.convert(values, NodeParameters).validate()
     except msgspec.ValidationError as error:
-        fix = "See docs/how-to/ros2.md for the parameters."
+        fix = "See docs/how-to/guard/ros2.md for the parameters."
         raise ConfigurationError.stating(f"{file_name}: {error}.", fix=fix) from error
 
 

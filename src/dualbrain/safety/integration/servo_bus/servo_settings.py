@@ -54,7 +54,7 @@ def make_guarded_servos(settings: ServoSettings, keys: Sequence[str]) -> Guarded
     _check_rates(settings)
     robot_model = load_robot(settings.model)
     check_digest(robot_model, settings.digest)
-    if not robot_model.tracking.position_error > 0.0:
+    if not max(robot_model.tracking.position_errors(robot_model.n)) > 0.0:
         raise ConfigurationError.stating(
             f"The tracking error of {robot_model.name} is not identified: the filter would have no margin for the sag "
             "and the lag of its servos.",
