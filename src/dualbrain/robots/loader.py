@@ -1,10 +1,17 @@
-"""Loader of robot models: the packaged robots, and folders or files of users, whose entries are checked."""
+"""Loader of robot models: packaged robots, those of other packages, folders and files, whose entries are checked.
+
+Another package provides a robot by an entry point in its pyproject.toml:
+
+    [project.entry-points."dualbrain.robots"]
+    my_arm = "my_package.robots:load_my_arm"     # a function without parameters, a RobotModel, or a path
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import lru_cache
 from importlib import resources
+from importlib.metadata import EntryPoint, entry_points
 from importlib.resources.abc import Traversable
 from math import isfinite
 from pathlib import Path
@@ -20,6 +27,9 @@ SIMULATED_ROBOTS = ("panda", "fr3", "ur5e", "base", "mobile_panda")
 BUILTIN_ROBOTS = (*SIMULATED_ROBOTS, "so101")
 """All packaged robots."""
 
+ENTRY_POINTS = "dualbrain.robots"
+"""Group of the entry points of robots of other packages."""
+
 ModelFault = tuple[str, object, str]
 """A wrong entry of a robot model: (entry, value, allowed values)."""
 MODEL_FILE = "body.json"
@@ -27,18 +37,66 @@ MAX_FILE_BYTES = 4 * 2**20
 
 
 def load_robot(name: str) -> RobotModel:
-    """The packaged robot called `name`, or the robot model in the folder or file at the path `name` ("./my_robot").
+    """The packaged robot called `name`, that of another package, or the one at the path `name` ("./my_robot").
+
+    A robot of another package never replaces a packaged one.
 
     Raises:
-        UnknownNameError: There is neither a packaged robot nor a path of this name.
-        ConfigurationError: The file or folder does not contain a valid robot model.
+        UnknownNameError: There is neither a robot nor a path of this name.
+        ConfigurationError: The file, folder or package does not contain a valid robot model.
     """
     if name in BUILTIN_ROBOTS:
         return _load_builtin(name)
+    installed = installed_robots()
+    if name in installed:
+        return _checked_robot(name, _open_installed_robot(installed[name]))
     path = Path(name)
     if path.exists() or path.suffix == ".json" or len(path.parts) > 1:
         return read_robot(path)
-    raise UnknownNameError("robot", name, BUILTIN_ROBOTS)
+    raise UnknownNameError("robot", name, (*BUILTIN_ROBOTS, *installed))
+
+
+def _checked_robot(name: str, robot: RobotModel | Path) -> RobotModel:
+    """The robot of another package, whose entries are checked as those of a file are."""
+    if isinstance(robot, Path):
+        return read_robot(robot)
+    for entry, got, allowed in find_model_faults(robot):
+        raise ConfigurationError(f"{entry} of the installed robot {name}", got=got, allowed=allowed)
+    return robot
+
+
+def installed_robots() -> dict[str, EntryPoint]:
+    """The entry points of robots of other packages, by name; the first one of a name."""
+    found: dict[str, EntryPoint] = {}
+    for entry in entry_points(group=ENTRY_POINTS):
+        found.setdefault(entry.name, entry)
+    return found
+
+
+def _open_installed_robot(entry: EntryPoint) -> RobotModel | Path:
+    """The robot model that `entry` names, or the path of its folder or file.
+
+    Raises:
+        ConfigurationError: The package fails when it is imported or called, or names something else.
+    """
+    package = entry.dist.name if entry.dist is not None else "unknown"
+    try:
+        loaded = entry.load()
+        robot = loaded() if callable(loaded) else loaded
+    except Exception as error:  # any error of the other package
+        raise ConfigurationError.stating(
+            f"The robot {entry.name!r} of the package {package} cannot be loaded: {type(error).__name__}: {error}.",
+            fix=f"Report it to the authors of {package}, or use another version.",
+        ) from error
+    if isinstance(robot, RobotModel):
+        return robot
+    if isinstance(robot, (str, Path)):
+        return Path(robot)
+    raise ConfigurationError(
+        f"robot {entry.name!r} of the package {package}",
+        got=type(robot).__name__,
+        allowed="a RobotModel, the path of a robot model, or a function without parameters that returns one of them",
+    )
 
 
 def load_builtin_robot(name: str) -> RobotModel:
