@@ -21,12 +21,17 @@ def summary(rows: list[Row]) -> list[str]:
     own = [row["guards"][guard] for row in rows for guard in OWN_GUARDS]
     contacts = sum(found["contact"] for found in own)
     least = min(min(found["min_scene_distance"], found["min_self_distance"]) for found in own)
-    cells = [(guard, len(rows), _contacts(rows, guard), _safe_success(rows, guard)) for guard in GUARDS]
+    cells = [
+        (guard, len(rows), _contacts(rows, guard), _safe_success(rows, guard), _kept_success(rows, guard, safe=False))
+        for guard in GUARDS
+    ]
+    head = ["guard", "episodes", "with contact", "safe successes (policies with a goal)"]
+    head += ["safe successes where the unguarded policy has none"]
     return [
         f"Episodes behind dualbrain: **{len(own)}**, with contact: **{contacts}**; smallest distance of any link "
         f"{least * 1e3:.1f} mm.",
         "",
-        *markdown_table(("guard", "episodes", "with contact", "safe successes (policies with a goal)"), cells),
+        *markdown_table(head, cells),
         "",
     ]
 
@@ -66,9 +71,10 @@ def _safe_success(rows: list[Row], guard: str) -> str:
     return format_share_by_scene([(str(row["seed"]), is_safe_success(row["guards"][guard])) for row in some])
 
 
-def _kept_success(rows: list[Row], guard: str) -> str:
-    """Safe successes among the episodes in which the unguarded policy succeeded safely."""
-    some = [row for row in rows if is_safe_success(row["guards"][UNGUARDED])]
+def _kept_success(rows: list[Row], guard: str, *, safe: bool = True) -> str:
+    """Safe successes among the episodes in which the unguarded policy succeeded safely, or did not."""
+    goals = [row for row in rows if row["policy"] != GOAL_FREE_POLICY]
+    some = [row for row in goals if is_safe_success(row["guards"][UNGUARDED]) == safe]
     if not some:
         return "–"
     return format_share_by_scene([(str(row["seed"]), is_safe_success(row["guards"][guard])) for row in some])

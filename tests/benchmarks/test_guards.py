@@ -157,6 +157,8 @@ def test_the_units_cover_every_policy_and_the_tables_count_safe_successes():
     text = "\n".join(benchmark.report([row, other]))
     assert "Episodes behind dualbrain: **4**, with contact: **0**" in text
     assert "| unguarded | 2 | 1 of 2" in text
+    dualbrain = next(line for line in text.splitlines() if line.startswith("| dualbrain |"))
+    assert [cell.split(" (")[0] for cell in dualbrain.split(" | ")[1:]] == ["2", "0 of 2", "1 of 2", "1 of 1"]
     assert tables.is_safe_success(reached)
     assert not tables.is_safe_success(hit)
     assert not tables.is_safe_success(missed)
