@@ -8,7 +8,7 @@ import subprocess
 import sys
 import termios
 import time
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 
 import msgspec
 import pytest
@@ -150,20 +150,18 @@ def test_a_gatekeeper_of_a_person_survives_its_terminal_and_its_commander(tmp_pa
         os.close(master)  # the terminal closes: SIGHUP, and every write to it fails from now on
         time.sleep(0.5)
         keys = load_keys(tmp_path / "keys", PRINCIPALS)
-        commander = GatekeeperClient(tmp_path / "gatekeeper.sock", keys, "planner")
-        found = mine(tmp_path, process.pid)
-        assert (found.robot, found.commander, found.problem) == ("panda", True, "")
-        assert found.started_by == "a person with `dualbrain gatekeeper`"
-        commander.close()
+        with closing(GatekeeperClient(tmp_path / "gatekeeper.sock", keys, "planner")):
+            found = mine(tmp_path, process.pid)
+            assert (found.robot, found.commander, found.problem) == ("panda", True, "")
+            assert found.started_by == "a person with `dualbrain gatekeeper`"
         wait_for(lambda: mine(tmp_path, process.pid).commander is False)
         elsewhere = mine(tmp_path / "other", process.pid)
         assert (elsewhere.socket, elsewhere.keys) == (tmp_path / "gatekeeper.sock", tmp_path / "keys")
         assert f"--socket {tmp_path / 'gatekeeper.sock'}" in elsewhere.ending
-        operator = GatekeeperClient(tmp_path / "gatekeeper.sock", keys, "operator")
-        wait_for(lambda: operator.status and operator.status.check in ("", "link_lost"))
-        operator.operate("shut_down")
-        assert process.wait(LIMIT) == 0
-        operator.close()
+        with closing(GatekeeperClient(tmp_path / "gatekeeper.sock", keys, "operator")) as operator:
+            wait_for(lambda: operator.status and operator.status.check in ("", "link_lost"))
+            operator.operate("shut_down")
+            assert process.wait(LIMIT) == 0
     assert mine(tmp_path, process.pid) is None
     assert not list((tmp_path / REGISTRATIONS).iterdir())
 

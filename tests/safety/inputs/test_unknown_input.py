@@ -324,7 +324,7 @@ def test_a_configuration_below_zero_is_refused(field):
             FilterConfig(**{field: value})
         with pytest.raises(GeometryError, match=field):
             msgspec.structs.replace(FilterConfig(), **{field: value})
-    for margins in ((0.01, -0.01), (0.01, np.nan), (0.01, "0.1")):
+    for margins in ((), (0.01, -0.01), (0.01, np.nan), (0.01, "0.1")):
         with pytest.raises(GeometryError, match="tracking_error"):
             FilterConfig(tracking_error=margins)
     for age in ("scene_stale_after", "state_stale_after"):

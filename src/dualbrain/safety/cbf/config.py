@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 import msgspec
@@ -76,9 +77,10 @@ class FilterConfig(msgspec.Struct, frozen=True, kw_only=True):
         for name in ("sampling_margin", "rounding_margin", "self_margin", "projection_margin"):
             check_length(f"FilterConfig.{name} [m]", getattr(self, name), MAX_MARGIN)
         check_length("FilterConfig.recovery_speed [m/s]", self.recovery_speed, MAX_RATE)
-        given = self.tracking_error
-        for margin in given if isinstance(given, tuple) else () if given is None else (given,):
-            check_length("FilterConfig.tracking_error [rad/s]", margin, MAX_RATE)
+        if self.tracking_error is not None:
+            margins = self.tracking_error if isinstance(self.tracking_error, tuple) else (self.tracking_error,)
+            for margin in margins or (math.nan,):  # no joint has no margin
+                check_length("FilterConfig.tracking_error [rad/s]", margin, MAX_RATE)
         if self.cartesian_speed is not None:
             check_number(
                 "FilterConfig.cartesian_speed [m/s]", self.cartesian_speed, MIN_CARTESIAN_SPEED, MAX_CARTESIAN_SPEED
