@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.guards.guards.dualbrain_guard import DualbrainGuard, HandFilter
+from benchmarks.guards.guards.dualbrain_guard import DualbrainGuard
 from benchmarks.guards.guards.guard import BenchmarkedGuard, TargetGuard
+from benchmarks.guards.guards.hand_filter import HandFilter
 from benchmarks.guards.guards.path_braking import CLEARANCE, PathBraking
 from benchmarks.guards.guards.relative_clamp import RelativeClamp
 from benchmarks.guards.guards.robot_dam.guard import RobotDam

@@ -23,7 +23,7 @@ VERIFIED_PERIOD = 0.004
 RESOLUTION = 0.02
 """Distance between two verified postures [rad]."""
 CLEARANCE = (0.004, 0.002, 0.005)
-"""Clearance of obstacles, own links [m] and joint limits [rad], for what is between two postures and for the drive."""
+"""Clearance of obstacles, own links [m] and joint limits [rad]: the motion between two postures, and the drive."""
 BRAKING_SHARE = 0.9
 """Share of the acceleration limit with which a stop is predicted."""
 

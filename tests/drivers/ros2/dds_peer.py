@@ -17,7 +17,8 @@ from cyclonedds.topic import Topic
 from dualbrain.drivers.ros2 import dds_types as ros
 from dualbrain.drivers.ros2.dds_node import LATCHED, RELIABLE, RELIABLE_NEWEST, SENSOR_DATA
 from dualbrain.drivers.ros2.problems import Level
-from tests.drivers.ros2.node_under_test import HOME, NAMES, PERIOD, SITE
+from experiments.robots.ros2.rates import SITE
+from tests.drivers.ros2.node_under_test import HOME, NAMES, PERIOD
 
 COMMANDS, SAFE = "/policy/commands", "/velocity_controller/commands"
 PARAMETERS = f"""

@@ -18,18 +18,6 @@ HOME = np.array(PANDA.home)
 PERIOD = 0.005
 TABLE = Obstacle("table", HalfSpace(), Pose((0.0, 0.0, -0.05)), parts=("arm", "hand", "fingers"))
 CRATE = Obstacle("crate", Box((0.1, 0.1, 0.3)), Pose((0.45, 0.42, 0.3)))
-SITE = """
-[[plane]]
-name = "table"
-point = [0, 0, -0.05]
-inward = [0, 0, 1]
-parts = ["arm", "hand", "fingers"]
-
-[[keep_out]]
-name = "crate"
-position = [0.45, 0.42, 0.3]
-half_extents = [0.1, 0.1, 0.3]
-"""
 
 
 def panda_urdf():

@@ -1,4 +1,4 @@
-"""A robot of LeRobot whose servos follow with a lag and record what is sent to them, and a careless teleoperator.
+"""A robot of LeRobot whose servos follow with a lag and record the values sent to them, and a careless teleoperator.
 
 Every command is one line of JSON in the file `log`: the time, the name of the thread, and the values.
 """

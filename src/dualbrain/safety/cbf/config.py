@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Literal
 
 import msgspec
@@ -77,10 +76,7 @@ class FilterConfig(msgspec.Struct, frozen=True, kw_only=True):
         for name in ("sampling_margin", "rounding_margin", "self_margin", "projection_margin"):
             check_length(f"FilterConfig.{name} [m]", getattr(self, name), MAX_MARGIN)
         check_length("FilterConfig.recovery_speed [m/s]", self.recovery_speed, MAX_RATE)
-        if self.tracking_error is not None:
-            margins = self.tracking_error if isinstance(self.tracking_error, tuple) else (self.tracking_error,)
-            for margin in margins or (math.nan,):  # no joint has no margin
-                check_length("FilterConfig.tracking_error [rad/s]", margin, MAX_RATE)
+        self._check_tracking_error()
         if self.cartesian_speed is not None:
             check_number(
                 "FilterConfig.cartesian_speed [m/s]", self.cartesian_speed, MIN_CARTESIAN_SPEED, MAX_CARTESIAN_SPEED
@@ -92,6 +88,13 @@ class FilterConfig(msgspec.Struct, frozen=True, kw_only=True):
         precision: object = getattr(self, "precision")  # noqa: B009  (a caller may give any type)
         if not (isinstance(precision, str) and precision in PRECISIONS):
             raise GeometryError("FilterConfig.precision", got=self.precision, allowed=" or ".join(PRECISIONS))
+
+    def _check_tracking_error(self) -> None:
+        name, given = "FilterConfig.tracking_error [rad/s]", self.tracking_error
+        if given == ():
+            raise GeometryError(name, got="no number", allowed="one for all joints, or one for each joint")
+        for margin in given if isinstance(given, tuple) else () if given is None else (given,):
+            check_length(name, margin, MAX_RATE)
 
 
 def operating_config(robot_model: RobotModel, *, jerk_limits: bool = False) -> FilterConfig:

@@ -37,7 +37,7 @@ def guard_mujoco_env(
     config: FilterConfig | None = None,
     deviation: Deviation = "nearest",
 ) -> FilteredEnv:
-    """`env` with every action of its arm replaced by the closest safe one.
+    """`env`, which is reset once, with every action of its arm replaced by the closest safe one.
 
     `joints` are the names of the arm's joints in the MuJoCo model, by default those of `robot_model`; `base` is the
     body at its base. Bodies in `ignored` are no obstacles: the policy may touch them. `margin` [m] enlarges obstacles.
