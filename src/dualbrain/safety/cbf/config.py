@@ -91,7 +91,7 @@ class FilterConfig(msgspec.Struct, frozen=True, kw_only=True):
 
     def _check_tracking_error(self) -> None:
         name, given = "FilterConfig.tracking_error [rad/s]", self.tracking_error
-        if given == ():
+        if isinstance(given, tuple) and not given:
             raise GeometryError(name, got="no number", allowed="one for all joints, or one for each joint")
         for margin in given if isinstance(given, tuple) else () if given is None else (given,):
             check_length(name, margin, MAX_RATE)
