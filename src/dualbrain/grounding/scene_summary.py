@@ -6,6 +6,7 @@ The symbols are those that determine the best contract: the neighbours of an obj
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import msgspec
@@ -13,7 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.core.geometry.rotations import quaternion_to_matrix
-from dualbrain.core.geometry.shapes import Bowl, Box, Capsule, Cylinder, HalfSpace, Pose, Sphere
+from dualbrain.core.geometry.shapes import Bowl, Box, Pose
+from dualbrain.grounding.parameter_values import fitted_opening, path_clearance
+from dualbrain.grounding.scene_paths import (
+    PathEnd,
+    footprint_radius,
+    is_below_overhead_object,
+    objects_on_path,
+    overhead_objects_on_path,
+    path_ends,
+    standing_objects,
+)
 from dualbrain.records import Place, Scene, SceneObject
 from dualbrain.skills.kinematics.object_geometry import bottom_height, finger_direction, grasp_width, top_height
 
@@ -25,8 +36,6 @@ NEAR_GAP, FAR_GAP = 0.03, 0.06
 """Boundaries of the gap classes [m]."""
 MAX_NEIGHBOUR_GAP = 0.12
 """An object with a wider gap is not a neighbour [m]."""
-PATH_WIDTH = 0.10
-"""Objects within this distance of the direct path are on the path [m]."""
 EDGE_DISTANCE = 0.06
 """An object within this distance of the edge of its support is near the edge [m]."""
 SUPPORT_TOLERANCE, FURNITURE_REACH = 0.05, 0.7
@@ -34,19 +43,18 @@ SUPPORT_TOLERANCE, FURNITURE_REACH = 0.05, 0.7
 [m]."""
 AISLE_PREFIX, AISLE_RADIUS = "aisle_", 1.2
 """Prefix of the names of places in aisles, and radius around such a place that counts as the aisle [m]."""
-OVERHEAD_HEIGHT = 0.25
-"""Obstacles whose lowest point is higher than this are overhead [m]."""
 
 
-def summarise_scene(scene: Scene, holding: str | None = None) -> str:
+def summarise_scene(scene: Scene, holding: str | None = None, *, values: bool = False) -> str:
     """The summary of `scene` in a planner prompt: one line per object, container and person, with symbols only.
 
-    For a room with furniture it also contains the place and the heading from which each object can be reached.
+    For a room with furniture it also contains the place and the heading from which each object can be reached. With
+    `values`, the lines of a table's objects also state an opening and a clearance [m] that fit (`parameter_values`).
     """
     if scene.region:
         return _summarise_workroom(scene, holding) if _furniture(scene) else _summarise_room(scene)
     lines = [f"robot {scene.robot}; holding {holding or 'nothing'}"]
-    lines += [_object_line(scene, obj) for obj in scene.objects if obj.role == "object"]
+    lines += [_object_line(scene, obj, values=values) for obj in scene.objects if obj.role == "object"]
     containers = (obj for obj in scene.objects if obj.role == "container")
     lines += [f"{obj.name}: container{_contents_suffix(scene, obj)}" for obj in containers]
     lines.append(f"person: {_person_state(scene)}")
@@ -179,18 +187,31 @@ def _aisle_state(scene: Scene, place: Place) -> str:
     return "occupied" if "person" in roles else "narrow" if "object" in roles else "free"
 
 
-def _object_line(scene: Scene, obj: SceneObject) -> str:
+def _object_line(scene: Scene, obj: SceneObject, *, values: bool = False) -> str:
     """One line: the freer finger axis, the neighbours in the frame of the object, the path to each container."""
     neighbours = {axis: _neighbours(scene, obj, axis) for axis in ("along", "across")}
-    overlap = {axis: max((one.overlap for one in neighbours[axis]), default=-1.0) for axis in neighbours}
-    free = min(overlap, key=lambda axis: overlap[axis])
-    symbols = ["object", f"free_finger_axis {free}"] + (["tight"] if overlap[free] > TIGHT_OVERLAP else [])
+    free, overlap = _freest_axis(neighbours)
+    symbols = ["object", f"free_finger_axis {free}"]
+    symbols += [f"opening {fitted_opening(obj, free):g}"] if values else []
+    symbols += ["tight"] if overlap > TIGHT_OVERLAP else []
     for axis, found in neighbours.items():
         symbols += [f"neighbour_{axis} {max(found, key=lambda one: one.overlap)}"] if found else []
     symbols += ["near_edge"] if _is_near_edge(scene, obj) else []
     symbols += ["fragile"] if obj.fragile_limit is not None else []
-    symbols += [_path_symbols(scene, obj, end) for end in _path_ends(scene)]
+    symbols += [_path_symbols(scene, obj, end, values=values) for end in path_ends(scene)]
     return f"{obj.name}: " + ", ".join(symbols)
+
+
+def free_finger_axis(scene: Scene, obj: SceneObject) -> str:
+    """The finger axis of `obj`, along or across, on which its neighbours leave more space for the hand."""
+    return _freest_axis({axis: _neighbours(scene, obj, axis) for axis in ("along", "across")})[0]
+
+
+def _freest_axis(neighbours: Mapping[str, list[Neighbour]]) -> tuple[str, float]:
+    """The freer axis, and the overlap of its neighbours with the space of the hand [m]."""
+    overlap = {axis: max((one.overlap for one in found), default=-1.0) for axis, found in neighbours.items()}
+    free = min(overlap, key=lambda axis: overlap[axis])
+    return free, overlap[free]
 
 
 class Neighbour(NamedTuple):
@@ -221,8 +242,8 @@ def _neighbours(scene: Scene, obj: SceneObject, axis: str) -> list[Neighbour]:
     """The objects in the strip that a hand needs when its fingers close along `axis` of `obj`."""
     centre, direction = np.asarray(obj.pose.position)[:2], finger_direction(obj, axis)[:2]
     found: list[Neighbour] = []
-    for other in _standing_objects(scene, obj.name):
-        offset, reach = np.asarray(other.pose.position)[:2] - centre, _footprint_radius(other)
+    for other in standing_objects(scene, obj.name):
+        offset, reach = np.asarray(other.pose.position)[:2] - centre, footprint_radius(other)
         ahead, lateral = abs(float(offset @ direction)), abs(float(direction[0] * offset[1] - direction[1] * offset[0]))
         gap = ahead - grasp_width(obj, axis) / 2 - reach
         if lateral < HAND_HALF_BREADTH + reach and gap < MAX_NEIGHBOUR_GAP and ahead > lateral:
@@ -232,24 +253,16 @@ def _neighbours(scene: Scene, obj: SceneObject, axis: str) -> list[Neighbour]:
     return found
 
 
-def _path_ends(scene: Scene) -> list[tuple[str, Array]]:
-    """The ends of the paths, by name: every container; without a container, the place if there is only one."""
-    containers = [(obj.name, np.asarray(obj.pose.position)) for obj in scene.objects if obj.role == "container"]
-    places = [(place.name, np.asarray(place.position)) for place in scene.places]
-    return containers or (places if len(places) == 1 else [])
-
-
-def _path_symbols(scene: Scene, obj: SceneObject, to: tuple[str, Array]) -> str:
+def _path_symbols(scene: Scene, obj: SceneObject, end: PathEnd, *, values: bool) -> str:
     """The path from `obj` to an end: the greatest height class on it, and whether an obstacle is above it."""
-    start, end = np.asarray(obj.pose.position)[:2], to[1][:2]
-    on_path = [
-        other
-        for other in _standing_objects(scene, obj.name, to[0])
-        if _distance_to_segment(start, end, other) < PATH_WIDTH
-    ]
-    height = max((_height_class(top_height(other)) for other in on_path), default=0)
-    overhead = any(_distance_to_segment(start, end, other) < PATH_WIDTH for other in _overhead_objects(scene))
-    return f"path_max_height {HEIGHTS[height]}" + (", overhead over_path" if overhead else "")
+    height = max((_height_class(top_height(other)) for other in objects_on_path(scene, obj, end)), default=0)
+    symbols = [f"path_max_height {HEIGHTS[height]}"]
+    if overhead_objects_on_path(scene, obj, end):
+        symbols += ["overhead over_path"]
+        symbols += ["over_object"] if values and is_below_overhead_object(scene, np.asarray(obj.pose.position)) else []
+        symbols += ["over_end"] if values and is_below_overhead_object(scene, end.position) else []
+    symbols += [f"clearance {path_clearance(scene, obj, end):g}"] if values else []
+    return ", ".join(symbols)
 
 
 def _person_state(scene: Scene) -> str:
@@ -259,43 +272,9 @@ def _person_state(scene: Scene) -> str:
     return "crossing" if any(float(np.linalg.norm(obj.velocity)) > 0.02 for obj in people) else "near"
 
 
-def _standing_objects(scene: Scene, *without: str) -> list[SceneObject]:
-    kinds = ("object", "container", "obstacle")
-    return [
-        obj
-        for obj in scene.objects
-        if obj.role in kinds and obj.name not in without and bottom_height(obj) < OVERHEAD_HEIGHT
-    ]
-
-
-def _overhead_objects(scene: Scene) -> list[SceneObject]:
-    return [obj for obj in scene.objects if obj.role == "obstacle" and bottom_height(obj) >= OVERHEAD_HEIGHT]
-
-
 def _height_class(height: float) -> int:
     """Index into `HEIGHTS`."""
     return 1 if height < LOW_HEIGHT else 2 if height < HAND_HEIGHT else 3
-
-
-def _footprint_radius(obj: SceneObject) -> float:
-    """Radius [m] of the disc that covers the footprint of an object."""
-    match obj.shape:
-        case Sphere(radius) | Cylinder(radius, _) | Bowl(radius, _, _):
-            return radius
-        case Box(half_extents):
-            return float(np.hypot(half_extents[0], half_extents[1]))
-        case Capsule(radius, half_length):
-            return radius + half_length * float(np.linalg.norm(quaternion_to_matrix(obj.pose.quaternion)[:2, 2]))
-        case HalfSpace():
-            return 0.0
-
-
-def _distance_to_segment(start: Array, end: Array, obj: SceneObject) -> float:
-    """Distance [m] in the plane between the footprint of `obj` and the segment from `start` to `end`."""
-    centre = np.asarray(obj.pose.position)[:2]
-    line = end - start
-    along = float(np.clip((centre - start) @ line / (line @ line + 1e-12), 0.0, 1.0))
-    return max(0.0, float(np.linalg.norm(centre - start - along * line)) - _footprint_radius(obj))
 
 
 def _is_near_edge(scene: Scene, obj: SceneObject) -> bool:

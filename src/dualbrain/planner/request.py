@@ -15,6 +15,7 @@ class PlanRequest(Record, frozen=True, kw_only=True, rename={"rejection": "refus
     short form and `schema` its decoding schema for the names in this scene. `rejection` is the gate's rejection of the
     first proposal if this is the second attempt; `failure_feedback` describes the failure of an earlier contract for
     the same instruction, which the new contract is to complete. `contract_id` is the required id of the contract.
+    `scene_with_values` is the summary with fitting parameter values, for adapters that were trained with it.
     """
 
     instruction: str
@@ -27,3 +28,4 @@ class PlanRequest(Record, frozen=True, kw_only=True, rename={"rejection": "refus
     contract_id: str
     rejection: Rejected | None = None
     failure_feedback: FailureFeedback | None = None
+    scene_with_values: str = ""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, Protocol, Self
 
 import msgspec
 
@@ -53,13 +53,39 @@ class CellOptions:
     instruction: str = ""
 
 
+class CellWorld(WorldInterface, Protocol):
+    """A simulated world with its plant and, if it has any, its judges."""
+
+    @property
+    def plant(self) -> Plant:
+        """The simulated robot in its scene."""
+        ...
+
+    @property
+    def perception(self) -> PerceptionModel:
+        """How the robot perceives the plant."""
+        ...
+
+    def start_contract(self, contract: Contract) -> None:
+        """Record the start of an accepted contract."""
+        ...
+
+    def set_phase(self, phase: str, roles: dict[str, str | None]) -> None:
+        """Set the phase of the running skill."""
+        ...
+
+    def judgement(self) -> Judgement:
+        """Success, progress and violations on ground truth."""
+        ...
+
+
 class SimulatedCell:
     """One simulated robot in one scene, with everything that executes contracts on it."""
 
     def __init__(
         self,
         robot_model: RobotModel,
-        world: SimulatedWorld,
+        world: CellWorld,
         *,
         safety: SafetyFilter | None = None,
         log: FlightLog | None = None,

@@ -2,11 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from dualbrain.contracts.skill_spec import ChoiceParameter, NumberParameter
 from dualbrain.robots.model import RobotModel
 
 CONTACT_SPEED = 0.05
 """Approach speed of the fingers or a held object toward an object that they may touch [m/s]."""
+
+LEVELS: Mapping[str, Mapping[str, float | str]] = {
+    "speed": {"slow": 0.1, "normal": 0.2, "fast": 0.35},
+    "clearance": {"low": 0.08, "middle": 0.15, "high": 0.3},
+    "approach": {"top": "top", "tilted": "tilted"},
+    "route": {"direct": "direct", "near_base": "near_base", "left": "left", "right": "right"},
+    "wait": {"none": "none", "until_clear": "until_clear"},
+    "force": {"firm": 15.0},
+    "opening": {"wide": 0.08},
+    "distance": {"middle": 0.1},
+    "max_speed": {"slow": 0.2, "normal": 0.4, "fast": 0.6},
+    "max_turn_rate": {"slow": 0.5, "normal": 1.0, "fast": 1.5},
+}
+"""Named levels of the open parameters, in the units of each; levels that depend on a scene are those of
+`grounding/alternatives.py`."""
 
 
 def speed(robot_model: RobotModel) -> NumberParameter:

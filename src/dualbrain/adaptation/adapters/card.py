@@ -35,7 +35,8 @@ class AdapterCard(msgspec.Struct, frozen=True, kw_only=True):
     further robots in its training data: `also`, hash by robot. `dataset` is the hash of the training data set, and
     `sources` counts its samples by the planner that proposed them. `bootstrapped` is true if any planner other than the
     base itself proposed samples. `held_out` is the result during training, measured in torch on few questions;
-    promotion needs a measurement of its own (`promotion`).
+    promotion needs a measurement of its own (`promotion`). `scene_values`: the scenes of its prompts state fitting
+    parameter values.
     """
 
     id: str
@@ -53,6 +54,7 @@ class AdapterCard(msgspec.Struct, frozen=True, kw_only=True):
     config: AdaptConfig
     versions: dict[str, str]
     also: dict[str, str] = {}
+    scene_values: bool = False
 
 
 def hash_weights(folder: Path) -> str:

@@ -36,7 +36,7 @@ class DatasetCard(msgspec.Struct, frozen=True, kw_only=True):
     repetitions. `sources` counts samples and near-duplicates by the planner that proposed them. `prompt` is the hash of
     the prompt template, `registry` that of the robot's skill vocabulary, `also` those of further robots by name, `site`
     that of the narrower vocabulary of a site ("" without one). The other fields are the settings of curation; older
-    cards lack `physical`.
+    cards lack `physical`. `scene_values`: the scenes of the prompts state fitting parameter values.
     """
 
     hash: str
@@ -62,6 +62,7 @@ class DatasetCard(msgspec.Struct, frozen=True, kw_only=True):
     also: dict[str, str] = {}
     physical: bool | None = None
     site: str = ""
+    scene_values: bool = False
 
 
 class Dataset(msgspec.Struct, frozen=True):

@@ -31,7 +31,13 @@ from dualbrain.errors import MissingDependencyError, UnknownNameError
 from dualbrain.planner import registry as plain
 from dualbrain.planner.backends.llama_cpp import LlamaConfig, LlamaPlanner
 from dualbrain.planner.introspection import planner_template
-from dualbrain.planner.prompt.prompt_format import FULL_PROMPT, SHORT_PROMPT, PromptFormat, without_constraints
+from dualbrain.planner.prompt.prompt_format import (
+    FULL_PROMPT,
+    SHORT_PROMPT,
+    PromptFormat,
+    short_prompt,
+    without_constraints,
+)
 from dualbrain.planner.protocol import Planner
 
 N_CTX = 4096
@@ -153,7 +159,7 @@ def open_unconstrained(name: str, cache: Path, *, adapters: Path, robot: str = "
             adapters=adapters,
             robot=robot,
             registry=registry,
-            prompt_format=without_constraints(SHORT_PROMPT),
+            unconstrained=True,
         )
     return LlamaPlanner(name, locate_weights(name, cache), prompt_format=without_constraints(FULL_PROMPT))
 
@@ -166,7 +172,7 @@ def open_adapter(
     robot: str = "",
     registry: str = "",
     config: LlamaConfig | None = None,
-    prompt_format: PromptFormat = SHORT_PROMPT,
+    unconstrained: bool = False,
     narrowed_registries: Mapping[str, str] = {},
 ) -> AdaptedPlanner:
     """The adapter called `name` as a planner; its first canary has been checked when this returns."""
@@ -176,6 +182,8 @@ def open_adapter(
     if robot:
         require_compatible(card, robot, registry, narrowed_registries)
     chosen = config or LlamaConfig(n_ctx=N_CTX)
+    short = short_prompt(scene_values=card.scene_values)
+    prompt_format = without_constraints(short) if unconstrained else short
     with ExitStack() as on_failure:
         planner = start_llama(stack, cache, chosen, name=proposal_author(name, stack), prompt_format=prompt_format)
         on_failure.callback(planner.close)
@@ -208,11 +216,7 @@ def _open_in_torch(
         raise MissingDependencyError(f"The package {error.name} of the extra `adapt`", fix=fix) from error
     threads, timeout_s = limits
     config = TorchConfig(threads=threads, timeout_s=timeout_s)
-    full, short = (
-        (without_constraints(FULL_PROMPT), without_constraints(SHORT_PROMPT))
-        if unconstrained
-        else (FULL_PROMPT, SHORT_PROMPT)
-    )
+    full = without_constraints(FULL_PROMPT) if unconstrained else FULL_PROMPT
     if not is_adapter(name):
         if name not in (models := plain.planner_names()):
             known = (*models, *packaged_names(), f"{ADAPTER_PREFIX}ID", f"{ADAPTER_PREFIX}{CHAMPION}")
@@ -224,8 +228,10 @@ def _open_in_torch(
     require_same_prompt(stack.top_card)
     if robot:
         require_compatible(stack.top_card, robot, registry, narrowed_registries)
+    short = short_prompt(scene_values=stack.top_card.scene_values)
+    chosen = without_constraints(short) if unconstrained else short
     return TorchPlanner(
-        proposal_author(name, stack), stack, cache, short, config, narrowed_registries=narrowed_registries
+        proposal_author(name, stack), stack, cache, chosen, config, narrowed_registries=narrowed_registries
     )
 
 

@@ -41,7 +41,7 @@ FOREIGN_CATEGORIES = ("tin", "block", "can", "box", "cube")
 
 @dataclass(frozen=True, kw_only=True)
 class SceneContext:
-    """The scene of an example: its name `scene`, its `summary` in symbols, and the names in it.
+    """The scene of an example: its name `scene`, its `summary` in symbols (also with values), and the names in it.
 
     `accepts` is the gate with the rules of the scene (reach, opening, hand); `mobile` states that the robot drives.
     """
@@ -49,6 +49,7 @@ class SceneContext:
     registry: SkillRegistry
     scene: str
     summary: str
+    summary_with_values: str
     names: SceneNames
     mobile: bool
     accepts: Callable[[bytes], bool] = field(repr=False)

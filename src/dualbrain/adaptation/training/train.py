@@ -100,6 +100,7 @@ def _write_result(
         config=config,
         versions={name: metadata.version(name) for name in packages},
         also=dataset_card.also,
+        scene_values=dataset_card.scene_values,
     )
     write_adapter_card(card, folder / ADAPTER_FOLDER)
     return card

@@ -166,6 +166,7 @@ def run_case(case: Case, method: Method, resources: EpisodeResources) -> Episode
         gate.check_unconstrained_answer(scene_names(executor.scene), PLANNER, executor.state.stamp)
     finally:
         cell.close()
+    assert isinstance(cell.world, SimulatedWorld)  # a case is judged on ground truth
     return EpisodeRun(
         episode=episode,
         trace=cell.log.trace,

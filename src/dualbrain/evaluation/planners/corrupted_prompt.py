@@ -47,11 +47,16 @@ class CorruptedPromptPlanner:
 
 def corrupt_prompt(request: PlanRequest, corruption: PromptCorruption) -> PlanRequest:
     """`request` after the corruption."""
-    lines = request.scene.splitlines()
-    if corruption == "shortened":
-        return msgspec.structs.replace(request, scene="\n".join(line.split(",")[0] for line in lines))
-    if corruption == "truncated":
-        return msgspec.structs.replace(request, scene="\n".join(lines[: (len(lines) + 1) // 2]))
     if corruption == "overwritten":
         return msgspec.structs.replace(request, instruction=f"{INJECTED_TEXT} {request.instruction}")
-    return request
+    scene, with_values = (_corrupt_scene(one, corruption) for one in (request.scene, request.scene_with_values))
+    return msgspec.structs.replace(request, scene=scene, scene_with_values=with_values)
+
+
+def _corrupt_scene(scene: str, corruption: PromptCorruption) -> str:
+    lines = scene.splitlines()
+    if corruption == "shortened":
+        return "\n".join(line.split(",")[0] for line in lines)
+    if corruption == "truncated":
+        return "\n".join(lines[: (len(lines) + 1) // 2])
+    return scene

@@ -55,8 +55,17 @@ class PromptFormat:
 
 def short_messages(request: PlanRequest) -> list[ChatMessage]:
     """The prompt on which adapters are trained."""
+    return _render_short(request, request.scene)
+
+
+def short_messages_with_values(request: PlanRequest) -> list[ChatMessage]:
+    """The prompt of adapters that were trained with fitting parameter values in the scene."""
+    return _render_short(request, request.scene_with_values or request.scene)
+
+
+def _render_short(request: PlanRequest, scene: str) -> list[ChatMessage]:
     return render_short(
-        request.scene,
+        scene,
         request.instruction,
         robot=request.robot,
         registry=request.registry_hash,
@@ -94,6 +103,13 @@ SHORT_PROMPT = PromptFormat(
     has_fixed_prefix=False,
 )
 """Format for an adapted model."""
+SHORT_PROMPT_WITH_VALUES = replace(SHORT_PROMPT, messages=short_messages_with_values)
+"""Format for a model that was adapted with fitting parameter values in the scene."""
+
+
+def short_prompt(*, scene_values: bool) -> PromptFormat:
+    """The format for an adapted model, with or without fitting parameter values in the scene."""
+    return SHORT_PROMPT_WITH_VALUES if scene_values else SHORT_PROMPT
 
 
 def without_constraints(prompt_format: PromptFormat) -> PromptFormat:

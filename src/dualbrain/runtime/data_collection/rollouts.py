@@ -134,6 +134,7 @@ def build_request(one: Sample, recall: RetrievedContext | None = None) -> PlanRe
         skills_text=describe_skills(registry, names),
         schema=decoding_schema(registry, names),
         contract_id="c-0001",
+        scene_with_values=context.summary_with_values,
     )
 
 

@@ -29,6 +29,7 @@ from dualbrain.grounding.offline_gate import controller_at_home
 from dualbrain.grounding.scene_rules import scene_rules
 from dualbrain.grounding.scene_summary import summarise_scene
 from dualbrain.grounding.vocabulary import load_skill_registry, planner_grants, scene_names
+from dualbrain.records import Scene
 from dualbrain.robots.loader import load_robot
 from dualbrain.simulation.perception.noisy_perception import NoisyPerception, PerceptionNoise
 from dualbrain.simulation.plant.factory import make_plant
@@ -98,9 +99,7 @@ def draw_scene(robot: str, part: Split, rng: np.random.Generator) -> SceneSpec:
 def make_scene_context(spec: SceneSpec) -> SceneContext:
     """The scene as the robot perceives it at the start, with the gate in front of the robot."""
     robot_model, registry = load_robot(spec.robot), load_skill_registry(spec.robot)
-    scene = NoisyPerception(spec, PerceptionNoise(), np.random.default_rng(spec.seed)).perceive(
-        make_plant(spec, robot_model, visuals=False)
-    )
+    scene = perceive_scene(spec)
     names = scene_names(scene)
     gate = Gate(registry, planner_grants(registry), scene_rules(scene, controller_at_home(spec.robot, scene)))
 
@@ -112,10 +111,17 @@ def make_scene_context(spec: SceneSpec) -> SceneContext:
         registry=registry,
         scene=name,
         summary=summarise_scene(scene),
+        summary_with_values=summarise_scene(scene, values=True),
         names=names,
         mobile=robot_model.is_mobile,
         accepts=accepts,
     )
+
+
+def perceive_scene(spec: SceneSpec) -> Scene:
+    """The scene as the robot perceives it at the start, with the declared noise drawn from the seed of `spec`."""
+    perception = NoisyPerception(spec, PerceptionNoise(), np.random.default_rng(spec.seed))
+    return perception.perceive(make_plant(spec, load_robot(spec.robot), visuals=False))
 
 
 @cache
@@ -139,6 +145,11 @@ def load_phrasings(mobile: bool, part: Split) -> Phrasings:
 @cache
 def scene_context_by_name(scene: str) -> SceneContext:
     """The scene context with the name `scene`, such as "panda tall:20007"."""
+    return make_scene_context(scene_by_name(scene))
+
+
+def scene_by_name(scene: str) -> SceneSpec:
+    """The simulated scene with the name `scene`, such as "panda tall:20007"."""
     robot, _, choice = scene.partition(" ")
     family, _, seed = choice.partition(":")
-    return make_scene_context((make_room if is_mobile(robot) else make_scene)(family, int(seed), robot))
+    return (make_room if is_mobile(robot) else make_scene)(family, int(seed), robot)

@@ -15,7 +15,7 @@ from dualbrain.contracts.schema import describe_skills
 from dualbrain.core.storage.atomic_files import write_atomically
 from dualbrain.core.storage.private_files import open_private_folder
 from dualbrain.errors import DECODE_ERRORS
-from dualbrain.grounding.scene_summary import held_in_summary
+from dualbrain.grounding.scene_summary import held_in_summary, summarise_scene
 from dualbrain.grounding.vocabulary import scene_names
 from dualbrain.memory.plasticity.retrieval_utility import ExclusionEffect, evaluate_use
 from dualbrain.planner.prompt.full_prompt import render
@@ -76,6 +76,7 @@ class CounterfactualQueries:
             schema=answer_schema(episode.instruction, episode.scene, self._registry, held_in_summary(episode.summary)),
             contract_id="c-0001",
             failure_feedback=episode.failure_feedback,
+            scene_with_values=summarise_scene(episode.scene, held_in_summary(episode.summary), values=True),
         )
 
     def _propose_cached(self, request: PlanRequest) -> str | None:

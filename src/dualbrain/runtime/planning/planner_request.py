@@ -66,6 +66,11 @@ class PlanningContext:
         """The scene in symbols."""
         return summarise_scene(self.scene, self.holding)
 
+    @property
+    def summary_with_values(self) -> str:
+        """The scene in symbols with fitting parameter values."""
+        return summarise_scene(self.scene, self.holding, values=True)
+
 
 def retrieve(
     instruction: str,
@@ -113,6 +118,7 @@ def build_request(
         schema=answer_schema(instruction, context.scene, registry, context.holding, restrict=restrict),
         contract_id="c-0001",
         failure_feedback=failure_feedback,
+        scene_with_values=context.summary_with_values,
     )
 
 

@@ -1,0 +1,1 @@
+"""Value model: which named alternative is worth most in a scene, learned from executed siblings."""

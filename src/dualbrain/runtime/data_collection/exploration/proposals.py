@@ -1,0 +1,72 @@
+"""Proposals of the value model: at each new place the alternative that it chooses, with an instruction for it.
+
+`rollouts.run_proposals` executes them in the full simulation and stores the episodes in a ledger, from which D_clean is
+curated. The twin decides only what is proposed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dualbrain.adaptation.curation.curate import content_id
+from dualbrain.adaptation.curation.sample import Sample, assistant_turn
+from dualbrain.adaptation.synthetic.instruction import vary_punctuation
+from dualbrain.adaptation.synthetic.split import Split
+from dualbrain.adaptation.value_model.value_model import ValueModel
+from dualbrain.grounding.alternatives import DEFAULT_ALTERNATIVE
+from dualbrain.planner.prompt.short_prompt import render_short
+from dualbrain.runtime.data_collection.exploration.explore import nth_place
+from dualbrain.runtime.data_collection.exploration.place import CONTRACT_ID, Place
+from dualbrain.runtime.data_collection.synthetic_scenes import load_phrasings
+from dualbrain.simulation.tasks.instructions import natural_name
+
+SOURCE = "value-model"
+"""The source of these contracts in a ledger: no planner proposed them."""
+
+
+def propose_best(
+    value_model: ValueModel, turn: int, *, robot: str = "panda", part: Split = "teach", seed: int = 0
+) -> Sample:
+    """The proposal at place number `turn` of the sequence `seed`."""
+    place = nth_place(robot, part, seed, turn)
+    contracts = place.contracts()
+    best = value_model.choose(place.placement, list(contracts), DEFAULT_ALTERNATIVE)
+    return make_sample(place, contracts[best], draw_sentence(place, part, np.random.default_rng([seed, turn, 1])))
+
+
+def draw_sentence(place: Place, part: Split, rng: np.random.Generator) -> str:
+    """A random phrasing of the placement at `place` that `part` may use."""
+    placement = place.placement
+    is_container = any(obj.name == placement.destination for obj in place.scene.objects)
+    kind = "put_in" if is_container else "put_at"
+    sentences = [
+        one
+        for one in load_phrasings(place.registry.robot == "base", part).sentences[kind]
+        if all(f"{{{slot}}}" not in one for slot in ("second", "second_target", "group", "number"))
+    ]
+    words = {"object": natural_name(placement.object_name), "target": natural_name(placement.destination)}
+    return vary_punctuation(str(rng.choice(np.array(sentences, object))).format(**words), rng)
+
+
+def make_sample(place: Place, contract: str, sentence: str, *, source: str = SOURCE) -> Sample:
+    """`contract` of `source` as the answer to `sentence` at `place`, with fitting values in the prompt."""
+    scene, registry = place.scene, place.registry
+    prompt = render_short(
+        place.summary, sentence, robot=registry.robot, registry=registry.hash, contract_id=CONTRACT_ID
+    )
+    messages = [{"role": turn["role"], "content": turn["content"]} for turn in prompt]
+    return Sample(
+        id=content_id(messages, contract),
+        prompt=messages,
+        completion=assistant_turn(contract),
+        weight=0.5,
+        Delta=0.0,
+        duration=0.0,
+        repeats=1,
+        scene=place.scene_name,
+        memory="",
+        events=(),
+        source=source,
+        graspable=scene.graspable,
+        receptive=scene.receptive,
+    )

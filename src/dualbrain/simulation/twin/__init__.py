@@ -1,0 +1,1 @@
+"""Kinematic twin: a fast simulation without contact physics, for exploration only."""
