@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from benchmarks.guards.policy_guards import PolicyGuards
 from experiments.adaptation.ablation_curve import AblationCurve
+from experiments.adaptation.named_alternatives import NamedAlternatives
 from experiments.adaptation.retention import Retention
 from experiments.adaptation.rounds import Rounds
 from experiments.adaptation.starter import Starter
 from experiments.adaptation.suite_adapters import SuiteAdapters
+from experiments.adaptation.twin_agreement import TwinAgreement
 from experiments.engine.experiment import Experiment
 from experiments.evaluation.clauses import Clauses
 from experiments.evaluation.demo_sentence import DemoSentence
@@ -78,6 +80,8 @@ EXPERIMENTS: dict[str, Experiment] = {
         Retention(),
         Rounds(),
         SuiteAdapters(),
+        TwinAgreement(),
+        NamedAlternatives(),
         Starter(),
         RobosuiteTasks(),
         PolicyGuards(),

@@ -61,6 +61,13 @@ def symbol_vector(placement: Placement) -> Array:
     return np.array([float(name in found) for name in SYMBOLS])
 
 
+def stated_value(placement: Placement, word: str) -> str:
+    """The value after `word` in the line of the object, for the path to the destination; "" if it is not stated."""
+    line = _line(placement.summary, placement.object_name)
+    match = re.search(rf"\b{word} ([\w.]+)", _path(placement, line)) or re.search(rf"\b{word} ([\w.]+)", line)
+    return match[1] if word and match else ""
+
+
 def _line(summary: str, name: str) -> str:
     """The text after `name` in the line of this object; "" if there is none."""
     return next((line[len(name) + 2 :] for line in summary.splitlines() if line.startswith(f"{name}: ")), "")

@@ -22,6 +22,7 @@ from dualbrain.evaluation.planners.answer_cache import AnswerCache, CachingPlann
 from dualbrain.evaluation.planners.corrupted_prompt import CorruptedPromptPlanner
 from dualbrain.evaluation.planners.few_shot import FewShotPlanner
 from dualbrain.evaluation.planners.template import TemplatePlanner
+from dualbrain.evaluation.planners.value_planner import VALUE_PREFIX, load_value_planner, value_model_digest
 from dualbrain.evaluation.protocol.method import Method, PlannerRole
 from dualbrain.evaluation.protocol.suite import Suite
 from dualbrain.grounding.vocabulary import load_skill_registry
@@ -39,6 +40,7 @@ UNLISTED_NAME_FORMS = (
     "transformers:NAME",
     "http://HOST/v1#MODEL",
     "FILE.gguf",
+    f"{VALUE_PREFIX}FILE.json",
 )
 """Forms of planner names that are not listed."""
 
@@ -60,6 +62,8 @@ class PlannerSources:
             return TemplatePlanner()
         if name == "adversary":
             return Adversary()
+        if name.startswith(VALUE_PREFIX):
+            return load_value_planner(name)
         prefixes = self.cache / "prefixes"
         open_private_folder(prefixes)
         registry = load_skill_registry(robot).hash
@@ -128,9 +132,14 @@ def _require_known_planner(name: str) -> None:
         without_engine = whole == core  # an engine prefix is only for built-in models and adapters
         if without_engine and "://" in core:
             planner_registry.open_planner(core, Path()).close()  # checks the address, without a connection
-        elif not (without_engine and (name in RANDOM_PLANNERS or core.endswith(".gguf"))):
+        elif not (without_engine and (name in RANDOM_PLANNERS or _is_file(core))):
             known = (*RANDOM_PLANNERS, *planner_registry.planner_names(), *packaged_names(), *UNLISTED_NAME_FORMS)
             raise UnknownNameError("planner", name, known, owner="the evaluation")
+
+
+def _is_file(name: str) -> bool:
+    """Whether `name` is that of a planner in a file."""
+    return name.startswith(VALUE_PREFIX) or name.endswith(".gguf")
 
 
 class PlannerFactory:
@@ -149,6 +158,7 @@ class PlannerFactory:
         parts += [
             f"prompt {method.prompt_corruption}" * (method.prompt_corruption != "no"),
             "bound by nothing" * (not constrained),
+            value_model_digest(name) if name.startswith(VALUE_PREFIX) else "",
         ]
         key = (", ".join(filter(None, parts)), robot)
         if key not in self._caching:

@@ -22,8 +22,10 @@ PlannerRole = Literal[
     "adapted_success",
     "adversary",
     "template",
+    "value",
 ]
-"""Which of the suite's planners answers; the last two draw random answers and are not named in suites."""
+"""Which of the suite's planners answers; `adversary` and `template` draw random answers and are not named in
+suites."""
 PromptCorruption = Literal["no", "shortened", "truncated", "overwritten"]
 """Corruption of the prompt (paper 6.3); see `planners/corrupted_prompt.py`."""
 PerceptionKind = Literal["declared", "depth"]
@@ -79,6 +81,7 @@ B4 = Method(name="B4", description="CBF filter and static memory", memory="stati
 M = Method(name="M", description="CBF filter and dynamic memory", memory="dynamic")
 P = Method(name="P", description="CBF filter and adapted planner", planner_role="adapted")
 PE = Method(name="PE", description="CBF filter and the best prompt for the base planner", planner_role="prompted")
+V = Method(name="V", description="CBF filter and the choice of a value model, no language model", planner_role="value")
 FULL = Method(
     name="Full", description="CBF filter, dynamic memory and adapted planner", memory="dynamic", planner_role="adapted"
 )
@@ -157,6 +160,7 @@ METHODS = {
         *SENSITIVITY_METHODS,
         *UNCONSTRAINED_METHODS,
         *DEPTH_METHODS,
+        V,
     )
 }
 
