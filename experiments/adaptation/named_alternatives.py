@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from dualbrain.adaptation.synthetic.split import Split
+from dualbrain.adaptation.synthetic.split import TEST_PART, TRAINING_PART, Split
 from dualbrain.adaptation.value_model.value_model import best_fixed_alternative, fit_value_model
 from dualbrain.evaluation.analysis.statistics import compare, difference, estimate
 from dualbrain.grounding.alternatives import DEFAULT_ALTERNATIVE
@@ -18,7 +18,7 @@ from experiments.engine.experiment import Options, Row, WorkUnit
 from experiments.figures.tables import markdown_table
 
 N_EXPLORED, N_HELD_OUT = 120, 96
-SEEDS: Mapping[Split, int] = {"teach": 301, "test": 302}
+SEEDS: Mapping[Split, int] = {TRAINING_PART: 301, TEST_PART: 302}
 """Seeds of the explored and of the held-out places."""
 EPSILON = 0.0021
 CURVE = (5, 10, 20, 40, 80, 120)
@@ -42,7 +42,7 @@ class NamedAlternatives:
 
     def units(self, options: Options) -> list[WorkUnit]:
         """One unit per place."""
-        counts: dict[Split, int] = {"teach": N_EXPLORED, "test": N_HELD_OUT}
+        counts: dict[Split, int] = {TRAINING_PART: N_EXPLORED, TEST_PART: N_HELD_OUT}
         return [
             WorkUnit(f"{part}/{index}", {"part": part, "index": index})
             for part, count in counts.items()
@@ -62,7 +62,7 @@ class NamedAlternatives:
 
     def report(self, rows: list[Row]) -> list[str]:
         """Success, clean share, intervention and time by who chooses, and the curve over explored places."""
-        explored, held_out = (_places(rows, part) for part in ("teach/", "test/"))
+        explored, held_out = (_places(rows, part) for part in (TRAINING_PART, TEST_PART))
         model = fit_value_model(group_siblings(t for place in explored for t in place.values()))
         fixed = best_fixed_alternative(group_siblings(t for place in explored for t in place.values()))
         rng = np.random.default_rng(0)
@@ -92,9 +92,9 @@ class NamedAlternatives:
         return lines
 
 
-def _places(rows: Sequence[Row], prefix: str) -> list[dict[str, Trial]]:
+def _places(rows: Sequence[Row], part: Split) -> list[dict[str, Trial]]:
     """The executed siblings of each place by alternative."""
-    found = [msgspec.convert(row["trials"], tuple[Trial, ...]) for row in rows if row["key"].startswith(prefix)]
+    found = [msgspec.convert(row["trials"], tuple[Trial, ...]) for row in rows if row["key"].startswith(f"{part}/")]
     return [{one.alternative: one for one in trials} for trials in found]
 
 

@@ -8,6 +8,9 @@ Split = Literal["teach", "check", "test"]
 """Part of the split: training ("teach"), evaluation during training ("check"), and test only ("test"). The names seed
 the random generator of the examples, so they must not change."""
 
+TRAINING_PART: Split = "teach"
+TEST_PART: Split = "test"
+
 SCENE_SEEDS: dict[Split, range] = {
     "teach": range(50_000, 59_000),
     "check": range(59_000, 60_000),
