@@ -14,6 +14,8 @@ from dualbrain.adaptation.synthetic.instruction import vary_punctuation
 from dualbrain.adaptation.synthetic.split import Split
 from dualbrain.adaptation.value_model.value_model import ValueModel
 from dualbrain.grounding.alternatives import DEFAULT_ALTERNATIVE
+from dualbrain.grounding.instruction.goals.goal import Goal
+from dualbrain.grounding.instruction.goals.goal_reading import read_goal
 from dualbrain.planner.prompt.short_prompt import render_short
 from dualbrain.runtime.data_collection.exploration.explore import nth_place
 from dualbrain.runtime.data_collection.exploration.place import CONTRACT_ID, Place
@@ -23,15 +25,25 @@ from dualbrain.simulation.tasks.instructions import natural_name
 SOURCE = "value-model"
 """The source of these contracts in a ledger: no planner proposed them."""
 
+MAX_DRAWS = 20
+"""Sentences that are drawn for one proposal until the goal of one can be read."""
+
 
 def propose_best(
     value_model: ValueModel, turn: int, *, robot: str = "panda", part: Split = "teach", seed: int = 0
 ) -> Sample:
-    """The proposal at place number `turn` of the sequence `seed`."""
+    """The proposal at place number `turn` of the sequence `seed`.
+
+    The goal of its sentence can be read, so that the robot's senses can confirm the outcome; the training set has other
+    sentences as well.
+    """
     place = nth_place(robot, part, seed, turn)
     contracts = place.contracts()
     best = value_model.choose(place.placement, list(contracts), DEFAULT_ALTERNATIVE)
-    return make_sample(place, contracts[best], draw_sentence(place, part, np.random.default_rng([seed, turn, 1])))
+    rng = np.random.default_rng([seed, turn, 1])
+    sentences = (draw_sentence(place, part, rng) for _ in range(MAX_DRAWS))
+    readable = (one for one in sentences if isinstance(read_goal(one, place.scene), Goal))
+    return make_sample(place, contracts[best], next(readable, None) or draw_sentence(place, part, rng))
 
 
 def draw_sentence(place: Place, part: Split, rng: np.random.Generator) -> str:
