@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +28,16 @@ SYMBOLS = (
 )
 """Names of the symbols in the order of the vector."""
 
+SINGLE_WORDS = {
+    "overhead over_path": "overhead",
+    "over_object": "overhead above the object",
+    "over_end": "overhead above the end",
+    "near_edge": "near the edge",
+    "fragile": "fragile",
+    "tight": "tight",
+}
+"""Words of a summary that are a symbol by themselves."""
+
 
 class Placement(NamedTuple):
     """One placement: a scene summary, the object that is carried, and its destination."""
@@ -39,47 +49,62 @@ class Placement(NamedTuple):
 
 def symbol_vector(placement: Placement) -> Array:
     """The symbols (n,) of `placement`, in the order of `SYMBOLS`; an object that is not in the summary has none."""
-    line, person = _line(placement.summary, placement.object_name), _line(placement.summary, "person")
-    free = "across" if "free_finger_axis across" in line else "along"
+    words, person = _words(placement.summary, placement.object_name), _words(placement.summary, "person")
     found = {"constant", *(["to a place"] if not _is_container(placement) else [])}
-    for axis, name in (("free", free), ("other", "along" if free == "across" else "across")):
-        if match := re.search(rf"neighbour_{name} (\w+) (\S+?)(,|$)", line):
-            found.add(f"{match[1]} neighbour on the {axis} axis")
-            found |= {f"neighbour within 3 cm on the {axis} axis"} if match[2] == "<3cm" else set()
-    if match := re.search(r"path_max_height (\w+)", _path(placement, line)):
-        found.add(f"{match[1]} object on the path")
-    words = {
-        "overhead": "overhead",
-        "over_object": "overhead above the object",
-        "over_end": "overhead above the end",
-        "near_edge": "near the edge",
-        "fragile": "fragile",
-        "tight": "tight",
-    }
-    found |= {name for word, name in words.items() if re.search(rf"\b{word}\b", line)}
-    found |= {f"person {state}" for state in ("near", "crossing") if person == state}
+    found |= _neighbour_symbols(words)
+    found |= {f"{height} object on the path" for height in HEIGHTS if f"path_max_height {height}" in _path(placement)}
+    found |= {name for word, name in SINGLE_WORDS.items() if word in words}
+    found |= {f"person {state}" for state in ("near", "crossing") if state in person}
     return np.array([float(name in found) for name in SYMBOLS])
 
 
 def stated_value(placement: Placement, word: str) -> str:
     """The value after `word` in the line of the object, for the path to the destination; "" if it is not stated."""
-    line = _line(placement.summary, placement.object_name)
-    match = re.search(rf"\b{word} ([\w.]+)", _path(placement, line)) or re.search(rf"\b{word} ([\w.]+)", line)
-    return match[1] if word and match else ""
+    for words in (_path(placement), _words(placement.summary, placement.object_name)):
+        for one in words:
+            name, _, value = one.partition(" ")
+            if name == word:
+                return value
+    return ""
 
 
-def _line(summary: str, name: str) -> str:
-    """The text after `name` in the line of this object; "" if there is none."""
-    return next((line[len(name) + 2 :] for line in summary.splitlines() if line.startswith(f"{name}: ")), "")
+def _neighbour_symbols(words: Sequence[str]) -> set[str]:
+    """The symbols of the neighbours, by the free and the other finger axis."""
+    free = "across" if "free_finger_axis across" in words else "along"
+    found: set[str] = set()
+    for axis, name in (("free", free), ("other", "along" if free == "across" else "across")):
+        for one in words:
+            kind, _, description = one.partition(" ")
+            height, _, gap = description.partition(" ")
+            if kind == f"neighbour_{name}":
+                found.add(f"{height} neighbour on the {axis} axis")
+                found |= {f"neighbour within 3 cm on the {axis} axis"} if gap == "<3cm" else set()
+    return found
+
+
+def _words(summary: str, name: str) -> list[str]:
+    """The comma-separated words in the line of `name`; none if there is no such line."""
+    line = next((line[len(name) + 2 :] for line in summary.splitlines() if line.startswith(f"{name}: ")), "")
+    return line.split(", ")
 
 
 def _is_container(placement: Placement) -> bool:
-    return _line(placement.summary, placement.destination).startswith("container")
+    return _words(placement.summary, placement.destination)[0] == "container"
 
 
-def _path(placement: Placement, line: str) -> str:
-    """The symbols of the path to the destination: the summary lists one path per container in their order."""
-    containers = re.findall(r"^(\w+): container", placement.summary, re.MULTILINE)
-    paths = re.findall(r"path_max_height.*?(?=, path_max_height|$)", line)
+def _path(placement: Placement) -> list[str]:
+    """The words of the path to the destination: a line describes one path per container, in the order of the lines."""
+    containers = [
+        name
+        for line in placement.summary.splitlines()
+        for name, _, rest in [line.partition(": ")]
+        if rest.split(", ")[0] == "container"
+    ]
+    paths: list[list[str]] = []
+    for word in _words(placement.summary, placement.object_name):
+        if word.startswith("path_max_height "):
+            paths.append([])
+        if paths:
+            paths[-1].append(word)
     at = containers.index(placement.destination) if placement.destination in containers else 0
-    return paths[at] if at < len(paths) else ""
+    return paths[at] if at < len(paths) else []
