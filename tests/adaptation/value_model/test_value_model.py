@@ -66,7 +66,8 @@ def siblings(n, rng, noise=0.0):
     found = []
     for index in range(n):
         overhead = bool(rng.integers(2))
-        summary = f"red_cube: object, free_finger_axis along{', overhead over_path' if overhead else ''}\nblue_bowl: container"
+        words = "object, free_finger_axis along" + (", overhead over_path" if overhead else "")
+        summary = f"red_cube: {words}\nblue_bowl: container"
         place = float(rng.uniform(0.0, 0.5))
         utilities = {
             "fitted": place + 0.25,

@@ -8,6 +8,8 @@ from dualbrain.adaptation.curation.curate import CurationConfig
 from dualbrain.adaptation.value_model.value_model import fit_value_model
 from dualbrain.contracts.verdict import Accepted
 from dualbrain.grounding.alternatives import DEFAULT_ALTERNATIVE
+from dualbrain.grounding.instruction.goals.goal import Goal
+from dualbrain.grounding.instruction.goals.goal_reading import read_goal
 from dualbrain.grounding.vocabulary import load_skill_registry
 from dualbrain.runtime.data_collection.exploration import explore as exploration
 from dualbrain.runtime.data_collection.exploration.explore import TRIALS_FILE, explore, nth_place, read_trials
@@ -116,10 +118,11 @@ def test_a_proposal_is_the_choice_in_words_that_state_its_values(value_model):
     place = nth_place("panda", "teach", 3, 0)
     assert proposal.contract == place.contracts()["slow"]
     assert proposal.source == SOURCE
-    assert place.summary in proposal.prompt[-1]["content"].replace("under", "<").replace("over 6cm", ">6cm") or (
-        "opening" in proposal.prompt[-1]["content"]
+    assert (
+        f"opening {msgspec.json.decode(proposal.contract)['action_sequence'][0]['params']['opening']:g}"
+        in (proposal.prompt[-1]["content"])
     )
-    assert instruction_of(proposal)
+    assert isinstance(read_goal(instruction_of(proposal), place.scene), Goal), "the senses can confirm the outcome"
 
 
 def test_rehearsal_examples_are_accepted_by_the_gate_and_include_declines():
