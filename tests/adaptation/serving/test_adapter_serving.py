@@ -123,6 +123,19 @@ def test_each_adapter_answers_as_in_torch(home):
             planner.close()
 
 
+def test_the_card_decides_whether_the_scene_states_values(home, tmp_path):
+    request = plan_request(scene_with_values="red_cube: object, free_finger_axis along, opening 0.055")
+    for stated in (False, True):
+        folder = tmp_path / f"values-{stated}"
+        _, card = tiny_adapter.write_adapter(model("llama"), folder, 5)
+        write_adapter_card(msgspec.structs.replace(card, scene_values=stated), folder)
+        planner = open_one(home, f"adapter:{folder}")
+        try:
+            assert ("opening 0.055" in str(planner.messages(request))) is stated
+        finally:
+            planner.close()
+
+
 def test_stacked_adapters_add_up(home, tmp_path, monkeypatch):
     monkeypatch.setattr(packaged, "PACKAGED_FOLDER", tmp_path)
     lower, card = tiny_adapter.write_adapter(model("llama"), tmp_path / "first")
