@@ -73,6 +73,17 @@ app.command(
     answer.""",
 )
 app.command("dualbrain.cli.run.demo:demo", name="demo", help="Run the main example, with a person in the way.")
+app.command(
+    "dualbrain.cli.run.shell.shell:shell",
+    name="shell",
+    help="""Give instructions one after another; the planner stays loaded, and objects stay where they were put.
+
+    Every instruction passes the same gate and the same filter as with `dualbrain run`, and has a run folder of its own.
+    `stop` and Ctrl-C stop the motion at any time and leave the shell open. The live view has a field for instructions.
+
+    Examples: `dualbrain shell`; `dualbrain shell --live --planner starter-135m`; without a terminal
+    `printf 'put the red cube in the bowl\ngo home\n' | dualbrain shell --headless`.""",
+)
 app.command("dualbrain.cli.run.schema:schema", name="schema", help="Print the contract schema of a robot.")
 app.command("dualbrain.cli.run.check:check", name="check", help="Check a contract file with the gate.")
 app.command(

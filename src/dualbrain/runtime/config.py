@@ -57,14 +57,18 @@ class RunConfig:
     """Intervention threshold ε: a successful episode with Δ > ε lowers the weights of the memories it used."""
     unrecorded: bool = False
     """Whether the arm may move on if the recording cannot be written."""
+    after: Path | None = None
+    """Run folder whose end is the beginning of this run, instead of `scene`."""
     adapters: Path | None = None
     """Folder of the adapter registry; None: the folder `adapters` beside the ledger."""
 
     def encode(self) -> bytes:
-        """The content of `config.json`, with the field names of earlier versions; `unrecorded` only if it is set."""
+        """The content of `config.json`, with the field names of earlier versions; newer fields only if they are set."""
         fields = msgspec.to_builtins(self, enc_hook=str)
         if not self.unrecorded:
             del fields["unrecorded"]
+        if self.after is None:
+            del fields["after"]
         stored = {STORED_NAMES.get(name, name): value for name, value in fields.items()}
         return msgspec.json.format(msgspec.json.encode(stored), indent=2)
 

@@ -15,12 +15,13 @@ from dualbrain.control.control_loop import TickSnapshot
 from dualbrain.control.gatekeeper.protocol.messages import TickReport
 from dualbrain.control.recording.trace import DEAD_BAND, Event
 from dualbrain.records import Episode, Scene
-from dualbrain.runtime.backends.gatekeeper import GatekeeperBackend
-from dualbrain.runtime.session import Session
+from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.obstacles import obstacles_from_scene
+from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.plant.render_meshes import link_meshes
-from dualbrain.visualization.live.operator_buttons import OperatorAccess
+from dualbrain.visualization.live.operator.instruction_field import LineTone, SubmitCallback
+from dualbrain.visualization.live.operator_buttons import OperateCallback, OperatorAccess
 from dualbrain.visualization.live.panel import commanded_speeds
 from dualbrain.visualization.live.view import LiveView
 from dualbrain.visualization.live.view_state import ViewState
@@ -31,19 +32,33 @@ MAX_LINES = 12
 class LiveFeed:
     """Converts snapshots of the control loop into states of the live view; averages cover the snapshots received."""
 
-    def __init__(self, session: Session, backend: GatekeeperBackend | None, port: int, console: Console) -> None:
-        """Open the view and print its address; with a gatekeeper the view has operator buttons."""
-        self._robot_model = session.robot_model
-        self._plant = session.plant
-        self._kinematics = SafetyFilter(session.robot_model)
+    def __init__(
+        self,
+        robot_model: RobotModel,
+        plant: Plant,
+        port: int,
+        console: Console,
+        *,
+        instruction: str = "",
+        operate: OperateCallback | None = None,
+        submit: SubmitCallback | None = None,
+    ) -> None:
+        """Open the view of `plant` and print its address.
+
+        With `operate`, which sends operator actions to a gatekeeper, the view has operator buttons; with `submit` it
+        has a field for instructions.
+        """
+        self._robot_model, self._plant = robot_model, plant
+        self._kinematics = SafetyFilter(robot_model)
         code = secrets.token_urlsafe(9)
-        access = OperatorAccess(backend.operate, code) if backend is not None else None
+        access = OperatorAccess(operate, code) if operate is not None else None
         self._view = LiveView(
-            session.robot_model,
+            robot_model,
             port,
-            instruction=session.config.instruction,
+            instruction=instruction,
             access=access,
-            link_meshes=link_meshes(session.plant),
+            link_meshes=link_meshes(plant),
+            submit=submit,
         )
         self._lines: deque[str] = deque(maxlen=MAX_LINES)
         self._deltas: list[float] = []
@@ -56,6 +71,25 @@ class LiveFeed:
             console.print(
                 f"buttons: the emergency stop needs no code; all others need the operator code [bold]{code}[/]"
             )
+
+    def follow(self, plant: Plant) -> None:
+        """Show another run of the same robot from now on; averages begin again."""
+        self._plant = plant
+        self._lines.clear()
+        self._deltas, self._h_min = [], inf
+
+    def show_at_rest(self, scene: Scene) -> None:
+        """Show the plant and a perceived `scene` before the first run."""
+        self._view.show(ViewState(t=0.0, frames=self._plant.link_poses(), scene=scene, margins=_margins(scene)))
+
+    def show_line(self, text: str, tone: LineTone = "plain") -> None:
+        """Show a line below the field for instructions, if there is one."""
+        if self._view.instruction_field is not None:
+            self._view.instruction_field.show_line(text, tone)
+
+    def close(self) -> None:
+        """Close the page."""
+        self._view.close()
 
     def on_event(self, event: Event) -> None:
         """Show an event as a line of text."""

@@ -31,7 +31,7 @@ def open_scene(choice: str, robot: str = "panda") -> SceneSpec:
         return _generate_scene(family, int(seed or 0), robot)
     path = Path(choice)
     if path.suffix == ".json" or path.exists():
-        return _require_robot(robot, load_scene(path), path)
+        return require_robot(robot, load_scene(path), str(path))
     if choice.replace(":", "").replace("_", "").isalnum():
         owner = "the catalogue (a number or a scene file also works)"
         raise UnknownNameError("scene", family, families, owner=owner)
@@ -62,8 +62,10 @@ def _generate_scene(family: str, seed: int, robot: str) -> SceneSpec:
     return (make_room if is_mobile(robot) else make_scene)(family, seed, robot)
 
 
-def _require_robot(robot: str, spec: SceneSpec, path: Path) -> SceneSpec:
+def require_robot(robot: str, spec: SceneSpec, path: str = "") -> SceneSpec:
+    """`spec`, read from the file `path`; raises `ConfigurationError` if it is the scene of another robot."""
     if spec.robot != robot:
-        sentence = f"The scene file is for robot {spec.robot!r}, not for {robot!r}."
-        raise ConfigurationError.stating(sentence, fix=f"Choose another file, or pass --robot {spec.robot}. {path}")
+        sentence = f"The scene is for robot {spec.robot!r}, not for {robot!r}."
+        fix = f"Choose another one, or pass --robot {spec.robot}. {path}".strip()
+        raise ConfigurationError.stating(sentence, fix=fix)
     return spec
