@@ -29,6 +29,7 @@ from dualbrain.cli.common.spinner import Spinner
 from dualbrain.cli.run.live_feed import LiveFeed
 from dualbrain.cli.run.snapshots import PhaseCamera
 from dualbrain.cli.run.stop_command import listen_for_stop
+from dualbrain.control.control_loop import TickSnapshot
 from dualbrain.control.recording.trace import Event
 from dualbrain.core.paths import dualbrain_home
 from dualbrain.core.processes.real_time_pacer import RealTimePacer
@@ -152,7 +153,8 @@ def run_session(
         camera.take_snapshot("end of the run")
         camera.close()
         path = session.config.out / "report.html"
-        write_report(path, result.episode, result.trace, camera.snapshots, project_memories(session.memory))
+        memories = project_memories(session.memory)
+        write_report(path, result.episode, result.trace, camera.snapshots, memories, result.earlier_episodes)
         console.print(f"[dim]report: {path}[/]")
 
     return result, report
@@ -243,7 +245,12 @@ def _make_observer(console: Console, camera: PhaseCamera, feed: LiveFeed | None,
         if feed:
             feed.on_event(event)
 
-    return RunObserver(on_event, feed.on_tick if feed else lambda snapshot: None, camera.on_phase)
+    def on_tick(moment: TickSnapshot) -> None:
+        camera.on_tick(moment)
+        if feed:
+            feed.on_tick(moment)
+
+    return RunObserver(on_event, on_tick, camera.on_phase)
 
 
 def _event_text(event: Event) -> str:
