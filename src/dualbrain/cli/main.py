@@ -124,12 +124,18 @@ app.command(
 app.command(
     "dualbrain.cli.evaluation.report:compare",
     name="compare",
-    help="""Compare two evaluations: changes of metrics by method, and differences of their configurations.
+    help="""Compare two evaluations: the changes whose direction is known, and the differences of their configurations.
 
     Prints the differences of their configurations. Then, over the methods, scenes, seeds and repetitions that both
-    contain, and for each method and metric: the second minus the first, its interval over common clusters, p values
-    corrected for multiple comparisons (Holm), and the conclusion that these support.""",
+    contain, and for each method and metric that is better or worse: the second minus the first, its interval over
+    common clusters, and the p value corrected for multiple comparisons (Holm). `--all` prints every metric.""",
 )
+
+app.command("dualbrain.cli.scenes.commands:list_scenes", name="scenes", help="List the scene families of a robot.")
+scene = App(name="scene", help="Show one scene, or arrange a new one in a page.")
+app.command(scene)
+scene.command("dualbrain.cli.scenes.commands:show_scene", name="show", help="Print a scene as a table, with an image.")
+scene.command("dualbrain.cli.scenes.commands:new_scene", name="new", help="Arrange a scene in a page, and save it.")
 
 export = App(name="export", help="Write recorded runs in the formats of other programs.")
 app.command(export)
