@@ -64,6 +64,11 @@ class OperatorAccess:
             self._attempts.record_failure(page)
             return False
 
+    def is_unlocked(self, page: int) -> bool:
+        """Whether the operator's code was entered on `page`."""
+        with self._lock:
+            return page in self._operators
+
     def describe_refusal(self, page: int) -> str:
         """Why the last code did not unlock `page`, as text for the page."""
         with self._lock:

@@ -16,6 +16,7 @@ from dualbrain.errors import ConfigurationError, MissingDependencyError
 from dualbrain.records import Episode
 from dualbrain.robots.model import RobotModel
 from dualbrain.visualization.live.connection_guard import HOST, guard_is_active, guard_new_servers
+from dualbrain.visualization.live.operator.instruction_field import InstructionField, SubmitCallback
 from dualbrain.visualization.live.operator_buttons import OperatorAccess, OperatorButtons
 from dualbrain.visualization.live.panel import LivePanel, speed_rows
 from dualbrain.visualization.live.robot_view import LinkMeshes, LiveRobot
@@ -45,10 +46,12 @@ class LiveView:
         instruction: str = "",
         access: OperatorAccess | None = None,
         link_meshes: LinkMeshes | None = None,
+        submit: SubmitCallback | None = None,
     ) -> None:
         """Serve on `port`, or with `allow_other_port` on the next free port.
 
-        Links without a mesh in `link_meshes` are drawn as spheres. With `access` the page has operator buttons.
+        Links without a mesh in `link_meshes` are drawn as spheres. With `access` the page has operator buttons. With
+        `submit` it has a field for instructions, `instruction_field`.
 
         Raises:
             MissingDependencyError: viser is not installed.
@@ -67,6 +70,7 @@ class LiveView:
         self._add_toggles()
         if access is not None:
             OperatorButtons(self._server, access)
+        self.instruction_field = InstructionField(self._server, submit, access) if submit is not None else None
         if instruction:
             self._panel.show_instruction(instruction)
         self._latest: ViewState | None = None
