@@ -216,7 +216,9 @@ def _make_observer(console: Console, camera: PhaseCamera, feed: LiveFeed | None,
         if feed:
             feed.on_event(event)
 
-    return RunObserver(on_event, feed.on_tick if feed else lambda snapshot: None, camera.on_phase)
+    if feed is None:
+        return RunObserver(on_event, on_phase=camera.on_phase)
+    return RunObserver(on_event, feed.on_tick, camera.on_phase, feed.on_attempt)
 
 
 def _print_result(console: Console, result: RunResult) -> None:

@@ -83,6 +83,10 @@ class OperatorAccess:
             self._operators.discard(page)
             self._attempts.remove_page(page)
 
+    def emergency_stop(self) -> str:
+        """Send the emergency stop, which needs no code; "" or the reason of the failure."""
+        return self._operate("estop", 1.0)
+
     def apply(self, page: int, action: OperatorAction, speed: float = 1.0) -> str:
         """Send `action` to the gatekeeper if `page` is permitted to; the result as text for the page."""
         if action not in UNRESTRICTED_ACTIONS and page not in self._operators:
