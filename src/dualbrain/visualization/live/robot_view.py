@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from math import dist
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,12 +25,23 @@ LinkMeshes = Mapping[str, "Sequence[ColouredMesh]"]
 
 LIMITING_COLOUR: Colour = (210, 82, 30)
 """Colour of a link that limits the motion."""
+VISIBLE_MOTION_M, VISIBLE_TURN = 5e-4, 5e-4
+"""Smallest motion [m] and smallest distance of two quaternions that are drawn."""
 MERGE_CELL_M = 0.008
 """Size [m] of the surface details that are not sent to the browser, which may have no graphics card."""
 
 COLOUR_CLEARANCES_M = (0.0, 0.01, 0.03, 0.08)
 """Clearances [m] of the colours in `CLEARANCE_COLOURS`; colours between them are interpolated."""
 CLEARANCE_COLOURS = np.array([[200, 60, 10], [235, 150, 30], [120, 170, 190], [70, 130, 190]], float)
+
+
+def is_moved(shown: Pose | None, pose: Pose) -> bool:
+    """Whether `pose` differs visibly from the `shown` one; equal poses cost a comparison of viser each."""
+    return (
+        shown is None
+        or dist(shown.position, pose.position) > VISIBLE_MOTION_M
+        or dist(shown.quaternion, pose.quaternion) > VISIBLE_TURN
+    )
 
 
 def clearance_colours(clearances: Array) -> NDArray[np.uint8]:
@@ -65,6 +77,7 @@ class LiveRobot:
         self._links: dict[str, FrameHandle] = {}
         self._surfaces: dict[str, list[tuple[Any, Colour]]] = {link.name: [] for link in robot_model.links}
         self._tinted: frozenset[str] = frozenset()
+        self._shown_poses: dict[str, Pose] = {}
         for link in robot_model.links:
             self._links[link.name] = scene.add_frame(f"/robot/{link.name}", show_axes=False)
             self._add_link_meshes(link.name, link_meshes.get(link.name, ()))
@@ -91,8 +104,9 @@ class LiveRobot:
 
     def _set_link_poses(self, frames: Mapping[str, Pose]) -> None:
         for name, pose in frames.items():
-            if (link := self._links.get(name)) is not None:
+            if (link := self._links.get(name)) is not None and is_moved(self._shown_poses.get(name), pose):
                 link.position, link.wxyz = pose.position, pose.quaternion
+                self._shown_poses[name] = pose
 
     def _tint(self, links: frozenset[str]) -> None:
         """Colour the surfaces of `links`, and give the others their own colour again."""

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dualbrain.core.geometry.shapes import Bowl, Box, Capsule, Cylinder, HalfSpace, Shape, Sphere
+from dualbrain.core.geometry.shapes import Bowl, Box, Capsule, Cylinder, HalfSpace, Pose, Shape, Sphere
 from dualbrain.core.untrusted.visible_text import visible_text
 from dualbrain.records import Place, SceneObject
-from dualbrain.visualization.live.robot_view import LinkMeshes
+from dualbrain.visualization.live.robot_view import LinkMeshes, is_moved
 from dualbrain.visualization.live.view_state import ViewState
 
 if TYPE_CHECKING:
@@ -58,14 +58,15 @@ PLACE_COLOUR, PLACE_RADIUS, PLACE_HALF_HEIGHT = (10, 127, 95), 0.12, 0.003
 MARGIN_COLOUR, MARGIN_OPACITY = (240, 150, 40), 0.24
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class _ObjectNodes:
-    """Scene nodes of one object, with the shape and the margin [m] that they show."""
+    """Scene nodes of one object, with the shape, the margin [m] and the pose that they show."""
 
     shape: Shape
     margin: float
     frame: FrameHandle
     margin_mesh: MeshHandle | None
+    pose: Pose | None = None
 
 
 class LiveScene:
@@ -135,7 +136,9 @@ class LiveScene:
             if node is not None:
                 node.frame.remove()
             node = self._objects[scene_object.name] = self._add_object(scene_object, margin)
-        node.frame.position, node.frame.wxyz = scene_object.pose.position, scene_object.pose.quaternion
+        if is_moved(node.pose, scene_object.pose):
+            node.pose = scene_object.pose
+            node.frame.position, node.frame.wxyz = node.pose.position, node.pose.quaternion
         if node.margin_mesh is not None:
             node.margin_mesh.visible = self._show_margins
 
@@ -154,7 +157,7 @@ class LiveScene:
         margin_mesh = (
             self._add_mesh(f"{path}/margin", shape, margin, MARGIN_COLOUR, MARGIN_OPACITY) if inflated else None
         )
-        return _ObjectNodes(shape, margin, frame, margin_mesh)
+        return _ObjectNodes(shape=shape, margin=margin, frame=frame, margin_mesh=margin_mesh)
 
     def _add_patches(self, path: str, patches: Sequence[ColouredMesh]) -> None:
         for k, patch in enumerate(patches):

@@ -10,6 +10,7 @@ from __future__ import annotations
 import socket
 import time
 from dataclasses import replace
+from math import inf
 from threading import Event as Signal
 from threading import Thread
 from typing import TYPE_CHECKING
@@ -17,7 +18,6 @@ from typing import TYPE_CHECKING
 from dualbrain.errors import ConfigurationError, MissingDependencyError
 from dualbrain.records import Episode
 from dualbrain.robots.model import RobotModel
-from dualbrain.visualization.html.page import Html
 from dualbrain.visualization.live.connection_guard import HOST, guard_is_active, guard_new_servers
 from dualbrain.visualization.live.motion.motion_overlay import MotionOverlay, legend_html
 from dualbrain.visualization.live.operator.instruction_field import InstructionField, SubmitCallback
@@ -32,8 +32,8 @@ from dualbrain.visualization.live.web.own_pages import OwnPages
 if TYPE_CHECKING:
     from viser import ViserServer
 
-FRAME_RATE_HZ = 15.0
-"""Maximum frame rate [1/s]."""
+FRAME_RATE_HZ, PANEL_RATE_HZ = 12.0, 4.0
+"""Maximum rate of the 3D scene, and of the texts and plots [1/s]."""
 MAX_PORTS_TRIED = 20
 RESULT_TIME_S = 0.8
 """Time [s] in which every open page asks for the result of a run at least once."""
@@ -89,6 +89,8 @@ class LiveView:
             self._panel.show_instruction(instruction)
         self._latest: ViewState | None = None
         self._episode: Episode | None = None
+        self._panel_at = -inf
+        self._server.on_client_connect(lambda client: self._stale.set())
         self._thread = Thread(target=self._draw, name="live view", daemon=True)
         self._thread.start()
 
@@ -146,20 +148,36 @@ class LiveView:
         if episode is not None:
             kind, reason = episode.outcome.kind.replace("_", " "), episode.outcome.reason
             situation = replace(situation, result=f"{kind}. {reason[:1].upper()}{reason[1:]}.")
-        numbers = final_html(episode) if episode is not None else numbers_html(state, self._speeds) if state else ""
+
+        def numbers() -> str:
+            if episode is not None:
+                return final_html(episode)
+            return numbers_html(state, self._speeds) if state is not None else ""
+
         status, ended = self._status.update(situation), episode is not None
-        self._pages.publish(status, Html(numbers), expires=situation.in_contract and not ended, ended=ended)
+        self._pages.publish(status, numbers, expires=situation.in_contract and not ended, ended=ended)
 
     def _draw_one(self, state: ViewState | None, episode: Episode | None) -> None:
         self._publish(state, episode)
+        if episode is None and not self._server.get_clients():  # a page that opens sets `_stale`
+            return
         with self._server.atomic():
             if state is not None:
                 self._robot.update(state)
                 self._scene.update(state)
                 self._overlay.update(state)
-                self._panel.update(state)
+                self._update_panel(state)
             if episode is not None:
                 self._panel.finish(episode)
+
+    def _update_panel(self, state: ViewState) -> None:
+        """Update the texts and plots at `PANEL_RATE_HZ`, because they take most of the time."""
+        now = time.monotonic()
+        if now - self._panel_at < 1.0 / PANEL_RATE_HZ:
+            self._stale.set()
+            return
+        self._panel_at = now
+        self._panel.update(state)
 
 
 def find_free_port(first_port: int, max_tries: int) -> int:

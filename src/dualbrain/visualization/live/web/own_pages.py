@@ -53,11 +53,14 @@ class OwnPages:
     ) -> None:
         """Start before the first state; with `emergency_stop` the pages have a button for it. `clock` returns [s]."""
         self._emergency_stop, self._clock = emergency_stop, clock
-        self._status, self._numbers = STARTING, Html("")
+        self._status: OperatorStatus = STARTING
+        self._numbers: Callable[[], str] = str
         self._published_at, self._ended, self._expires, self._notice = clock(), False, False, ""
 
-    def publish(self, status: OperatorStatus, numbers: Html, *, expires: bool, ended: bool = False) -> None:
-        """Show `status` and the table `numbers` from now on.
+    def publish(
+        self, status: OperatorStatus, numbers: Callable[[], str], *, expires: bool, ended: bool = False
+    ) -> None:
+        """Show `status` from now on, and on the text page the HTML table that `numbers` makes.
 
         A status that `expires`, that of a moving robot, is not shown any more after `STALE_AFTER_S` without another.
         """
@@ -128,7 +131,7 @@ class OwnPages:
             element("ol", *(element("li", step) for step in status.steps)) if status.steps else Html(""),
             join(stop if self._emergency_stop is not None else []),
             element("p", self._notice),
-            self._numbers,
+            Html(self._numbers()),
             element("p", element("a", "3D view (needs WebGL)", href="/")),
         )
         title = element("h1", status.state.value, id="state", class_=status.state.name)
