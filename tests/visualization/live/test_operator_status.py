@@ -82,7 +82,9 @@ def test_a_robot_without_a_contract_holds_and_a_finished_run_has_stopped():
 
 def test_an_emergency_stop_is_shown_even_after_the_end_of_the_run():
     now = Situation(result="emergency", action="ESTOP", check="estop")
-    assert describe_situation(now).state is OperatorState.EMERGENCY_STOP
+    status = describe_situation(now)
+    assert status.state is OperatorState.EMERGENCY_STOP
+    assert status.steps == (), "no gatekeeper is left that could be reset"
 
 
 def test_giving_way_stays_for_a_moment_but_never_hides_a_stop():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 from dualbrain.control.recording.trace import DEAD_BAND
@@ -92,8 +92,12 @@ RESET_STEPS = (
     "When the danger is over: open “operator”, enter the code, and press “1. release the emergency stop”.",
     "Press “2. reset, into hold”. The arm holds still until you press “resume”.",
 )
+AFTER_RUN = "The run has ended, and with it the drive is off. Find and remove the cause before the next instruction."
 FAULT_RESET_STEPS = ("Find and remove the cause.", RESET_STEPS[1])
-"""Steps of the reset after the emergency-stop button, and after a fault that led to an emergency stop."""
+"""Steps of the reset after the emergency-stop button, and after a fault that led to an emergency stop.
+
+A run whose contract ends so ends too; its page then shows `AFTER_RUN`.
+"""
 
 _CHECKS: dict[str, Check] = {check.name: check for check in (*CHECKS, RESET_HELD)}
 _NEXT_BY_CHECK = {
@@ -134,7 +138,8 @@ def describe_situation(now: Situation) -> OperatorStatus:
     """The status without regard to earlier situations; the supervisor's decision is before everything else."""
     action = SafetyAction[now.action] if now.action in SafetyAction.__members__ else SafetyAction.NONE
     if action >= SafetyAction.HOVER:
-        return _supervised(action, _CHECKS.get(now.check))
+        status = _supervised(action, _CHECKS.get(now.check))
+        return replace(status, next_action=AFTER_RUN, steps=()) if now.result else status
     if now.result:
         return OperatorStatus(
             state=OperatorState.STOPPED,
