@@ -113,6 +113,16 @@ def test_the_table_stops_the_tool_and_the_reason_is_named(safety, panda, state_a
     assert last.delta == pytest.approx(last.delta_rows + last.delta_box)
 
 
+def test_the_pairs_of_the_binding_rows_name_link_and_obstacle(safety, panda, state_at):
+    free, *_, last = drive(safety, state_at, np.array(panda.home), toward(safety, (0, 0, -1), 0.3), 2500)[1]
+    assert free.obstacle_pairs == ()
+    link, obstacle, h = last.obstacle_pairs[0]
+    assert link in {one.name for one in panda.links}
+    assert obstacle == "table"
+    strongest = max((row for row in last.active_rows if "table" in row[0]), key=lambda row: row[2])
+    assert (f"{link} vs 'table'", h) == strongest[:2]
+
+
 def test_delta_is_the_weighted_distance(safety, panda, state_at):
     u_nom = np.full(7, 2.0)
     answer = safety.filter(state_at(panda.home), u_nom, 0.0)
