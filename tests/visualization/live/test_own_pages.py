@@ -1,6 +1,8 @@
 """Pages beside the 3D client: words as JSON and as text, stale states, the emergency stop, foreign links."""
 
+import re
 import threading
+from importlib import resources
 from types import SimpleNamespace
 
 import msgspec
@@ -8,7 +10,7 @@ import pytest
 from websockets.datastructures import Headers
 
 from dualbrain.visualization.live.connection_guard import _refuse_stop
-from dualbrain.visualization.live.operator.operator_status import STARTING, Situation, describe_situation
+from dualbrain.visualization.live.operator.operator_status import STARTING, OperatorState, Situation, describe_situation
 from dualbrain.visualization.live.web.own_pages import STALE, STALE_AFTER_S, OwnPages, index_page
 
 MOVING = describe_situation(Situation(in_contract=True, phase="carry"))
@@ -63,15 +65,17 @@ def test_untrusted_words_are_escaped():
 
 
 def test_the_emergency_stop_is_sent_at_once_without_waiting_for_its_result():
-    sent, answered = threading.Event(), threading.Event()
+    sent, answered, ended = threading.Event(), threading.Event(), threading.Event()
 
     def stop() -> str:
         sent.set()
-        answered.wait(10.0)
+        answered.wait(5.0)
+        ended.set()
         return "there is no gatekeeper"
 
     pages = OwnPages(stop)
     response = pages.respond("/estop", accepts_gzip=False)
+    assert not ended.is_set()
     assert (response.status, response.headers["Location"]) == (303, "/text")
     assert sent.wait(10.0)
     answered.set()
@@ -105,3 +109,31 @@ def test_the_client_page_contains_the_bar_and_names_the_project():
 
 def test_other_paths_belong_to_the_client():
     assert OwnPages().respond("/assets/x.js", accepts_gzip=True) is None
+
+
+@pytest.mark.parametrize("file", ["status_bar.css", "text_page.css"])
+def test_every_state_has_a_colour_of_its_own_with_readable_text(file: str) -> None:
+    style = resources.files("dualbrain.visualization.live.web").joinpath(file).read_text("utf-8")
+    grounds = set()
+    for state in OperatorState:
+        rule = re.search(rf"\.{state.name} \{{([^}}]*)\}}", style)
+        assert rule, state
+        ground = re.search(r"background: (#\w{6})", rule[1])
+        text = re.search(r"(?<![-\w])color: (#\w{3,6})", rule[1])
+        assert ground
+        grounds.add(ground[1])
+        assert contrast(ground[1], text[1] if text else "#fff") >= 4.5
+    assert len(grounds) == len(OperatorState)
+
+
+def contrast(one: str, other: str) -> float:
+    """Contrast ratio of two colours (WCAG 2)."""
+    low, high = sorted((luminance(one), luminance(other)))
+    return (high + 0.05) / (low + 0.05)
+
+
+def luminance(colour: str) -> float:
+    digits = colour[1:] if len(colour) == 7 else "".join(2 * digit for digit in colour[1:])
+    shares = [int(digits[k : k + 2], 16) / 255 for k in (0, 2, 4)]
+    linear = [share / 12.92 if share <= 0.04045 else ((share + 0.055) / 1.055) ** 2.4 for share in shares]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
