@@ -16,7 +16,7 @@ from dualbrain.core.paths import cache_folder, dualbrain_home, secure_home
 from dualbrain.memory.memory import StoreReport
 from dualbrain.memory.plasticity.hebbian_update import EPSILON
 from dualbrain.planner.registry import DEFAULT_PLANNER
-from dualbrain.records import Episode
+from dualbrain.records import Attempt, Episode
 from dualbrain.runtime.planning.planning_time import Clock
 
 STORED_NAMES = {"image_memory": "eyes"}
@@ -103,11 +103,12 @@ class Clocks:
 
 @dataclass(frozen=True, slots=True)
 class RunObserver:
-    """Callbacks of a run: each event, snapshots of the control loop, and the start of each phase."""
+    """Callbacks of a run: each event, snapshots of the control loop, start of each phase, each checked proposal."""
 
     on_event: Callable[[Event], None] = lambda event: None
     on_tick: Callable[[TickSnapshot], None] = lambda snapshot: None
     on_phase: Callable[[str], None] = lambda phase: None
+    on_attempt: Callable[[Attempt], None] = lambda attempt: None
 
 
 @dataclass(slots=True)

@@ -250,7 +250,9 @@ def _make_observer(console: Console, camera: PhaseCamera, feed: LiveFeed | None,
         if feed:
             feed.on_tick(moment)
 
-    return RunObserver(on_event, on_tick, camera.on_phase)
+    if feed is None:
+        return RunObserver(on_event, on_tick, camera.on_phase)
+    return RunObserver(on_event, on_tick, camera.on_phase, feed.on_attempt)
 
 
 def _event_text(event: Event) -> str:

@@ -107,7 +107,7 @@ class GatekeeperBackend:
         where, keys = Path(config.socket), Path(config.keys)
         client = GatekeeperClient(where, load_keys(keys, (PLANNER,)), PLANNER, on_report=watch)
         self._operator = operator = GatekeeperClient(where, load_keys(keys, (OPERATOR,)), OPERATOR)
-        log = FlightLog(Trace(model.n), None, observer.on_event)
+        log = FlightLog(Trace(model.n), None, observer.on_event, observer.on_attempt)
         executor = RemoteExecutor(model, client, log, context.interrupted)
         truth = GroundTruth(lambda contract: None, judge, context.versions, context.image_features)
         clock = PlanningClock(time.monotonic, measured=True)

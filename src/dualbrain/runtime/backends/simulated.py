@@ -36,7 +36,7 @@ class SimulatedBackend:
         path = config.out / "episode.mcap"
         reserve = reserve_for_recording(path, unrecorded=config.unrecorded)
         with Recorder(path, trace, when_full="wait", reserve=reserve) as recorder:
-            log = FlightLog(trace, recorder, observer.on_event)
+            log = FlightLog(trace, recorder, observer.on_event, observer.on_attempt)
             recorder.episode(0.0, {**_recording_metadata(context), "versions": context.versions})
             world = context.world
             cell = SimulatedCell(
