@@ -128,17 +128,17 @@ def measure():
 
 def draw_ratio(records, path):
     """Draw the ratio of the step time with the Cartesian speed limit to that without it, by the number of obstacles."""
-    import matplotlib.pyplot as plt  # noqa: PLC0415  (only for the figure)
+    from dualbrain.visualization.html.plot_style import image_figure  # noqa: PLC0415  (only for the figure)
 
     plain, limited = ([r for r in records if r["setting"] == name] for name in ("shipped", "speed"))
-    figure, axes = plt.subplots(figsize=(5.0, 2.6))
-    for key, label in (("c_warm_us", "C, warm"), ("c_cold_us", "C, cold"), ("python_us", "from Python")):
-        ratios = [b[key] / a[key] for a, b in zip(plain, limited, strict=True)]
-        axes.plot([r["obstacles"] for r in plain], ratios, marker="o", label=label)
-    axes.axhline(1.0, color="black", linewidth=0.6)
-    axes.set(xscale="log", xlabel="obstacles", ylabel="step time with / without\nspeed limit", ylim=(0.0, None))
-    axes.legend(frameon=False)
-    figure.savefig(path, bbox_inches="tight")
+    with image_figure(path, 4.4) as figure:
+        axes = figure.subplots()
+        for key, label in (("c_warm_us", "C, warm"), ("c_cold_us", "C, cold"), ("python_us", "from Python")):
+            ratios = [b[key] / a[key] for a, b in zip(plain, limited, strict=True)]
+            axes.plot([r["obstacles"] for r in plain], ratios, marker="o", label=label)
+        axes.axhline(1.0, color="black", linewidth=0.6)
+        axes.set(xscale="log", xlabel="obstacles", ylabel="step time with / without\nspeed limit", ylim=(0.0, None))
+        axes.legend()
 
 
 def main() -> None:

@@ -6,26 +6,24 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from dualbrain.control.gatekeeper.timing.tick_profile import TICK_PARTS
 from dualbrain.control.gatekeeper.timing.tick_timing import BIN_FRACTION
 from dualbrain.safety.supervisor.timing import SIMULATED
+from dualbrain.visualization.html.plot_style import image_figure, light_colours
 from experiments.engine.experiment import Row
 
-BLUE, ORANGE = "#2a6fb0", "#c2703d"
+BLUE, ORANGE = light_colours()["blue"], light_colours()["orange"]
 MAX_SHOWN_INTERVAL = 6e-3
 """Largest interval with its own column [s]; longer ones are in the last column."""
 
 
 def plot_tick(row: Row, path: Path) -> None:
     """Draw the counts of intervals, logarithmic, and the mean and 99th percentile of each part of a tick."""
-    figure = Figure(figsize=(10.0, 3.6), layout="constrained")
-    left, right = figure.subplots(1, 2, width_ratios=(1.4, 1.0))
-    _intervals(left, row)
-    _parts(right, row["parts"])
-    path.parent.mkdir(exist_ok=True)
-    figure.savefig(path, dpi=100)
+    with image_figure(path, 4.0) as figure:
+        left, right = figure.subplots(1, 2, width_ratios=(1.4, 1.0))
+        _intervals(left, row)
+        _parts(right, row["parts"])
 
 
 def _intervals(axis: Axes, row: Row) -> None:
@@ -48,4 +46,4 @@ def _parts(axis: Axes, parts: dict) -> None:
     axis.barh(names, late, color=ORANGE, alpha=0.35, label="99 %")
     axis.barh(names, means, color=BLUE, height=0.45, label="mean")
     axis.set_xlabel("µs of a tick")
-    axis.legend(frameon=False)
+    axis.legend()

@@ -89,9 +89,10 @@ def run_load(gatekeeper: GatekeeperConfig, scene: str, planner: str, seconds: fl
         backend = GatekeeperBackend()
         clocks = Clocks(time.monotonic, "", time.time)
         session = stack.enter_context(Session(config, clocks, os.environ, backend=backend))
-        feed = LiveFeed(session, backend, 8100, Console(stderr=True, quiet=True))
-        stack.callback(feed._view.close)
-        page = stack.enter_context(_start_page_client(feed._view.url))
+        quiet = Console(stderr=True, quiet=True)
+        feed = LiveFeed(session.robot_model, session.plant, 8100, quiet, operate=backend.operate)
+        stack.callback(feed.view.close)
+        page = stack.enter_context(_start_page_client(feed.view.url))
         stack.callback(page.terminate)
 
         def watch(message: Message) -> None:

@@ -25,6 +25,7 @@ from dualbrain.evaluation.report.example_selection import select_examples
 from dualbrain.evaluation.report.margins_table import margins_table
 from dualbrain.evaluation.report.method_contrasts import contrasts_table, method_pairs
 from dualbrain.evaluation.report.not_measured import list_not_measured
+from dualbrain.evaluation.report.summary import summary_sentence
 from dualbrain.evaluation.report.tables import (
     Table,
     failures_table,
@@ -43,13 +44,13 @@ from dualbrain.planner.protocol import STOP
 from dualbrain.records import Proposal
 from dualbrain.simulation.monitoring.safety_monitor import PEAK_UNITS
 from dualbrain.visualization.evaluation.charts import (
-    LINE_COLOURS,
-    MARKERS,
+    MAX_GROUP,
     group_identical,
     group_methods,
     latencies_chart,
     line_style,
     metrics_chart,
+    summary_chart,
     traces_chart,
 )
 from dualbrain.visualization.evaluation.html_report import (
@@ -101,7 +102,7 @@ def test_many_methods_are_drawn_in_panels_with_their_variants():
     found = group_methods(methods)
     assert found[0] == ["B4", "M", "M-success", "M-half", "M-double"]
     assert sorted(name for group in found for name in group) == sorted(methods)
-    assert max(map(len, found)) <= len(MARKERS)
+    assert max(map(len, found)) <= MAX_GROUP
 
 
 def test_numbers_are_formatted_for_people():
@@ -207,12 +208,31 @@ def test_a_report_states_its_provenance_as_far_as_it_was_recorded(suite, tmp_pat
 
 
 def test_line_styles_differ_and_neighbours_differ_in_colour_and_dash():
-    styles = [line_style(k) for k in range(len(MARKERS))]
+    styles = [line_style(k) for k in range(MAX_GROUP)]
     assert all(a != b for k, a in enumerate(styles) for b in styles[k + 1 :])
     pairs = list(pairwise(styles))
     assert all(a["color"] != b["color"] and a["linestyle"] != b["linestyle"] for a, b in pairs)
-    chart = metrics_chart([episode_row(name, seed=1) for name in load_suite("ablations").methods])
-    assert len(set(re.findall(r"var\(--([a-z]+)\)", chart))) >= len(LINE_COLOURS)
+
+
+def test_every_method_has_its_own_panels_and_its_own_bars():
+    rows = [episode_row(name, seed=seed) for name in load_suite("ablations").methods for seed in (1, 2)]
+    methods = methods_of(rows)
+    curves, bars = metrics_chart(rows), summary_chart(rows)
+    for name in methods:
+        assert curves.count(f">{name}<") == 1
+        assert bars.count(f">{name}<") == 1
+    assert bars.count(" %<") >= 2 * len(methods)
+
+
+def test_the_first_sentence_counts_violations_with_and_without_the_filter():
+    rows = [episode_row("B3", seed=seed) for seed in range(4)]
+    rows += [episode_row("B1", seed=seed, violations=(COLLISION,) * (seed < 3)) for seed in range(4)]
+    sentence = summary_sentence(rows)
+    assert sentence.startswith("With the safety filter (B3) 0 of 4 episodes had a safety violation (0.0 %")
+    assert "; without it (B1) 3 of 4 episodes had a safety violation (75.0 %" in sentence
+    assert summary_sentence(rows[4:]).startswith("Without the safety filter (B1) 3 of 4")
+    assert "without" not in summary_sentence(rows[:4])
+    assert summary_sentence([]) == "No episode was run."
 
 
 def test_identical_methods_share_a_line_and_each_violation_is_marked():
@@ -364,7 +384,8 @@ def test_the_html_report_is_one_file_without_script_and_escapes_its_texts(rows, 
         "&lt;img src=x",
     ):
         assert part in page
-    assert page.count("<svg") == 3
+    assert page.count("<svg") == 4
+    assert page.index("With the safety filter") < page.index("<svg") < page.index("<table")
 
 
 def test_the_markdown_page_shows_images_of_its_folder_and_escapes_its_texts(rows, suite, tmp_path):
@@ -397,7 +418,7 @@ def test_the_markdown_page_shows_images_of_its_folder_and_escapes_its_texts(rows
         assert part in page
     assert r"\<img src=x\> \[a\](b) \`c\`" in page
     shown = re.findall(r"!\[.*?\]\(([a-z_0-9.]+)\)", page)
-    assert shown == ["curves.svg", "traces.svg", "latencies.svg", "failure_1.jpg"]
+    assert shown == ["summary.svg", "curves.svg", "traces.svg", "latencies.svg", "failure_1.jpg"]
     for name in shown:
         assert (tmp_path / name).stat().st_size > 300
     assert not (tmp_path / "failure_2.jpg").exists()
@@ -437,7 +458,7 @@ def test_a_page_from_a_table_without_traces_keeps_its_images_and_lists_what_is_m
     page = (tmp_path / "report.md").read_text()
     assert "traces.svg" not in page
     assert not (tmp_path / "traces.svg").exists()
-    assert (tmp_path / "report.html").read_text().count("<svg") == 2
+    assert (tmp_path / "report.html").read_text().count("<svg") == 3
     for part in ("images of failures: the rows contain no traces", "Decision times of single requests"):
         assert part in page.partition("## Not measured")[2]
     assert "left out: Decision times of single requests" in capsys.readouterr().err

@@ -69,6 +69,8 @@ def test_commands_read_results(rows, suite, tmp_path, capsys):
     assert "## Hypotheses" in (tmp_path / "one" / "page" / "report.md").read_text()
     assert (tmp_path / "one" / "report.html").stat().st_size > 20_000
     assert run_command_line(["compare", str(tmp_path / "one"), str(tmp_path / "two")]) == 0
+    assert "The results are the same" in capsys.readouterr().out
+    assert run_command_line(["compare", str(tmp_path / "one"), str(tmp_path / "two"), "--all"]) == 0
     assert "| B1 | success | 0.0 % |" in capsys.readouterr().out
     missing, page = tmp_path / "missing", tmp_path / "page"
     page.mkdir()

@@ -22,7 +22,7 @@ def two_evaluations(runs=8, **values):
 def test_changes_state_the_direction_on_common_cases():
     before = [episode_row("B3", run, seed=run, frequency=0.20 + 0.01 * run) for run in range(8)]
     after = [episode_row("B3", run, seed=run, frequency=0.10 + 0.01 * run) for run in range(10)]
-    lines = {line[1]: line for line in changes_table(before, after).rows}
+    lines = {line[1]: line for line in changes_table(compute_changes(before, after)).rows}
     assert lines["intervention frequency"][-1] == "better"
     assert lines["intervention frequency"][-2] == "8"
     assert lines["success"][-1] == "identical"
@@ -39,7 +39,8 @@ def test_the_conclusion_follows_the_corrected_p():
     assert found.conclusion == "no clear change"
     assert changes["success"].conclusion == "identical"
     one_cluster = {one.metric.name: one for one in compute_changes(*two_evaluations(1, frequency=lambda k: 0.1))}
-    assert one_cluster["intervention frequency"].conclusion == one_cluster["success"].conclusion == "not known"
+    assert one_cluster["intervention frequency"].conclusion == "not known"
+    assert one_cluster["success"].conclusion == "identical"
 
 
 def test_identical_and_machine_dependent_metrics_do_not_enlarge_the_correction():
@@ -49,7 +50,7 @@ def test_identical_and_machine_dependent_metrics_do_not_enlarge_the_correction()
     for name in MACHINE_DEPENDENT_METRICS:
         assert np.isnan(changes[name].p)
         assert changes[name].conclusion == "machine-dependent"
-    line = next(line for line in changes_table(*slower).rows if line[1] == "gate time")
+    line = next(line for line in changes_table(compute_changes(*slower)).rows if line[1] == "gate time")
     assert line[4] == "–"
 
 
@@ -93,10 +94,40 @@ def test_compare_reports_configuration_differences(rows, tmp_path, capsys):
         "high": None,
         "p": None,
         "clusters": 1,
-        "word": "not known",
+        "word": "identical",
     }
-    assert run_command_line(["compare", *pair[:1] * 2]) == 0
-    assert "None." in capsys.readouterr().out
+
+
+def write_evaluation(folder, rows):
+    config = msgspec.json.decode(msgspec.json.encode({"suite": parse_suite(SUITE, "tiny.toml"), "methods": {}}))
+    folder.mkdir()
+    write_results(rows, config, folder / RESULTS_FILE)
+    return str(folder)
+
+
+def test_the_command_prints_only_what_changed_and_is_known(tmp_path, capsys):
+    def rows(frequency):
+        return [
+            episode_row("B3", run=seed, seed=seed, repetition=0, frequency=frequency + seed / 1000, instruction="a")
+            for seed in range(12)
+        ]
+
+    before, after = write_evaluation(tmp_path / "one", rows(0.5)), write_evaluation(tmp_path / "two", rows(0.1))
+    assert run_command_line(["compare", before, before]) == 0
+    same = capsys.readouterr().out
+    assert "The configurations are the same." in same
+    assert "The results are the same" in same
+    assert "|" not in same
+    assert run_command_line(["compare", before, after]) == 0
+    shown = capsys.readouterr().out
+    assert [line.split(" | ")[1] for line in shown.splitlines() if line.startswith("| B3")] == [
+        "intervention frequency",
+        "intervention frequency, on task",
+    ]
+    assert "better" in shown
+    assert "identical; `--all` shows them" in shown
+    assert run_command_line(["compare", before, after, "--all"]) == 0
+    assert capsys.readouterr().out.count("| B3") > 3
 
 
 def test_changes_pair_equal_cases_of_different_runs():
@@ -111,7 +142,7 @@ def test_changes_pair_equal_cases_of_different_runs():
         (evaluation(10), evaluation(1)),
         (evaluation(5), evaluation(5, first=1)),
     ):
-        lines = {line[1]: line for line in changes_table(before, after).rows}
+        lines = {line[1]: line for line in changes_table(compute_changes(before, after)).rows}
         assert lines["intervention frequency"][-1] == "identical"
     other = [msgspec.structs.replace(one, instruction="b") for one in evaluation(5)]
-    assert not changes_table(evaluation(5), other).rows
+    assert not changes_table(compute_changes(evaluation(5), other)).rows

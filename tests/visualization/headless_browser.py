@@ -87,6 +87,10 @@ class Browser:
             time.sleep(0.1)
         return result
 
+    def screenshot(self) -> str:
+        """Image of the window as PNG in base64."""
+        return self._call("GET", "/screenshot")
+
     def console_messages(self) -> list[str]:
         """Messages of the browser console."""
         return [line["message"] for line in self._call("POST", "/se/log", {"type": "browser"})]

@@ -21,10 +21,12 @@ return phase && {
   text: document.body.textContent, markup: document.querySelectorAll('li b').length,
 }"""
 FINAL = """
-if (!document.getElementById('final-outcome')) return null;
+const bar = document.getElementById('db-bar');
+if (!document.getElementById('final-outcome') || bar.className != 'STOPPED') return null;
 const cells = [...document.querySelectorAll('[id^=final-]')];
 return {
   cells: Object.fromEntries(cells.map(cell => [cell.id, [cell.textContent, cell.dataset.value]])),
+  bar: document.getElementById('db-reason').textContent,
   sources: performance.getEntriesByType('resource').map(entry => entry.name),
 }"""
 
@@ -51,6 +53,7 @@ def test_the_page_shows_the_run_and_its_result(tmp_path: Path, trace: Trace, epi
     assert "share" not in live["text"].lower()
     on_disk = msgspec.json.decode((tmp_path / "episode.json").read_bytes(), type=Episode)
     assert final["cells"]["final-outcome"] == [on_disk.outcome.kind, on_disk.outcome.kind]
+    assert on_disk.outcome.reason[1:] in final["bar"]
     for one in key_numbers(on_disk):
         text, exact = final["cells"][f"final-{one.name}"]
         assert text == one.text + one.unit

@@ -28,7 +28,7 @@ class Canvas:
     def add_frame(self, *_, **__):
         return self
 
-    add_icosphere = add_frame
+    add_icosphere = add_box = add_grid = add_frame
 
 
 def test_the_floor_is_the_region_in_which_the_base_may_drive():

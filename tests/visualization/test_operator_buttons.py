@@ -15,7 +15,7 @@ from dualbrain.safety.supervisor.actions import SafetyAction
 from dualbrain.safety.supervisor.checks import CHECKS, RESET_HELD
 from dualbrain.safety.supervisor.supervisor import Supervisor
 from dualbrain.visualization.live.attempt_limit import MAX_FAILURES, MAX_PAGE_FAILURES
-from dualbrain.visualization.live.operator_buttons import OPERATOR_BUTTONS, OperatorAccess, OperatorButtons
+from dualbrain.visualization.live.operator_buttons import HOTKEYS, OPERATOR_BUTTONS, OperatorAccess, OperatorButtons
 from dualbrain.visualization.live.view import LiveView
 from tests.visualization.headless_browser import Browser
 
@@ -165,7 +165,7 @@ class Page:
 
     def _add(self, label="", *_args, **_options):
         handle = SimpleNamespace(label=label, value="", content="", visible=True, disabled=True, press=None)
-        handle.on_update = handle.on_click = lambda callback: setattr(handle, "press", callback)
+        handle.on_update = handle.on_click = handle.on_trigger = lambda callback: setattr(handle, "press", callback)
         self.handles.append(handle)
         return handle
 
@@ -187,6 +187,20 @@ def test_a_typed_code_is_one_attempt() -> None:
     other = Page(guarded(Clock()))
     assert "unlocked" in other.type(CODE)
     assert not any(one.disabled for one in other.handles if one.label == "pause")
+
+
+def test_the_keys_do_what_their_buttons_do_and_only_on_an_unlocked_page() -> None:
+    access, sent = operator_access()
+    page = Page(access)
+    names = {action.capitalize(): action for action, _ in HOTKEYS}
+    keys = {names[one.label]: one.press for one in page.handles if one.label in names}
+    assert keys.keys() == dict(HOTKEYS).keys()
+    for press in keys.values():
+        press(None)
+    assert sent == []
+    access.unlock(page.client_id, CODE)
+    keys["pause"](None)
+    assert sent == [("pause", 1.0)]
 
 
 def test_the_reason_of_a_failed_action_is_shown():

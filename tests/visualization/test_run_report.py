@@ -16,10 +16,18 @@ from dualbrain.memory.maintenance.projection import MemoryProjection
 from dualbrain.records import Attempt, Episode, Outcome, SceneObject
 from dualbrain.robots.interface import RobotState
 from dualbrain.safety.barriers import BARRIERS
+from dualbrain.visualization.html.attempts import combine
 from dualbrain.visualization.html.key_numbers import key_numbers
 from dualbrain.visualization.html.memory_map import memory_map_section
 from dualbrain.visualization.html.page import Html, element, table
-from dualbrain.visualization.html.run_report import FILTER_OFF_NOTICE, Snapshot, render_report, write_report
+from dualbrain.visualization.html.plot_style import image_figure, light_colours
+from dualbrain.visualization.html.run_report import (
+    FILTER_OFF_NOTICE,
+    Snapshot,
+    intervention_in_words,
+    render_report,
+    write_report,
+)
 from dualbrain.visualization.html.strip_chart import min_max_downsample, strip_chart
 from tests.visualization.conftest import FakeFilterResult
 
@@ -274,3 +282,50 @@ def test_a_run_without_filter_is_marked_at_the_top(episode: Episode, trace: Trac
     header = render_report(unfiltered, trace).partition("</header>")[0]
     assert FILTER_OFF_NOTICE in header
     assert FILTER_OFF_NOTICE not in render_report(episode, trace)
+
+
+# --- the meaning of Δ, tries and images -----------------------------------------------------------------------------
+
+
+def test_the_report_states_the_meaning_of_the_intervention(episode: Episode, trace: Trace) -> None:
+    outcome = msgspec.structs.replace(episode.outcome, Delta=0.0021, delta_peak=0.17, intervention_frequency=0.04)
+    words = intervention_in_words(outcome, trace)
+    assert "0.21 % of full speed on average and 17 % at most" in words
+    assert f"at {trace['t'][int(np.argmax(trace['delta']))]:.1f} s" in words
+    calm = msgspec.structs.replace(outcome, Delta=0.0, delta_peak=0.0)
+    assert "changed nothing" in intervention_in_words(calm, trace)
+    assert "No contract was executed" in intervention_in_words(msgspec.structs.replace(outcome, Delta=None), trace)
+
+
+def test_the_numbers_cover_every_try(episode: Episode, rejected: Episode, trace: Trace) -> None:
+    def part(**values: float) -> Episode:
+        return msgspec.structs.replace(episode, outcome=msgspec.structs.replace(episode.outcome, **values))
+
+    slow = part(Delta=0.4, delta_peak=0.5, intervention_frequency=0.2, h_min=-0.001, duration=30.0)
+    calm = part(Delta=0.0, delta_peak=0.1, intervention_frequency=0.0, h_min=0.02, duration=10.0)
+    whole = combine((slow, calm, rejected)).outcome
+    assert (whole.Delta, whole.intervention_frequency) == pytest.approx((0.3, 0.15))
+    assert (whole.delta_peak, whole.h_min, whole.duration) == (0.5, -0.001, 40.0)
+    assert whole.kind == rejected.outcome.kind
+    assert combine((calm,)) is calm
+    assert combine((rejected, rejected)).outcome.Delta is None
+    page = render_report(calm, trace, earlier=(slow,))
+    assert page.count("Tries") == 1
+    assert 'data-value="40.0"' in page
+    assert "Tries" not in render_report(calm, trace)
+
+
+def test_an_image_is_enlarged_by_a_click_without_a_script(episode: Episode, trace: Trace) -> None:
+    page = render_report(episode, trace, [Snapshot(1.0, "descending", np.zeros((720, 960, 3), np.uint8))])
+    assert page.count('<details class="zoom"><summary') == 1
+    assert "<script" not in page
+
+
+def test_image_files_use_the_light_colours_of_the_page(tmp_path: Path) -> None:
+    from matplotlib.image import imread  # noqa: PLC0415
+
+    with image_figure(tmp_path / "new" / "a.png", 2.0) as figure:
+        figure.subplots().bar([0, 1], [1, 2])
+    pixels = {tuple(one) for one in (255 * imread(tmp_path / "new" / "a.png")[..., :3]).astype(int).reshape(-1, 3)}
+    assert tuple(bytes.fromhex(light_colours()["blue"][1:])) in pixels
+    assert set(light_colours()) >= {"text", "muted", "blue", "red", "green"}

@@ -73,6 +73,17 @@ app.command(
     answer.""",
 )
 app.command("dualbrain.cli.run.demo:demo", name="demo", help="Run the main example, with a person in the way.")
+app.command(
+    "dualbrain.cli.run.shell.shell:shell",
+    name="shell",
+    help="""Give instructions one after another; the planner stays loaded, and objects stay where they were put.
+
+    Every instruction passes the same gate and the same filter as with `dualbrain run`, and has a run folder of its own.
+    `stop` and Ctrl-C stop the motion at any time and leave the shell open. The live view has a field for instructions.
+
+    Examples: `dualbrain shell`; `dualbrain shell --live --planner starter-135m`; without a terminal
+    `printf 'put the red cube in the bowl\ngo home\n' | dualbrain shell --headless`.""",
+)
 app.command("dualbrain.cli.run.schema:schema", name="schema", help="Print the contract schema of a robot.")
 app.command("dualbrain.cli.run.check:check", name="check", help="Check a contract file with the gate.")
 app.command(
@@ -113,12 +124,18 @@ app.command(
 app.command(
     "dualbrain.cli.evaluation.report:compare",
     name="compare",
-    help="""Compare two evaluations: changes of metrics by method, and differences of their configurations.
+    help="""Compare two evaluations: the changes whose direction is known, and the differences of their configurations.
 
     Prints the differences of their configurations. Then, over the methods, scenes, seeds and repetitions that both
-    contain, and for each method and metric: the second minus the first, its interval over common clusters, p values
-    corrected for multiple comparisons (Holm), and the conclusion that these support.""",
+    contain, and for each method and metric that is better or worse: the second minus the first, its interval over
+    common clusters, and the p value corrected for multiple comparisons (Holm). `--all` prints every metric.""",
 )
+
+app.command("dualbrain.cli.scenes.commands:list_scenes", name="scenes", help="List the scene families of a robot.")
+scene = App(name="scene", help="Show one scene, or arrange a new one in a page.")
+app.command(scene)
+scene.command("dualbrain.cli.scenes.commands:show_scene", name="show", help="Print a scene as a table, with an image.")
+scene.command("dualbrain.cli.scenes.commands:new_scene", name="new", help="Arrange a scene in a page, and save it.")
 
 export = App(name="export", help="Write recorded runs in the formats of other programs.")
 app.command(export)

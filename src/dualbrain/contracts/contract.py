@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import msgspec
 
 ParameterValue = float | str
@@ -13,6 +15,15 @@ class Action(msgspec.Struct, frozen=True):
 
     skill: str
     params: dict[str, ParameterValue]
+
+
+NAMING_PARAMETERS = ("object", "target", "destination", "place")
+"""Parameters whose values are names of the scene."""
+
+
+def action_in_words(skill: object, params: Mapping[str, object]) -> str:
+    """An action as its skill and the names in it, such as "place blue_bowl"."""
+    return " ".join((str(skill), *(str(params[key]) for key in NAMING_PARAMETERS if key in params)))
 
 
 class Context(msgspec.Struct, frozen=True):

@@ -187,6 +187,16 @@ class ControlLoop:
         self.checks_during_contract.clear()
         self.margin_monitor.clear()
 
+    def resume_grasp(self, held: str, opening: float, force: float) -> None:
+        """Continue the grip of an earlier run before the first tick: fingers at `opening` [m] with `force` [N].
+
+        The object `held` ("" for none) counts as held only if both fingers press on it.
+        """
+        if self.controller.resume_grasp(held, opening, force):
+            self.log.note(self.state.stamp, "phase", f"{held} is held since the run before")
+        elif held:
+            self.log.note(self.state.stamp, "fault", f"{held} was held at the end of the run before, and is not now")
+
     def begin_action(self, skill: str, roles: dict[str, str | None]) -> None:
         """Name the running skill and the objects in it by role."""
         self._skill, self._roles = skill, roles

@@ -16,7 +16,7 @@ from dualbrain.core.paths import cache_folder, dualbrain_home, secure_home
 from dualbrain.memory.memory import StoreReport
 from dualbrain.memory.plasticity.hebbian_update import EPSILON
 from dualbrain.planner.registry import DEFAULT_PLANNER
-from dualbrain.records import Episode
+from dualbrain.records import Attempt, Episode
 from dualbrain.runtime.planning.planning_time import Clock
 
 STORED_NAMES = {"image_memory": "eyes"}
@@ -57,14 +57,18 @@ class RunConfig:
     """Intervention threshold ε: a successful episode with Δ > ε lowers the weights of the memories it used."""
     unrecorded: bool = False
     """Whether the arm may move on if the recording cannot be written."""
+    after: Path | None = None
+    """Run folder whose end is the beginning of this run, instead of `scene`."""
     adapters: Path | None = None
     """Folder of the adapter registry; None: the folder `adapters` beside the ledger."""
 
     def encode(self) -> bytes:
-        """The content of `config.json`, with the field names of earlier versions; `unrecorded` only if it is set."""
+        """The content of `config.json`, with the field names of earlier versions; newer fields only if they are set."""
         fields = msgspec.to_builtins(self, enc_hook=str)
         if not self.unrecorded:
             del fields["unrecorded"]
+        if self.after is None:
+            del fields["after"]
         stored = {STORED_NAMES.get(name, name): value for name, value in fields.items()}
         return msgspec.json.format(msgspec.json.encode(stored), indent=2)
 
@@ -99,11 +103,12 @@ class Clocks:
 
 @dataclass(frozen=True, slots=True)
 class RunObserver:
-    """Callbacks of a run: each event, snapshots of the control loop, and the start of each phase."""
+    """Callbacks of a run: each event, snapshots of the control loop, start of each phase, each checked proposal."""
 
     on_event: Callable[[Event], None] = lambda event: None
     on_tick: Callable[[TickSnapshot], None] = lambda snapshot: None
     on_phase: Callable[[str], None] = lambda phase: None
+    on_attempt: Callable[[Attempt], None] = lambda attempt: None
 
 
 @dataclass(slots=True)

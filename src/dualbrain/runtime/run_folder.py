@@ -24,7 +24,17 @@ from dualbrain.simulation.scenes.scene_spec import SceneSpec, save_scene
 
 RESERVED_BYTES = 8_000_000
 """Space [bytes] that is reserved in the run folder, beside that for the recording, and beside the memory ledger."""
-RUN_FILES = ("config.json", "scene.json", "episode.mcap", "episode.json", "report.html", RUN_ANCHOR_FILE)
+END_STATE_FILE = "end.json"
+"""File of the run folder with the state at the end, from which another run can continue (`RunConfig.after`)."""
+RUN_FILES = (
+    "config.json",
+    "scene.json",
+    "episode.mcap",
+    "episode.json",
+    "report.html",
+    END_STATE_FILE,
+    RUN_ANCHOR_FILE,
+)
 """Files of a run folder."""
 
 

@@ -34,11 +34,12 @@ from dualbrain.robots.loader import load_robot
 from dualbrain.robots.model import RobotModel
 from dualbrain.robots.site_config import read_site
 from dualbrain.runtime.config import Clocks, RunConfig
-from dualbrain.runtime.run_folder import RunFolder, refuse_used_folder
+from dualbrain.runtime.run_folder import END_STATE_FILE, RunFolder, refuse_used_folder
 from dualbrain.safety.cbf.obstacles import Obstacle, PersonLimits
 from dualbrain.safety.integration.site import site_obstacles, site_persons, site_robot, site_skill_grants
 from dualbrain.simulation.perception.rendering import Camera
-from dualbrain.simulation.scenes.generators.catalogue import open_scene
+from dualbrain.simulation.plant.end_state import EndState, load_end_state
+from dualbrain.simulation.scenes.generators.catalogue import open_scene, require_robot
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
 from dualbrain.simulation.tasks.multi_goal import parse_goals
 from dualbrain.simulation.world import SimulatedWorld, make_world
@@ -57,10 +58,15 @@ class RobotAtSite:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunResources:
-    """Open resources of a run; `library` is None if no passages, `image_encoder` if no image features are requested."""
+    """Open resources of a run.
+
+    `start` is the end of the run that this one continues. `library` is None if no passages, `image_encoder` if no image
+    features are requested.
+    """
 
     site: RobotAtSite
     spec: SceneSpec
+    start: EndState | None
     library: Library | None
     image_encoder: ImageEncoder | None
     planner: Planner
@@ -91,15 +97,16 @@ def open_resources(
     Raises `MissingDependencyError`, `ConfigurationError` and `UnknownNameError`.
     """
     refuse_used_folder(config.out)
-    site = _open_site(config)
-    spec, encoder = open_scene(config.scene, config.robot), MiniLmEncoder.from_cache(config.cache)
+    site = open_site(config)
+    spec, start = open_beginning(config)
+    encoder = MiniLmEncoder.from_cache(config.cache)
     library = _open_library(config, clocks, encoder, stack)
     if library is not None and config.map:
         spec = apply_map(spec, site.robot_model, library, config.map)
     goal = parse_goals(config.goal, spec) if config.goal else None
     image_encoder = _open_image_encoder(config)
     if planner is None:
-        planner = _open_planner(config, site.robot_model, environ)
+        planner = open_configured_planner(config, site.robot_model, environ)
         stack.callback(planner.close)
     folder = RunFolder(config)
     stack.callback(folder.release)
@@ -113,10 +120,12 @@ def open_resources(
         visuals=config.visuals,
         pace=clocks.pace,
         instruction_judge=make_instruction_judge(config.instruction),
+        start=start.robot if start else None,
     )
     return RunResources(
         site=site,
         spec=spec,
+        start=start,
         library=library if config.consult else None,
         image_encoder=image_encoder,
         planner=planner,
@@ -127,7 +136,16 @@ def open_resources(
     )
 
 
-def _open_site(config: RunConfig) -> RobotAtSite:
+def open_beginning(config: RunConfig) -> tuple[SceneSpec, EndState | None]:
+    """The scene of a run, and the end of the run that it continues; None for a run that begins with its scene."""
+    if config.after is None:
+        return open_scene(config.scene, config.robot), None
+    start = load_end_state(config.after / END_STATE_FILE)
+    return require_robot(config.robot, start.scene), start
+
+
+def open_site(config: RunConfig) -> RobotAtSite:
+    """The robot of a run at its site."""
     if config.site is None:
         return RobotAtSite(robot_model=load_robot(config.robot))
     site = read_site(config.site)
@@ -154,7 +172,7 @@ def _open_image_encoder(config: RunConfig) -> ImageEncoder | None:
     return ImageEncoder(weights.locate_weights(IMAGE_WEIGHTS, config.cache)) if config.image_memory else None
 
 
-def _open_planner(config: RunConfig, robot_model: RobotModel, environ: Mapping[str, str]) -> Planner:
+def open_configured_planner(config: RunConfig, robot_model: RobotModel, environ: Mapping[str, str]) -> Planner:
     """The planner of the configuration; a given contract and a stop command need none."""
     if config.contract:
         return FixedContractPlanner(

@@ -34,9 +34,10 @@ from dualbrain.runtime.episode import run_episode
 from dualbrain.runtime.inspection.counterfactual import CounterfactualQueries
 from dualbrain.runtime.planning.episode_request import EpisodeRequest
 from dualbrain.runtime.planning.replanning import Try, successive_tries
-from dualbrain.runtime.run_folder import SavingMemory
+from dualbrain.runtime.run_folder import END_STATE_FILE, SavingMemory
 from dualbrain.runtime.run_resources import open_resources
 from dualbrain.safety.cbf.kernel import kernel_hash
+from dualbrain.simulation.plant.end_state import save_end_state
 from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
 from dualbrain.simulation.world import SimulatedWorld
@@ -123,6 +124,10 @@ class Session:
         folder.release_recording_space()
         with self.backend.start(context, observer) as robot:
             results = self._run_tries(robot)
+            held = robot.executor.held_object or ""
+        if end := self.backend.end_state(context, held):
+            with folder.lent_space():
+                save_end_state(end, config.out / END_STATE_FILE)
         return self._finish(results, self.backend.trace(context))
 
     def interrupt(self) -> None:
@@ -148,6 +153,7 @@ class Session:
             world=self.world,
             fixed_obstacles=self._resources.site.fixed_obstacles,
             persons=self._resources.site.persons,
+            start=self._resources.start,
             versions=self._versions(),
             image_features=self._resources.image_features,
             interrupted=lambda: self._stop_requested,

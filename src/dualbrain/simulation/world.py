@@ -16,6 +16,7 @@ from dualbrain.simulation.monitoring.safety_monitor import SafetyMonitor
 from dualbrain.simulation.perception.noisy_perception import NoisyPerception, PerceptionNoise
 from dualbrain.simulation.plant.factory import make_plant
 from dualbrain.simulation.plant.plant import Plant
+from dualbrain.simulation.plant.plant_state import PlantState
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
 from dualbrain.simulation.tasks.arrival import ArrivalGoal
 from dualbrain.simulation.tasks.multi_goal import (
@@ -235,13 +236,17 @@ def make_world(
     pace: Callable[[float], None] | None = None,
     permitted_skills: frozenset[str] | None = None,
     instruction_judge: InstructionJudge | None = None,
+    start: PlantState | None = None,
 ) -> SimulatedWorld:
     """A simulated robot in the scene `spec` with its environment; the robot is `world.plant`.
 
     `perception` makes the perception model of a plant; by default the declared noise, drawn from `seed`.
-    `instruction_judge` judges the instruction on ground truth.
+    `instruction_judge` judges the instruction on ground truth. `start` is the state of the robot at the beginning, by
+    default at home with open fingers; raises `ConfigurationError` if it is the state of another robot.
     """
     plant = make_plant(spec, robot_model, visuals=visuals)
+    if start is not None:
+        plant.restore(start)
     if perception is None:
         model: PerceptionModel = NoisyPerception(spec, PerceptionNoise(), np.random.default_rng([seed, 1]))
     else:

@@ -189,6 +189,10 @@ class MobileManipulatorController:
         """Store `name` as held if the fingers press on it."""
         return self.arm.detect_grasp(name)
 
+    def resume_grasp(self, name: str, opening: float, force: float) -> bool:
+        """Continue a grasp, see `ArmController.resume_grasp`."""
+        return self.arm.resume_grasp(name, opening, force)
+
     def take_load_event(self) -> LoadEvent | None:
         """The newest change of the load of the arm, which is then reported."""
         return self.arm.take_load_event()

@@ -72,7 +72,7 @@ def test_the_pick_succeeds_by_robot_and_by_truth(completed_run):
 def test_the_account_is_on_stderr(completed_run):
     _, _, out, err = completed_run
     for words in (
-        "shot 1: accepted, syntax ✓ authorization ✓ envelope ✓: grasp → place",
+        "shot 1: accepted, syntax ✓ authorization ✓ envelope ✓: grasp red_cube → place blue_bowl",
         "grasp: lift",
         "intervention on",
         "weights:",

@@ -1,5 +1,6 @@
 """Laws of the filter: safe controls pass, others are changed least, invalid input stops, contact needs a permit."""
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,7 +12,7 @@ from dualbrain.errors import ConfigurationError, GeometryError, UnknownNameError
 from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import Contact, FilterStatus, Obstacle, SafetyFilter
 from dualbrain.safety.cbf.kernel import kernel_hash
-from dualbrain.safety.cbf.result import REASON_TEXTS, Reason
+from dualbrain.safety.cbf.result import OBSTACLE, PACKED_ROW, REASON_TEXTS, SELF, Reason
 from tests.safety import random_scenes
 
 TABLE = Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0)), known=True)
@@ -111,6 +112,15 @@ def test_the_table_stops_the_tool_and_the_reason_is_named(safety, panda, state_a
     assert any("table" in name for name, _, _ in last.active_rows)
     assert "'table'" in last.explain()
     assert last.delta == pytest.approx(last.delta_rows + last.delta_box)
+
+
+def test_the_pairs_of_the_binding_rows_are_those_with_obstacles_the_strongest_first(safety, panda, state_at):
+    result = drive(safety, state_at, np.array(panda.home), lambda q: 0.0 * q, 1)[1][0]
+    assert result.obstacle_pairs == ()
+    rows = ((OBSTACLE, 0, 0, 0.2, 1.0), (SELF, 0, 9, 0.3, 9.0), (OBSTACLE, len(panda.spheres) - 1, 0, 0.1, 3.0))
+    bound = msgspec.structs.replace(result, packed_rows=b"".join(PACKED_ROW.pack(*row) for row in rows))
+    first, last = result.names.spheres[0], result.names.spheres[-1]
+    assert bound.obstacle_pairs == ((last, "table", 0.1), (first, "table", 0.2))
 
 
 def test_delta_is_the_weighted_distance(safety, panda, state_at):

@@ -13,7 +13,7 @@ from dualbrain.simulation.perception.primitive_fitting import (
     fit_primitives,
     nearest_colour,
 )
-from dualbrain.simulation.scenes.appearance import COLOUR_RGBA
+from dualbrain.simulation.scenes.colours import COLOUR_RGBA
 
 STEP = 0.002
 places = st.tuples(st.floats(0.3, 0.7), st.floats(-0.4, 0.4), st.floats(-np.pi, np.pi))

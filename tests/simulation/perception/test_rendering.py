@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from dualbrain.errors import UnknownNameError
-from dualbrain.simulation.scenes.appearance import colour_rgba
+from dualbrain.simulation.scenes.colours import colour_rgba
 
 RENDER = """
 import numpy as np

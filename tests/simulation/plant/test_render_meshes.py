@@ -4,10 +4,12 @@ import mujoco
 import numpy as np
 import pytest
 
+from dualbrain.core.geometry.distance import signed_distance
 from dualbrain.core.geometry.rotations import quaternion_to_matrix
+from dualbrain.core.geometry.shapes import Capsule, Pose
 from dualbrain.robots.loader import SIMULATED_ROBOTS, load_robot
 from dualbrain.simulation.plant.factory import make_plant
-from dualbrain.simulation.plant.render_meshes import COLLISION_GEOM_GROUP, link_meshes
+from dualbrain.simulation.plant.render_meshes import COLLISION_GEOM_GROUP, link_meshes, object_meshes
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
 
@@ -27,6 +29,23 @@ def test_every_collision_geom_is_within_the_mesh_of_its_link(robot):
         for i in solid:  # the centre of each collision geom is within the bounds of the mesh
             assert np.all(drawn.min(axis=0) - 0.02 < plant.data.geom_xpos[i])
             assert np.all(plant.data.geom_xpos[i] < drawn.max(axis=0) + 0.02)
+
+
+def test_the_arm_of_a_person_is_drawn_inside_its_collision_capsule() -> None:
+    plant = make_plant(open_scene("8", "panda"), load_robot("panda"))
+    found, mover = object_meshes(plant), plant.spec.mover
+    assert mover is not None
+    points = np.vstack([patch.points for patch in found[mover.name]])
+    assert signed_distance(Capsule(mover.radius, mover.half_length), Pose((0.0, 0.0, 0.0)), points).max() < 0.012
+    assert np.ptp(points[:, 2]) > 1.8 * mover.half_length, "it has the length of the capsule"
+    assert len(found[mover.name]) > 5, "sleeve, wrist, palm and fingers"
+
+
+def test_a_bowl_is_drawn_in_its_own_colour() -> None:
+    plant = make_plant(open_scene("8", "panda"), load_robot("panda"))
+    (patch,) = object_meshes(plant)["blue_bowl"]
+    red, _, blue = patch.colour
+    assert blue > 2.0 * red
 
 
 def test_meshes_have_the_right_size_and_outward_normals():

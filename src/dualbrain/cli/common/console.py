@@ -30,8 +30,8 @@ class StderrConsole(VisibleConsole):
     """A console for stderr that stops printing when the pipe is closed; the default one ends the program."""
 
     def __init__(self) -> None:
-        """Print plain text to stderr."""
-        super().__init__(file=sys.stderr, highlight=False)
+        """Print plain text to stderr; a terminal wraps long lines by itself, and a file has them whole."""
+        super().__init__(file=sys.stderr, highlight=False, soft_wrap=True)
 
     def on_broken_pipe(self) -> None:
         """Print nothing from now on."""
@@ -70,7 +70,7 @@ def format_table(heads: Sequence[str], rows: Iterable[Sequence[str]], *, wrap_co
         table.add_column(head, min_width=least, overflow="fold")
     for row in shown:
         table.add_row(*map(Text, row))
-    console = Console(highlight=False)
+    console = Console(highlight=False, force_terminal=False)  # plain text: escape sequences would be shown
     with console.capture() as printed:
         console.print(table, crop=False, overflow="ignore")
     return printed.get().rstrip("\n")

@@ -1,19 +1,24 @@
-"""Spinner with elapsed time on stderr, for work of unknown duration."""
+"""Spinner with elapsed time on stderr, for work of unknown duration; one line where stderr is not a terminal."""
 
 from __future__ import annotations
 
 from typing import Self
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 
 class Spinner:
-    """A spinner on terminals, visible between `start` and `stop`; both may be called repeatedly."""
+    """A spinner on terminals, visible between `start` and `stop`; both may be called repeatedly.
+
+    Without a terminal the first `start` prints the text as one line, so that no command begins with silence.
+    """
 
     def __init__(self, console: Console, text: str) -> None:
         """Show `text` beside the spinner."""
         self._console, self._text = console, text
+        self._announced = False
         self._progress: Progress | None = None
 
     def __enter__(self) -> Self:
@@ -26,8 +31,12 @@ class Spinner:
         self.stop()
 
     def start(self) -> None:
-        """Show the spinner."""
-        if self._progress is None and self._console.is_terminal:
+        """Show the spinner, or print its text once."""
+        if not self._console.is_terminal:
+            if not self._announced:
+                self._announced = True
+                self._console.print(f"[dim]{escape(self._text)}[/]")
+        elif self._progress is None:
             columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
             self._progress = Progress(*columns, console=self._console, transient=True)
             self._progress.add_task(self._text, total=None)

@@ -20,11 +20,13 @@ from dualbrain.cli.evaluation.results import (
     print_omission,
     reproduction_command,
 )
+from dualbrain.core.text import count_noun
 from dualbrain.errors import ConfigurationError, UsageError
 
 if TYPE_CHECKING:
     from dualbrain.evaluation.protocol.suite import Suite
     from dualbrain.evaluation.report.run_comparison import MetricChange
+    from dualbrain.evaluation.report.tables import Table
     from dualbrain.evaluation.results.episode_row import EpisodeRow
     from dualbrain.visualization.evaluation.html_report import FailureImage
 
@@ -93,8 +95,8 @@ def report(folder: Path, /, *, gallery: int = -1, page: Path | None = None, json
     return ExitCode.SUCCESS
 
 
-def compare(first: Path, second: Path, /, *, json: Flag = False) -> int:
-    """Compare two evaluations: changes of metrics by method, and differences of their configurations.
+def compare(first: Path, second: Path, /, *, all: Flag = False, json: Flag = False) -> int:
+    """Compare two evaluations: the changes whose direction is known, and the differences of their configurations.
 
     Parameters
     ----------
@@ -102,31 +104,49 @@ def compare(first: Path, second: Path, /, *, json: Flag = False) -> int:
         Folder of results before the change: the --out of `dualbrain evaluate`.
     second
         Folder of results after the change.
+    all
+        Also print the changes that are identical, not clear or not known.
     json
         Print one JSON object on stdout.
     """
-    from dualbrain.evaluation.report.run_comparison import changes_table, compute_changes, config_differences_table
-    from dualbrain.evaluation.report.tables import markdown_table
+    from dualbrain.evaluation.report.run_comparison import compute_changes, config_differences_table
 
     omissions = list[str]()
     with Spinner(StderrConsole(), "comparing"):
         before, after = load_results(first, omissions.append), load_results(second, omissions.append)
-        changes = changes_table(before[0], after[0])
+        changes = compute_changes(before[0], after[0])
     for line in omissions:
         print_omission(line)
-    if not changes.rows:
+    if not changes:
         raise ConfigurationError.stating(
             f"The evaluations {first} and {second} have no episode in common.",
             fix="Compare evaluations with common methods, scenes and repetitions.",
         )
     differences = config_differences_table(before[1], after[1])
     if json:
-        encoded = [_encode_change(one) for one in compute_changes(before[0], after[0])]
+        encoded = [_encode_change(one) for one in changes]
         configuration = {entry: {"before": a, "after": b} for entry, a, b in differences.rows}
         print_result(msgspec.json.encode({"configuration": configuration, "changes": encoded}).decode())
     else:
-        print_result("\n".join([*markdown_table(differences), *markdown_table(changes)]))
+        print_result("\n".join(_comparison_lines(changes, differences, all=all)))
     return ExitCode.SUCCESS
+
+
+def _comparison_lines(changes: list[MetricChange], differences: Table, *, all: bool) -> list[str]:
+    """What changed and is known, or that the evaluations are the same; with `all` every change."""
+    from dualbrain.evaluation.report.run_comparison import changes_table, clear_changes, count_unclear_changes
+    from dualbrain.evaluation.report.tables import markdown_table
+
+    lines = markdown_table(differences) if differences.rows else ["The configurations are the same.", ""]
+    if all:
+        return [*lines, *markdown_table(changes_table(changes))]
+    methods = len({one.method for one in changes})
+    scope = f"{len(changes)} comparisons of {count_noun(methods, 'method')}"
+    if {one.conclusion for one in changes} == {"identical"}:
+        return [*lines, f"The results are the same: {scope} are identical."]
+    clear, unclear = clear_changes(changes), count_unclear_changes(changes)
+    lines += markdown_table(changes_table(clear)) if clear else ["No change has a known direction.", ""]
+    return [*lines, f"Of {scope}, not shown: {unclear}; `--all` shows them."] if unclear else lines
 
 
 def _encode_change(change: MetricChange) -> dict[str, Any]:

@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     from dualbrain.records import Exemplar
 
 Flag = Annotated[bool, Parameter(negative="")]
+HASH_CHARACTERS = 8
+"""Number of characters of the hash of a source in a list."""
 MAX_LISTED_FAULTS = 20
 """Number of wrong vectors that `verify` lists."""
 
@@ -51,7 +53,7 @@ def list_memories(
     ledger: Path | None = None,
     json: Flag = False,
 ) -> int:
-    """List memories, newest first: id, time, outcome, Δ, weight w, status, source.
+    """List memories, newest first: id, instruction, age, outcome, Δ, weight w, status, source.
 
     Parameters
     ----------
@@ -74,16 +76,20 @@ def list_memories(
         raise UsageError("--limit", got=limit, allowed="0 (all memories) or more")
     with open_reader(ledger) as opened:
         state = _state_at(opened, at)
-    wanted = [
-        memo
-        for memo in reversed(state.memories)
-        if status in (None, memo.status) and outcome in (None, memo.kind) and source in ("", memo.provenance.source)
-    ]
-    shown = wanted[:limit] if limit else wanted
+        wanted = [
+            memo
+            for memo in reversed(state.memories)
+            if status in (None, memo.status) and outcome in (None, memo.kind) and source in ("", memo.provenance.source)
+        ]
+        shown = wanted[:limit] if limit else wanted
+        instructions = [_instruction(opened, memo) for memo in shown]
     if json:
         print_json({"memories": shown, "total": len(wanted), "event": state.seq})
         return ExitCode.SUCCESS
-    print_table(("id", "stored", "outcome", "Δ", "w", "status", "source"), map(_memory_row, shown))
+    now = time.time()
+    heads = ("id", "instruction", "age", "outcome", "Δ", "w", "status", "source")
+    rows = (_memory_row(memo, words, now) for memo, words in zip(shown, instructions, strict=True))
+    print_table(heads, rows, wrap_columns=("instruction",))
     StderrConsole().print(f"{len(shown)} of {count_noun(len(wanted), 'memory', 'memories')}, at event {state.seq}")
     return ExitCode.SUCCESS
 
@@ -324,9 +330,29 @@ def _verification_details(found: Verification) -> Iterator[str]:
     yield from found.notices
 
 
-def _memory_row(memo: MemoryState) -> tuple[str, ...]:
+def _instruction(opened: LedgerReader, memo: MemoryState) -> str:
+    """The instruction of a memory, from its event in the ledger."""
+    return str(msgspec.json.decode(opened.event(memo.seq).payload)["episode"]["instruction"])
+
+
+def _memory_row(memo: MemoryState, instruction: str, now: float) -> tuple[str, ...]:
     numbers = ("-" if memo.Delta is None else f"{memo.Delta:.4f}", f"{memo.weight:.2f}")
-    return (memo.id, _format_time(memo.time), memo.kind, *numbers, memo.status, memo.provenance.source)
+    age, source = format_age(now - memo.time), _shorten_hash(memo.provenance.source)
+    return (memo.id, instruction or "(a given contract)", age, memo.kind, *numbers, memo.status, source)
+
+
+def format_age(seconds: float) -> str:
+    """An age [s] in its largest whole unit, such as "3 h"."""
+    for unit, length in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= length:
+            return f"{seconds / length:.0f} {unit}"
+    return f"{max(0.0, seconds):.0f} s"
+
+
+def _shorten_hash(source: str) -> str:
+    """A source whose hash has its first characters only; `show` prints it whole."""
+    name, plus, digest = source.partition("+")
+    return f"{name}{plus}{digest[:HASH_CHARACTERS]}{'…' if len(digest) > HASH_CHARACTERS else ''}"
 
 
 def _hit_row(use: str, hit: Exemplar) -> tuple[str, ...]:

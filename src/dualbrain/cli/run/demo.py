@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from dualbrain.cli.common.console import StderrConsole
+from dualbrain.cli.common.spinner import Spinner
 from dualbrain.cli.run.run import DEFAULT_TRIES
 from dualbrain.planner.registry import PACKAGED_PLANNER
 
@@ -29,10 +31,11 @@ def demo(
     scene
         A number, FAMILY:SEED or a scene file. In scene 8 a forearm crosses the path, and the filter changes the motion.
     """
-    from dualbrain.cli.run.execution import RunView, execute_run
-    from dualbrain.runtime.config import default_config
+    with Spinner(StderrConsole(), "loading") as loading:
+        from dualbrain.cli.run.execution import RunView, execute_run
+        from dualbrain.runtime.config import default_config
 
-    shown = not headless
-    config = default_config(instruction)
-    config = replace(config, scene=scene, planner=planner, tries=DEFAULT_TRIES, measured=shown)
-    return execute_run(config, RunView(live_view=shown, keep_open=shown, real_time=shown))
+        shown = not headless
+        config = default_config(instruction)
+        config = replace(config, scene=scene, planner=planner, tries=DEFAULT_TRIES, measured=shown)
+        return execute_run(config, RunView(live_view=shown, keep_open=shown, real_time=shown), loading)

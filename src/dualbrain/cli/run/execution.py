@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -28,6 +29,7 @@ from dualbrain.cli.common.spinner import Spinner
 from dualbrain.cli.run.live_feed import LiveFeed
 from dualbrain.cli.run.snapshots import PhaseCamera
 from dualbrain.cli.run.stop_command import listen_for_stop
+from dualbrain.control.control_loop import TickSnapshot
 from dualbrain.control.recording.trace import Event
 from dualbrain.core.paths import dualbrain_home
 from dualbrain.core.processes.real_time_pacer import RealTimePacer
@@ -40,6 +42,7 @@ from dualbrain.records import Episode
 from dualbrain.runtime.backends.gatekeeper import GatekeeperBackend
 from dualbrain.runtime.planning.planning_time import format_timings
 from dualbrain.runtime.session import Clocks, RunConfig, RunObserver, RunResult, Session
+from dualbrain.safety.supervisor.checks import CHECKS
 from dualbrain.visualization.html.run_report import FILTER_OFF_NOTICE, write_report
 
 EVENT_STYLES = {
@@ -52,6 +55,7 @@ EVENT_STYLES = {
     "operator": "magenta",
 }
 
+CHECK_DESCRIPTIONS = {one.name: one.description for one in CHECKS}
 PACE_TOLERANCE_S, MIN_SLEEP_S = 0.2, 0.004
 """Deviation from real time after which the live view starts again from the present, and the shortest pause [s]."""
 
@@ -72,63 +76,88 @@ class RunView:
     speed_scale: float = 1.0
 
 
-def execute_run(config: RunConfig, view: RunView) -> ExitCode:
-    """Run the configured instruction, print its progress, and write the report; returns the exit code."""
+def execute_run(config: RunConfig, view: RunView, loading: Spinner | None = None) -> ExitCode:
+    """Run the configured instruction, print its progress, and write the report; returns the exit code.
+
+    `loading` is a spinner that is visible already; it stops when all resources are open.
+    """
     console = StderrConsole()
-    pace = RealTimePacer(tolerance=PACE_TOLERANCE_S, min_sleep=MIN_SLEEP_S) if view.live_view else None
-    clocks = Clocks(time.monotonic, datetime.now(UTC).isoformat(timespec="seconds"), time.time, pace)
-    registrations = dualbrain_home() / REGISTRATIONS
-    backend = GatekeeperBackend(view.speed_scale, registrations=registrations) if view.real_time else None
-    with _open_session(config, clocks, backend, console) as session:
-        title = escape(storable_text(config.instruction, 400)) or "a given contract"
-        console.print(f"[bold]{title}[/]  [dim]{config.robot}, scene {config.scene}, {config.out}[/]")
-        if not config.guard:
-            console.print(f"[bold yellow]{FILTER_OFF_NOTICE}[/]")
-        given = config.contract is not None
-        if config.consult and not given and (reason := no_documents_reason(session.planner)):
-            console.print(f"[yellow]{escape(reason)}[/]")
-        feed = LiveFeed(session, backend, view.port, console) if view.live_view else None
-        if backend is not None:
-            backend.on_tick_report = feed.on_tick_report if feed else None
-        camera = PhaseCamera(session.plant, console, NO_GRAPHICS_REASON)
-        spinner = Spinner(console, f"planning ({session.planner.name})")
+    backend = make_backend(view)
+    with ExitStack() as stack:
+        with loading or Spinner(console, "loading"):
+            name, notice = choose_planner(config.planner, config.robot, config.cache)
+            session = stack.enter_context(
+                Session(replace(config, planner=name), make_clocks(view), os.environ, backend=backend)
+            )
+        if notice and config.contract is None:
+            console.print(f"[yellow]{escape(notice)}[/]")
+        print_title(console, session)
+        feed = open_live_feed(session, backend, view, console) if view.live_view else None
         with interrupt_handler(session.interrupt):
             listen_for_stop(session.instruct, lambda words: console.print(f"[yellow]{escape(words)}[/]"))
-            spinner.start()
-            try:
-                result = session.run(_make_observer(console, camera, feed, spinner))
-            finally:
-                spinner.stop()
-        for notice in session.ledger.notices:
-            console.print(f"[yellow]{escape(notice)}[/]")
-        for interrupted in session.interrupted_runs:
-            console.print(f"[yellow]{escape(str(interrupted))}[/]")
-        _print_result(console, result)
+            result, report = run_session(session, backend, console, feed)
         if view.as_json:
             summary = run_summary(result.episode, config.out, result.earlier_episodes)
             print_result(msgspec.json.encode(summary).decode())
-        camera.take_snapshot("end of the run")
-        camera.close()
-        memories, report = project_memories(session.memory), config.out / "report.html"
-        write_report(report, result.episode, result.trace, camera.snapshots, memories)
-        console.print(f"[dim]report: {report}[/]")
+        report()
         if feed:
             feed.finish(result.episode, stay=view.keep_open)
     return exit_code(result.episode)
 
 
-def _open_session(config: RunConfig, clocks: Clocks, backend: GatekeeperBackend | None, console: Console) -> Session:
-    """Open all resources of the run, with the planner of `choose_planner` if none is named."""
-    name, notice = choose_planner(config.planner, config.robot, config.cache)
-    spinner = Spinner(console, "loading")
-    spinner.start()
-    try:
-        session = Session(replace(config, planner=name), clocks, os.environ, backend=backend)
-    finally:
-        spinner.stop()
-    if notice and config.contract is None:
-        console.print(f"[yellow]{escape(notice)}[/]")
-    return session
+def make_backend(view: RunView) -> GatekeeperBackend | None:
+    """The gatekeeper of a run in real time; None for the simulator of this process."""
+    registrations = dualbrain_home() / REGISTRATIONS
+    return GatekeeperBackend(view.speed_scale, registrations=registrations) if view.real_time else None
+
+
+def open_live_feed(session: Session, backend: GatekeeperBackend | None, view: RunView, console: Console) -> LiveFeed:
+    """Open the live view of a run."""
+    instruction, operate = session.config.instruction, backend.operate if backend else None
+    model, plant = session.robot_model, session.plant
+    return LiveFeed(model, plant, view.port, console, instruction=instruction, operate=operate)
+
+
+def make_clocks(view: RunView) -> Clocks:
+    """The clocks of one run; a live view paces the simulation of this process to real time."""
+    pace = RealTimePacer(tolerance=PACE_TOLERANCE_S, min_sleep=MIN_SLEEP_S) if view.live_view else None
+    return Clocks(time.monotonic, datetime.now(UTC).isoformat(timespec="seconds"), time.time, pace)
+
+
+def print_title(console: Console, session: Session) -> None:
+    """Print the instruction with robot, scene and run folder, and what is special about the run."""
+    config = session.config
+    title = escape(storable_text(config.instruction, 400)) or "a given contract"
+    where = f"continues {config.after}" if config.after else f"scene {config.scene}"
+    console.print(f"[bold]{title}[/]  [dim]{config.robot}, {escape(where)}, {config.out}[/]")
+    if not config.guard:
+        console.print(f"[bold yellow]{FILTER_OFF_NOTICE}[/]")
+    if config.consult and config.contract is None and (reason := no_documents_reason(session.planner)):
+        console.print(f"[yellow]{escape(reason)}[/]")
+
+
+def run_session(
+    session: Session, backend: GatekeeperBackend | None, console: Console, feed: LiveFeed | None
+) -> tuple[RunResult, Callable[[], None]]:
+    """Run a session and print its progress and its result; the returned function writes the report."""
+    if backend is not None:
+        backend.on_tick_report = feed.on_tick_report if feed else None
+    camera = PhaseCamera(session.plant, console, NO_GRAPHICS_REASON)
+    with Spinner(console, f"planning ({session.planner.name})") as spinner:
+        result = session.run(_make_observer(console, camera, feed, spinner))
+    for notice in (*session.ledger.notices, *session.interrupted_runs):
+        console.print(f"[yellow]{escape(str(notice))}[/]")
+    _print_result(console, result)
+
+    def report() -> None:
+        camera.take_snapshot("end of the run")
+        camera.close()
+        path = session.config.out / "report.html"
+        memories = project_memories(session.memory)
+        write_report(path, result.episode, result.trace, camera.snapshots, memories, result.earlier_episodes)
+        console.print(f"[dim]report: {path}[/]")
+
+    return result, report
 
 
 def exit_code(episode: Episode) -> ExitCode:
@@ -212,18 +241,38 @@ def _make_observer(console: Console, camera: PhaseCamera, feed: LiveFeed | None,
             spinner.stop()
         if event.kind != "perception":
             style = EVENT_STYLES.get(event.kind, "")
-            console.print(f"[dim]{event.t:7.2f} s[/]  [{style or 'default'}]{escape(event.text)}[/]")
+            console.print(f"[dim]{event.t:7.2f} s[/]  [{style or 'default'}]{escape(_event_text(event))}[/]")
         if feed:
             feed.on_event(event)
 
-    return RunObserver(on_event, feed.on_tick if feed else lambda snapshot: None, camera.on_phase)
+    def on_tick(moment: TickSnapshot) -> None:
+        camera.on_tick(moment)
+        if feed:
+            feed.on_tick(moment)
+
+    if feed is None:
+        return RunObserver(on_event, on_tick, camera.on_phase)
+    return RunObserver(on_event, on_tick, camera.on_phase, feed.on_attempt)
+
+
+def _event_text(event: Event) -> str:
+    """The text of an event: a check is described in words, and a phase that is called like its skill is named once."""
+    first, _, second = event.text.partition(": ")
+    match event.kind:
+        case "phase" if first == second:
+            return first
+        case "order" if second in CHECK_DESCRIPTIONS:
+            return f"{first}: {CHECK_DESCRIPTIONS[second]} ({second})"
+        case _:
+            return event.text
 
 
 def _print_result(console: Console, result: RunResult) -> None:
     """Print outcome, measurements, times, violations, the judgement of the simulator, and changes of memory."""
     episode, outcome = result.episode, result.episode.outcome
     colour = "green" if is_success(episode) else "yellow"
-    console.print(f"[bold {colour}]{describe_end(episode)}[/]: {escape(outcome.reason)}")
+    end = describe_end(episode)
+    console.print(f"[bold {colour}]{end}[/]: {escape(outcome.reason.removeprefix(f'{end}: '))}")
     if outcome.Delta is not None and outcome.h_min is not None:
         console.print(
             f"Δ {outcome.Delta:.4f}, intervention on {outcome.intervention_frequency:.1%} of ticks, "

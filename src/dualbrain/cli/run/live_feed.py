@@ -11,18 +11,19 @@ from math import inf, nan
 import numpy as np
 from rich.console import Console
 
+from dualbrain.contracts.contract import Contract
+from dualbrain.contracts.verdict import Accepted
 from dualbrain.control.control_loop import TickSnapshot
 from dualbrain.control.gatekeeper.protocol.messages import TickReport
-from dualbrain.control.recording.trace import DEAD_BAND, Event
-from dualbrain.records import Episode, Scene
-from dualbrain.runtime.backends.gatekeeper import GatekeeperBackend
-from dualbrain.runtime.session import Session
-from dualbrain.safety.cbf.filter import SafetyFilter
-from dualbrain.safety.cbf.obstacles import obstacles_from_scene
-from dualbrain.simulation.plant.render_meshes import link_meshes
-from dualbrain.visualization.live.operator_buttons import OperatorAccess
-from dualbrain.visualization.live.panel import commanded_speeds
-from dualbrain.visualization.live.view import LiveView
+from dualbrain.control.recording.trace import Event
+from dualbrain.records import Attempt, Episode, Scene
+from dualbrain.robots.model import RobotModel
+from dualbrain.simulation.plant.plant import Plant
+from dualbrain.simulation.plant.render_meshes import link_meshes, object_meshes
+from dualbrain.visualization.live.operator.instruction_field import LineTone, SubmitCallback
+from dualbrain.visualization.live.operator_buttons import OperateCallback, OperatorAccess
+from dualbrain.visualization.live.state_builder import StateBuilder, Tick
+from dualbrain.visualization.live.view import FRAME_RATE_HZ, LiveView
 from dualbrain.visualization.live.view_state import ViewState
 
 MAX_LINES = 12
@@ -31,109 +32,146 @@ MAX_LINES = 12
 class LiveFeed:
     """Converts snapshots of the control loop into states of the live view; averages cover the snapshots received."""
 
-    def __init__(self, session: Session, backend: GatekeeperBackend | None, port: int, console: Console) -> None:
-        """Open the view and print its address; with a gatekeeper the view has operator buttons."""
-        self._robot_model = session.robot_model
-        self._plant = session.plant
-        self._kinematics = SafetyFilter(session.robot_model)
+    def __init__(
+        self,
+        robot_model: RobotModel,
+        plant: Plant,
+        port: int,
+        console: Console,
+        *,
+        instruction: str = "",
+        operate: OperateCallback | None = None,
+        submit: SubmitCallback | None = None,
+    ) -> None:
+        """Open the view of `plant` and print its address.
+
+        With `operate`, which sends operator actions to a gatekeeper, the view has operator buttons; with `submit` it
+        has a field for instructions, see `LiveView`.
+        """
+        self._robot_model, self._plant, self._states = robot_model, plant, StateBuilder(robot_model)
         code = secrets.token_urlsafe(9)
-        access = OperatorAccess(backend.operate, code) if backend is not None else None
-        self._view = LiveView(
-            session.robot_model,
+        access = OperatorAccess(operate, code) if operate is not None else None
+        self.view = LiveView(
+            robot_model,
             port,
-            instruction=session.config.instruction,
+            instruction=instruction,
             access=access,
-            link_meshes=link_meshes(session.plant),
+            link_meshes=link_meshes(plant),
+            object_meshes=object_meshes(plant),
+            submit=submit,
         )
         self._lines: deque[str] = deque(maxlen=MAX_LINES)
-        self._deltas: list[float] = []
-        self._h_min = float("inf")
+        self._contract: Contract | None = None
+        self._step = 0
+        self._shown_at = -inf
         self._console = console
-        if self._view.notice:
-            console.print(f"[yellow]{self._view.notice}[/]")
-        console.print(f"live view: [bold]{self._view.url}[/]")
+        if self.view.notice:
+            console.print(f"[yellow]{self.view.notice}[/]")
+        console.print(f"live view: [bold]{self.view.url}[/]")
         if access:
             console.print(
                 f"buttons: the emergency stop needs no code; all others need the operator code [bold]{code}[/]"
             )
 
+    def follow(self, plant: Plant) -> None:
+        """Show another run of the same robot from now on; averages begin again."""
+        self._plant, self._states = plant, StateBuilder(self._robot_model)
+        self._lines.clear()
+        self._contract, self._step, self._shown_at = None, 0, -inf
+
+    def show_at_rest(self, scene: Scene) -> None:
+        """Show the plant and a perceived `scene` before the first run."""
+        self.view.show(ViewState(t=0.0, frames=self._plant.link_poses(), scene=scene))
+
+    def show_line(self, text: str, tone: LineTone = "plain") -> None:
+        """Show a line below the field for instructions, if there is one."""
+        if self.view.instruction_field is not None:
+            self.view.instruction_field.show_line(text, tone)
+
+    def close(self) -> None:
+        """Close the page."""
+        self.view.close()
+
     def on_event(self, event: Event) -> None:
-        """Show an event as a line of text."""
+        """Show an event as a line of text, and mark the step of the contract that it begins or ends."""
         if event.kind != "perception":
             self._lines.append(f"{event.t:.1f} s  {event.text}")
+        if event.kind == "action" and isinstance(index := event.data.get("index"), int):
+            self._step = index
+            self._states.begin_step(index)
+        elif event.kind == "action" and event.data.get("status") == "done":
+            self._states.begin_step(self._step + 1)
+
+    def on_attempt(self, attempt: Attempt) -> None:
+        """Show the steps of an accepted contract from the next tick on."""
+        if isinstance(attempt.verdict, Accepted):
+            self._contract, self._step = attempt.verdict.contract, 0
 
     def on_tick(self, moment: TickSnapshot) -> None:
         """Show a tick of the control loop."""
         state, result = moment.state, moment.result
-        if moment.action >= 0:
-            self._deltas.append(result.delta)
-            self._h_min = min(self._h_min, result.h_min)
-        centres, radii, _ = self._kinematics.spheres(state.q, state.opening)
-        numbers: dict[str, float | str] = {
-            "h_min": result.h_min,
-            "delta": result.delta,
-            "Delta": float(np.mean(self._deltas)) if self._deltas else 0.0,
-            "intervention_frequency": float(np.mean(np.array(self._deltas) > DEAD_BAND)) if self._deltas else 0.0,
-            **commanded_speeds(self._robot_model, result.u),
-            "elapsed": state.stamp,
-            "phase": f"{moment.skill}: {moment.nominal.phase}",
-            "status": result.status.name,
-            "barriers": ", ".join(result.barriers).replace("_", " "),
-            "planner": "",
-        }
-        frames = self._plant.link_poses()
-        self._view.show(
-            ViewState(
-                t=state.stamp,
-                frames=frames,
-                scene=moment.scene,
-                centres=centres,
-                radii=radii,
-                margins=_margins(moment.scene),
-                numbers=numbers,
-                lines=tuple(self._lines),
-            )
+        tick = Tick(
+            t=state.stamp,
+            scene=moment.scene,
+            q=state.q,
+            opening=state.opening,
+            u=np.asarray(result.u, float),
+            u_nom=np.asarray(result.u_nom, float),
+            delta=result.delta,
+            h_min=result.h_min,
+            status=result.status.name,
+            barriers=result.barriers,
+            pairs=result.obstacle_pairs,
+            in_contract=moment.action >= 0,
+            skill=moment.skill,
+            phase=moment.nominal.phase,
+            action=moment.decision.action.name,
+            check=moment.decision.check,
         )
+        if self._is_due(tick):
+            self._show(tick)
 
     def on_tick_report(self, report: TickReport) -> None:
         """Show a tick of a gatekeeper's control loop, received over the socket."""
-        if report.in_contract:
-            self._deltas.append(report.delta)
-            self._h_min = min(self._h_min, inf if report.h_min is None else report.h_min)
-        q = np.array(report.q)
-        centres, radii, _ = self._kinematics.spheres(q, report.opening)
-        order = f" [{report.order}: {report.check}]" if report.check else ""
-        numbers: dict[str, float | str] = {
-            "h_min": nan if report.h_min is None else report.h_min,
-            "delta": report.delta,
-            "Delta": float(np.mean(self._deltas)) if self._deltas else 0.0,
-            "intervention_frequency": float(np.mean(np.array(self._deltas) > DEAD_BAND)) if self._deltas else 0.0,
-            **commanded_speeds(self._robot_model, np.array(report.u)),
-            "elapsed": report.t,
-            "phase": f"{report.skill}: {report.phase}{order}",
-            "status": report.status,
-            "barriers": ", ".join(report.barriers).replace("_", " "),
-            "planner": "",
-        }
-        self._plant.set_configuration(q, report.opening)
-        frames, lines = self._plant.link_poses(), tuple(self._lines)
-        margins = _margins(report.scene)
-        self._view.show(
-            ViewState(
-                t=report.t,
-                frames=frames,
-                scene=report.scene,
-                centres=centres,
-                radii=radii,
-                margins=margins,
-                numbers=numbers,
-                lines=lines,
-            )
+        tick = Tick(
+            t=report.t,
+            scene=report.scene,
+            q=np.array(report.q),
+            opening=report.opening,
+            u=np.array(report.u),
+            u_nom=np.array(report.u_nom),
+            delta=report.delta,
+            h_min=nan if report.h_min is None else report.h_min,
+            status=report.status,
+            barriers=report.barriers,
+            pairs=report.pairs,
+            in_contract=report.in_contract,
+            skill=report.skill,
+            phase=report.phase,
+            action=report.order,
+            check=report.check,
         )
+        if self._is_due(tick):
+            self._plant.set_configuration(tick.q, tick.opening)
+            self._show(tick)
+
+    def _is_due(self, tick: Tick) -> bool:
+        """Count δ of `tick`; whether the view draws it, because a frame has passed since the last one."""
+        if tick.in_contract:
+            self._states.count(tick.delta)
+        return not 0.0 <= tick.t - self._shown_at < 1.0 / FRAME_RATE_HZ
+
+    def _show(self, tick: Tick) -> None:
+        self._shown_at = tick.t
+        if self._contract is not None:
+            self._states.set_plan(self._contract.action_sequence, tick.scene, tick.q)
+            self._states.begin_step(self._step)
+            self._contract = None
+        self.view.show(self._states.build(tick, self._plant.link_poses(), tuple(self._lines)))
 
     def finish(self, episode: Episode, *, stay: bool) -> None:
         """Show the result; with `stay` and a terminal, keep the page open until Ctrl-C."""
-        self._view.finish(episode)
+        self.view.finish(episode)
         if stay and sys.stdin.isatty():
             self._console.print("The live view stays open. Ctrl-C closes it.")
             try:
@@ -141,9 +179,4 @@ class LiveFeed:
                     time.sleep(0.5)
             except KeyboardInterrupt:
                 pass
-        self._view.close()
-
-
-def _margins(scene: Scene) -> dict[str, float]:
-    """Margin of the filter around each object [m]."""
-    return {one.name: one.margin for one in obstacles_from_scene(scene, known=(), held=None)}
+        self.view.close()

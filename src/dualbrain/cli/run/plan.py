@@ -15,6 +15,7 @@ from cyclopts import Parameter
 from dualbrain.cli.common.console import StderrConsole, print_result, print_table, sanitize_line
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.common.planner_choice import choose_planner
+from dualbrain.cli.common.spinner import Spinner
 from dualbrain.core.paths import cache_folder, dualbrain_home
 from dualbrain.core.storage.private_files import create_private_folder, open_private_folder
 from dualbrain.errors import UsageError
@@ -65,13 +66,6 @@ def plan(
     json
         Print one JSON object on stdout.
     """
-    from dualbrain.cli.common.spinner import Spinner
-    from dualbrain.grounding.offline_gate import scene_from_spec
-    from dualbrain.planner.introspection import no_documents_reason
-    from dualbrain.runtime.inspection.dry_run import context_at_home
-    from dualbrain.runtime.inspection.dry_run import plan as ask
-    from dualbrain.simulation.scenes.generators.catalogue import open_scene
-
     if not instruction.strip():
         raise UsageError.stating(
             "The instruction is empty.", fix='For example: dualbrain plan "put the red cube in the bowl"'
@@ -82,6 +76,12 @@ def plan(
     loading = Spinner(console, "loading")
     with ExitStack() as stack:
         stack.enter_context(loading)
+        from dualbrain.grounding.offline_gate import scene_from_spec
+        from dualbrain.planner.introspection import no_documents_reason
+        from dualbrain.runtime.inspection.dry_run import context_at_home
+        from dualbrain.runtime.inspection.dry_run import plan as ask
+        from dualbrain.simulation.scenes.generators.catalogue import open_scene
+
         here = context_at_home(robot, scene_from_spec(open_scene(scene, robot)))
         recall = stack.enter_context(_open_memory(ledger, here)) if memory == "on" else None
         look_up = stack.enter_context(_open_documents(here)) if knowledge == "on" else _no_documents

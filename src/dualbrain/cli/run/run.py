@@ -11,6 +11,8 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from dualbrain.cli.common.arguments import parse_fraction
+from dualbrain.cli.common.console import StderrConsole
+from dualbrain.cli.common.spinner import Spinner
 from dualbrain.errors import UsageError
 from dualbrain.memory.plasticity.hebbian_update import EPSILON
 
@@ -24,6 +26,7 @@ def run(
     *,
     robot: str = "panda",
     scene: str = "0",
+    after: Path | None = None,
     planner: str = "",
     filter: Literal["on", "off"] = "on",
     contract: Path | None = None,
@@ -62,6 +65,9 @@ def run(
     scene
         A number, FAMILY:SEED (bare, tabletop, tall, shelf, forearm, edge, fragile, sorting; for a base boxes, crossing,
         aisles; for mobile_panda workroom, busy_workroom), or a scene file.
+    after
+        Folder of an earlier simulated run of this robot: begin where it ended, with its objects, its posture and the
+        object in the hand, instead of --scene.
     planner
         A name from `dualbrain models list`, an adapter (`adapter:ID`, `adapter:champion`), a GGUF file, or the URL of
         an OpenAI-compatible server (its key is read from OPENAI_API_KEY). Default: qwen2.5-coder-1.5b-instruct, or a
@@ -133,37 +139,39 @@ def run(
         )
     if contract is None and (code := _stop_running_robots(instruction)) is not None:
         return code
-    from dualbrain.cli.run.execution import RunView, execute_run
-    from dualbrain.runtime.config import default_config
+    with Spinner(StderrConsole(), "loading") as loading:
+        from dualbrain.cli.run.execution import RunView, execute_run
+        from dualbrain.runtime.config import default_config
 
-    config = replace(
-        default_config(instruction, out=out, ledger=ledger),
-        robot=robot,
-        scene=scene,
-        planner=planner,
-        guard=filter == "on",
-        contract=contract,
-        goal=goal,
-        seed=seed,
-        tries=tries,
-        measured=not headless and contract is None,
-        consult=knowledge == "on",
-        map=map,
-        site=site,
-        image_memory=image_memory,
-        utility=utility,
-        epsilon=epsilon,
-        unrecorded=unrecorded,
-    )
-    view = RunView(
-        live_view=not headless,
-        keep_open=not headless and sys.stdout.isatty(),
-        port=port,
-        as_json=json,
-        real_time=live,
-        speed_scale=speed_scale,
-    )
-    return execute_run(config, view)
+        config = replace(
+            default_config(instruction, out=out, ledger=ledger),
+            robot=robot,
+            scene=scene,
+            after=after,
+            planner=planner,
+            guard=filter == "on",
+            contract=contract,
+            goal=goal,
+            seed=seed,
+            tries=tries,
+            measured=not headless and contract is None,
+            consult=knowledge == "on",
+            map=map,
+            site=site,
+            image_memory=image_memory,
+            utility=utility,
+            epsilon=epsilon,
+            unrecorded=unrecorded,
+        )
+        view = RunView(
+            live_view=not headless,
+            keep_open=not headless and sys.stdout.isatty(),
+            port=port,
+            as_json=json,
+            real_time=live,
+            speed_scale=speed_scale,
+        )
+        return execute_run(config, view, loading)
 
 
 def _stop_running_robots(instruction: str) -> int | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from rich.console import Console
 from rich.markup import escape
 
+from dualbrain.control.control_loop import TickSnapshot
 from dualbrain.errors import MissingDependencyError
 from dualbrain.simulation.perception.rendering import Camera
 from dualbrain.simulation.plant.plant import Plant
@@ -22,6 +23,10 @@ PHASE_CAPTIONS = {
     "wait": "waiting for a person",
 }
 
+INTERVENTION_CAPTION = "strongest intervention of the filter"
+MIN_SHOWN_DELTA, INTERVENTION_GROWTH, MAX_INTERVENTION_IMAGES = 0.005, 1.5, 8
+"""Least δ of which an image is taken, its least growth until the next image, and the largest number of images."""
+
 
 class PhaseCamera:
     """Takes one image at the first tick of each captioned phase; without a GL library it takes none and reports why."""
@@ -30,6 +35,7 @@ class PhaseCamera:
         """Open the camera; `no_graphics` is the reason why no GL library is used, "" if one is."""
         self._plant, self._console = plant, console
         self._seen: set[str] = set()
+        self._strongest, self._interventions = 0.0, 0
         self.snapshots: list[Snapshot] = []
         self._camera: Camera | None = None
         try:
@@ -42,6 +48,16 @@ class PhaseCamera:
         if phase in PHASE_CAPTIONS and phase not in self._seen:
             self._seen.add(phase)
             self.take_snapshot(PHASE_CAPTIONS[phase])
+
+    def on_tick(self, moment: TickSnapshot) -> None:
+        """Take an image of the strongest intervention so far; it replaces the one before."""
+        if moment.action < 0 or self._interventions == MAX_INTERVENTION_IMAGES:
+            return
+        if moment.result.delta > max(MIN_SHOWN_DELTA, INTERVENTION_GROWTH * self._strongest):
+            self._strongest, self._interventions = moment.result.delta, self._interventions + 1
+            pair = moment.result.explain(remedy=False)
+            self.snapshots = [one for one in self.snapshots if not one.caption.startswith(INTERVENTION_CAPTION)]
+            self.take_snapshot(f"{INTERVENTION_CAPTION}: {pair}")
 
     def take_snapshot(self, caption: str) -> None:
         """Take an image now; after an error the camera is not used again, and the run continues."""

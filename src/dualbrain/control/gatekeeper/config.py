@@ -5,6 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from dualbrain.control.gatekeeper.capability import Capability
+from dualbrain.simulation.plant.plant_state import PlantState
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
 
 
@@ -18,7 +19,8 @@ class GatekeeperConfig(
     gatekeeper moves a real arm at `address` (or its fake) instead of the simulated one; hardware requires the
     commissioning record `commissioned`. `realtime` is "enforce" or "ignore" (`FrankaDriver`). The gatekeeper registers
     itself in the folder `registrations` while it runs, as started by `started_by`. With `unrecorded` the arm may move
-    on if the recording cannot be written.
+    on if the recording cannot be written. `start` is the state of the simulated robot at the beginning, by default at
+    home, and `held` the object in its hand then.
     """
 
     robot: str
@@ -41,3 +43,5 @@ class GatekeeperConfig(
     registrations: str = ""
     started_by: str = ""
     unrecorded: bool = False
+    start: PlantState | None = None
+    held: str = ""

@@ -99,6 +99,7 @@ class Deployment:
             instruction=config.instruction,
             report=config.report,
             robot_model=robot_model,
+            start=config.start,
         )
 
     def recording_metadata(self, config: GatekeeperConfig) -> dict[str, Any]:

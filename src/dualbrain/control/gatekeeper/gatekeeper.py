@@ -424,5 +424,7 @@ class Gatekeeper:
                 in_contract=snapshot.action >= 0,
                 order=snapshot.decision.action.name,
                 check=snapshot.decision.check,
+                u_nom=tuple(result.u_nom.tolist()),
+                pairs=result.obstacle_pairs,
             )
         )

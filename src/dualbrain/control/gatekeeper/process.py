@@ -124,6 +124,8 @@ def _assemble(
         trace=trace,
         mark_part=profile.mark_part,
     )
+    if config.start is not None:
+        gatekeeper.loop.resume_grasp(config.held, config.start.target_opening, config.start.grip_force)
     return gatekeeper, robot
 
 

@@ -35,12 +35,13 @@ class FlightLog:
         trace: Trace,
         recorder: Recorder | None = None,
         on_event: Callable[[Event], None] | None = None,
+        on_attempt: Callable[[Attempt], None] | None = None,
     ) -> None:
-        """Write to `trace` and, if given, to `recorder`; `on_event` gets each event when it happens.
+        """Write to `trace` and, if given, to `recorder`; `on_event` and `on_attempt` get each one when it happens.
 
         `binding` counts, for each barrier, the ticks of actions in which it was active.
         """
-        self.trace, self.recorder, self._on_event = trace, recorder, on_event
+        self.trace, self.recorder, self._on_event, self._on_attempt = trace, recorder, on_event, on_attempt
         self.binding: Counter[str] = Counter()
         self._last_binding: tuple[float, FilterResult] | None = None
         self._rows: tuple[ConstraintRow, ...] = ()
@@ -125,6 +126,8 @@ class FlightLog:
         """Log a proposal of the planner with the gate's verdict."""
         if self.recorder:
             self.recorder.attempt(t, attempt)
+        if self._on_attempt:
+            self._on_attempt(attempt)
 
     def mean_delta(self, first: int) -> float:
         """Mean δ_t over the ticks from index `first` on; 0 without ticks (paper 4.4)."""

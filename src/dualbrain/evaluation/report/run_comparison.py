@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import isfinite, nan
@@ -24,6 +25,8 @@ from dualbrain.evaluation.results.episode_row import EpisodeRow
 BEFORE, AFTER = "before", "after"
 MACHINE_DEPENDENT_METRICS = ("gate time", "filter step")
 """Metrics that depend on the machine and its load more than on the method."""
+CLEAR_CONCLUSIONS = ("better", "worse")
+"""Conclusions that state the direction of a change."""
 DESCRIPTION_KEY = "says"
 """Stored name of a configuration entry that only describes."""
 
@@ -40,10 +43,10 @@ class MetricChange:
     @property
     def conclusion(self) -> str:
         """The change in words; a direction only if the corrected p value supports it."""
-        if not isfinite(self.comparison.low + self.comparison.high):
-            return "not known"
         if self.comparison.is_identical:
             return "identical"
+        if not isfinite(self.comparison.low + self.comparison.high):
+            return "not known"
         if self.metric.name in MACHINE_DEPENDENT_METRICS:
             return "machine-dependent"
         if self.p > 1.0 - CONFIDENCE_LEVEL or not self.comparison.effect:
@@ -76,15 +79,26 @@ def compute_changes(before: Sequence[EpisodeRow], after: Sequence[EpisodeRow]) -
     return [MetricChange(*one, p) for one, p in zip(compared, corrected, strict=True)]
 
 
-def changes_table(before: Sequence[EpisodeRow], after: Sequence[EpisodeRow]) -> Table:
-    """Table of the changes from `before` to `after`."""
+def clear_changes(changes: Sequence[MetricChange]) -> list[MetricChange]:
+    """The changes whose direction is known."""
+    return [one for one in changes if one.conclusion in CLEAR_CONCLUSIONS]
+
+
+def count_unclear_changes(changes: Sequence[MetricChange]) -> str:
+    """How many of the changes have no known direction, by conclusion, as words; "" if all have one."""
+    counts = Counter(one.conclusion for one in changes if one.conclusion not in CLEAR_CONCLUSIONS)
+    return ", ".join(f"{count} {conclusion}" for conclusion, count in counts.most_common())
+
+
+def changes_table(changes: Sequence[MetricChange]) -> Table:
+    """Table of changes."""
     header = ("method", "metric", "after − before", "95 %", "p (Holm)", "clusters", "conclusion")
     note = (
         "on the cases and instructions that both evaluations ran, in the clusters of the first; the conclusion follows "
         "p, corrected over all comparisons that are neither identical nor machine-dependent "
         f"({', '.join(MACHINE_DEPENDENT_METRICS)})"
     )
-    return Table("Changes", header, tuple(map(_table_row, compute_changes(before, after))), note)
+    return Table("Changes", header, tuple(map(_table_row, changes)), note)
 
 
 def config_differences_table(before: dict[str, Any], after: dict[str, Any]) -> Table:

@@ -15,6 +15,7 @@ from dualbrain.runtime.config import Clocks, RunConfig, RunObserver
 from dualbrain.runtime.episode import GroundTruth
 from dualbrain.runtime.planning.planning_time import PlanningClock
 from dualbrain.safety.cbf.obstacles import Obstacle, PersonLimits
+from dualbrain.simulation.plant.end_state import EndState
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
 from dualbrain.simulation.world import SimulatedWorld
 
@@ -24,8 +25,8 @@ class RunContext:
     """The parts of a session that a backend needs.
 
     `world` is the simulated world of this process; a backend that moves another robot uses it for camera images only.
-    `versions` are recorded with the run, `image_features` are those of the camera, `interrupted`: a person wants the
-    robot to stop.
+    `start` is the end of the run that this one continues. `versions` are recorded with the run, `image_features` are
+    those of the camera, `interrupted`: a person wants the robot to stop.
     """
 
     config: RunConfig
@@ -35,6 +36,7 @@ class RunContext:
     world: SimulatedWorld
     fixed_obstacles: tuple[Obstacle, ...]
     persons: PersonLimits | None
+    start: EndState | None
     versions: dict[str, str]
     image_features: Callable[[], ImageFeatures | None]
     interrupted: Callable[[], bool]
@@ -58,4 +60,8 @@ class Backend(Protocol):
 
     def trace(self, context: RunContext) -> Trace:
         """The trace of the run, after its end."""
+        ...
+
+    def end_state(self, context: RunContext, held: str) -> EndState | None:
+        """The state after the end of the run, with `held` in the hand; None if it is not known."""
         ...

@@ -29,6 +29,7 @@ from dualbrain.runtime.backends.backend import RunContext, RunningRobot
 from dualbrain.runtime.config import RunObserver
 from dualbrain.runtime.episode import GroundTruth
 from dualbrain.runtime.planning.planning_time import PlanningClock
+from dualbrain.simulation.plant.end_state import EndState
 
 ROBOT_REPORT_FILE, TICK_TIMING_FILE = "robot.json", "punctuality.json"
 """Files that the robot process and the gatekeeper write into the run folder."""
@@ -100,13 +101,13 @@ class GatekeeperBackend:
             for one in (client, operator):
                 one.close()
             process.stop()
-            report = context.config.out / ROBOT_REPORT_FILE
-            return msgspec.json.decode(report.read_bytes(), type=RobotReport).judgement if report.exists() else None
+            report = _robot_report(context)
+            return report.judgement if report else None
 
         where, keys = Path(config.socket), Path(config.keys)
         client = GatekeeperClient(where, load_keys(keys, (PLANNER,)), PLANNER, on_report=watch)
         self._operator = operator = GatekeeperClient(where, load_keys(keys, (OPERATOR,)), OPERATOR)
-        log = FlightLog(Trace(model.n), None, observer.on_event)
+        log = FlightLog(Trace(model.n), None, observer.on_event, observer.on_attempt)
         executor = RemoteExecutor(model, client, log, context.interrupted)
         truth = GroundTruth(lambda contract: None, judge, context.versions, context.image_features)
         clock = PlanningClock(time.monotonic, measured=True)
@@ -115,6 +116,17 @@ class GatekeeperBackend:
     def trace(self, context: RunContext) -> Trace:
         """The trace that the gatekeeper recorded."""
         return read_trace(context.config.out / "episode.mcap", OWN_RECORDING_LIMITS) or Trace(context.robot_model.n)
+
+    def end_state(self, context: RunContext, held: str) -> EndState | None:
+        """The state that the robot process reported at its end."""
+        report = _robot_report(context)
+        return msgspec.structs.replace(report.end, held=held) if report and report.end else None
+
+
+def _robot_report(context: RunContext) -> RobotReport | None:
+    """The report that the robot process wrote at its end; None if there is none."""
+    path = context.config.out / ROBOT_REPORT_FILE
+    return msgspec.json.decode(path.read_bytes(), type=RobotReport) if path.exists() else None
 
 
 def _gatekeeper_config(
@@ -137,4 +149,6 @@ def _gatekeeper_config(
         registrations=str(registrations or ""),
         started_by=f"`dualbrain run` {out.name}",
         unrecorded=config.unrecorded,
+        start=context.start.robot if context.start else None,
+        held=context.start.held if context.start else "",
     )

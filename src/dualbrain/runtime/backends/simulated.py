@@ -18,6 +18,7 @@ from dualbrain.runtime.episode import GroundTruth
 from dualbrain.runtime.planning.planning_time import PLANNING_TIME, PlanningClock
 from dualbrain.safety.cbf.config import operating_config
 from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.simulation.plant.end_state import EndState, read_end_state
 
 
 class SimulatedBackend:
@@ -35,7 +36,7 @@ class SimulatedBackend:
         path = config.out / "episode.mcap"
         reserve = reserve_for_recording(path, unrecorded=config.unrecorded)
         with Recorder(path, trace, when_full="wait", reserve=reserve) as recorder:
-            log = FlightLog(trace, recorder, observer.on_event)
+            log = FlightLog(trace, recorder, observer.on_event, observer.on_attempt)
             recorder.episode(0.0, {**_recording_metadata(context), "versions": context.versions})
             world = context.world
             cell = SimulatedCell(
@@ -47,6 +48,9 @@ class SimulatedBackend:
                 observer=LoopObserver(on_tick=observer.on_tick, on_phase=lambda phase, roles: observer.on_phase(phase)),
                 inputs=LoopInputs(interrupted=context.interrupted, clock=lambda: world.plant.now),
             )
+            if context.start is not None:
+                grip = context.start.robot
+                cell.loop.resume_grasp(context.start.held, grip.target_opening, grip.grip_force)
             planning_time = 0.0 if config.contract else PLANNING_TIME
             truth = GroundTruth(world.start_contract, world.judgement, context.versions, context.image_features)
             clock = PlanningClock(context.clocks.clock, config.measured, planning_time)
@@ -58,6 +62,10 @@ class SimulatedBackend:
     def trace(self, context: RunContext) -> Trace:
         """The recorded trace."""
         return self._trace or Trace(context.robot_model.n, context.robot_model.nq)
+
+    def end_state(self, context: RunContext, held: str) -> EndState | None:
+        """The state of the session's own simulated world."""
+        return read_end_state(context.world.plant, held)
 
 
 def _recording_metadata(context: RunContext) -> dict[str, object]:

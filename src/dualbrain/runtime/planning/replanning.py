@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from dualbrain.contracts.contract import action_in_words
 from dualbrain.records import Episode, FailureFeedback, Outcome
 
 RETRIABLE_OUTCOMES = ("failed", "taken_over")
@@ -85,6 +86,4 @@ def failure_feedback_of(episode: Episode, held: str | None = None) -> FailureFee
 
 def format_action(action: dict[str, Any]) -> str:
     """An action as its skill and the names in it, such as "place blue_bowl"."""
-    params: dict[str, Any] = action.get("params", {})
-    names = [str(params[key]) for key in ("object", "target", "destination", "place") if key in params]
-    return " ".join((str(action.get("skill")), *names))
+    return action_in_words(action.get("skill"), action.get("params", {}))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dualbrain.contracts.contract import action_in_words
 from dualbrain.contracts.verdict import STAGES, Accepted, Rejected, Verdict
 from dualbrain.planner.protocol import describe_failure, has_answer
 from dualbrain.records import Attempt
@@ -18,8 +19,8 @@ def format_verdict(shot: int, verdict: Verdict | None) -> str:
     """The stages that a proposal passed, and its actions or the reason of the rejection; None: there was no shot."""
     match verdict:
         case Accepted(contract):
-            skills = " → ".join(action.skill for action in contract.action_sequence)
-            return f"shot {shot}: accepted, {_format_passed_stages(len(STAGES))}: {skills}"
+            steps = " → ".join(action_in_words(action.skill, action.params) for action in contract.action_sequence)
+            return f"shot {shot}: accepted, {_format_passed_stages(len(STAGES))}: {steps}"
         case Rejected(stage=stage, pointer=pointer, got=got, allowed=_, hint=hint):
             passed = _format_passed_stages(STAGES.index(stage))
             return f"shot {shot}: rejected, {passed}{stage} ✗ at {pointer or '/'}: got {got!r}; {hint}"

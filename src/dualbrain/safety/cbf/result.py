@@ -138,6 +138,13 @@ class FilterResult(msgspec.Struct, frozen=True, eq=False, gc=False):  # numbers 
         return tuple(dict.fromkeys(self.names.barrier_name(kind, i, j) for kind, i, j, _, _ in self.binding_rows))
 
     @property
+    def obstacle_pairs(self) -> tuple[tuple[str, str, float], ...]:
+        """Binding pairs with obstacles, the largest multiplier first: link, name of the obstacle, h [m]."""
+        rows = sorted(self.binding_rows, key=lambda row: -row[4])
+        names = self.names
+        return tuple((names.link_of_sphere(i), names.obstacles[j], h) for kind, i, j, h, _ in rows if kind == OBSTACLE)
+
+    @property
     def reason(self) -> Reason:
         """The reasons for a status above MODIFIED."""
         return Reason(self.flags)

@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from dualbrain.core.geometry.shapes import Bowl, Box, Cylinder, Pose, Quaternion
-from dualbrain.simulation.scenes.appearance import COLOUR_RGBA
+from dualbrain.simulation.scenes.colours import COLOUR_RGBA
 
 Array = NDArray[np.float64]
 MIN_POINT_HEIGHT = 0.006

@@ -19,6 +19,7 @@ from dualbrain.robots.interface import Array, Command, RobotState
 from dualbrain.simulation.models.mujoco_model import BASE_JOINT_NAMES
 from dualbrain.simulation.plant.joint_drive import ARM_ACTUATOR_GROUP, DriveKind
 from dualbrain.simulation.plant.plant import Plant
+from dualbrain.simulation.plant.plant_state import PlantState
 from dualbrain.simulation.plant.wheel_drive import WheelDrive
 from dualbrain.simulation.scenes.scene_builder import ROBOT_PREFIX
 
@@ -91,6 +92,15 @@ class MobileBasePlant(Plant):
         self.data.qpos[self._arm], self.data.qvel[self._dof] = q, 0.0
         mujoco.mj_forward(self.model, self.data)
         self._reset_commands()
+
+    def state(self) -> PlantState:
+        """The pose of the base."""
+        return PlantState(configuration=tuple(self.configuration().tolist()))
+
+    def restore(self, state: PlantState) -> None:
+        """Put the base at rest at the pose of `state`; raises `ConfigurationError` if it is not that of a base."""
+        self._require_size("configuration", state.configuration, len(self.configuration()))
+        self.set_configuration(np.array(state.configuration))
 
     def link_body_names(self) -> dict[str, str]:
         """MuJoCo body name of the only link."""

@@ -18,12 +18,13 @@ import mujoco
 import numpy as np
 
 from dualbrain.core.geometry.shapes import Pose
-from dualbrain.errors import UnknownNameError
+from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.robots.interface import Array, Command, RobotState
 from dualbrain.robots.model import RobotModel
 from dualbrain.simulation.models.mujoco_model import load_mujoco_model, n_arm_joints
 from dualbrain.simulation.plant.force_sensor import ForceSensor
 from dualbrain.simulation.plant.joint_drive import ARM_ACTUATOR_GROUP, DriveKind, make_drive, motor_slices
+from dualbrain.simulation.plant.plant_state import PlantState
 from dualbrain.simulation.scenes.moving_person import PERSON_DAMPING, PERSON_STIFFNESS, person_path
 from dualbrain.simulation.scenes.scene_builder import LOAD_NAME, PHYSICS_PERIOD, ROBOT_PREFIX, build_model
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
@@ -236,6 +237,30 @@ class Plant:
             self._place_load(self._load_address)
         self._reset_commands()
 
+    def state(self) -> PlantState:
+        """The posture, the fingers and their grip, for a robot at rest."""
+        return PlantState(
+            configuration=tuple(self.configuration().tolist()),
+            fingers=tuple(self.data.qpos[self._fingers].tolist()),
+            finger_setpoint=self._finger_setpoint,
+            target_opening=self._target_opening,
+            grip_force=self._grip_force,
+        )
+
+    def restore(self, state: PlantState) -> None:
+        """Put the robot at rest into `state`; raises `ConfigurationError` if that is not a state of this robot."""
+        self._require_size("configuration", state.configuration, len(self.configuration()))
+        self._require_size("fingers", state.fingers, self._fingers.stop - self._fingers.start)
+        self.set_configuration(np.array(state.configuration), state.target_opening)
+        self._set_force(state.grip_force)
+        self._finger_setpoint = self.data.ctrl[self._gripper_actuator] = state.finger_setpoint
+        self.data.qpos[self._fingers] = state.fingers
+        mujoco.mj_forward(self.model, self.data)
+
+    def configuration(self) -> Array:
+        """True configuration (nq,), as in `RobotState.q`."""
+        return self.data.qpos[self._arm].copy()
+
     def ground_position(self) -> Array:
         """Position (2,) [m] of the robot on the floor; for an arm without a base, the position of its tool."""
         return self.tool_pose()[0][:2]
@@ -316,6 +341,11 @@ class Plant:
         self._grip_force = force
         self.model.actuator_forcerange[self._gripper_actuator] = (-2.0 * force, 2.0 * max(force, MIN_OPENING_FORCE))
         self._max_lead = 2.0 * max(force, MIN_OPENING_FORCE) / SERVO_STIFFNESS + FINGER_SETPOINT_LEAD
+
+    def _require_size(self, name: str, values: tuple[float, ...], size: int) -> None:
+        if len(values) != size:
+            what = f"{name} of robot {self.robot_model.name} at the end of the earlier run"
+            raise ConfigurationError(what, got=f"{len(values)} numbers", allowed=f"{size} numbers")
 
     def _require_known(self, name: str) -> None:
         if name not in self.object_names:

@@ -23,8 +23,8 @@ from dualbrain.simulation.scenes.appearance import (
     add_person_visuals,
     add_room_appearance,
     add_table_appearance,
-    colour_rgba,
 )
+from dualbrain.simulation.scenes.colours import colour_rgba
 from dualbrain.simulation.scenes.moving_person import PERSON_DAMPING, PERSON_STIFFNESS, person_path
 from dualbrain.simulation.scenes.scene_spec import TABLE_X, TABLE_Y, MovingPerson, ObjectSpec, SceneSpec
 

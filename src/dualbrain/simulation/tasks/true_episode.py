@@ -13,7 +13,6 @@ from dualbrain.records import Scene
 from dualbrain.robots.model import RobotModel
 from dualbrain.simulation.monitoring.contact_rules import ContactRules
 from dualbrain.simulation.perception.noisy_perception import NO_NOISE, NoisyPerception
-from dualbrain.simulation.plant.mobile_manipulator_plant import MobileManipulatorPlant
 from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.tasks.placement import count_touching_fingers, is_static
 
@@ -56,7 +55,7 @@ class TrueEpisodeRecorder:
         """Record the state of `plant`."""
         self._plant = plant
         self._rules = ContactRules(plant.model, plant.spec)
-        self._before, self._q_before = exact_scene(plant), true_configuration(plant)
+        self._before, self._q_before = exact_scene(plant), plant.configuration()
 
     def finish(self, broken: frozenset[str]) -> TrueEpisode:
         """The episode until now, with the `broken` objects."""
@@ -68,7 +67,7 @@ class TrueEpisodeRecorder:
             before=self._before,
             after=exact_scene(plant),
             q_before=self._q_before,
-            q_after=true_configuration(plant),
+            q_after=plant.configuration(),
             in_hand=next((name for name, count in touching.items() if count == FINGERS), ""),
             touched=frozenset(name for name, count in touching.items() if count),
             unsettled=frozenset(name for name in free if not touching[name] and not is_static(plant, name)),
@@ -79,10 +78,3 @@ class TrueEpisodeRecorder:
 def exact_scene(plant: Plant) -> Scene:
     """The scene of `plant` without errors of perception."""
     return NoisyPerception(plant.spec, NO_NOISE, np.random.default_rng(0)).perceive(plant)
-
-
-def true_configuration(plant: Plant) -> NDArray[np.float64]:
-    """True configuration (nq,) of the robot, as in `RobotState.q`."""
-    if isinstance(plant, MobileManipulatorPlant):
-        return plant.configuration()
-    return plant.data.qpos[plant.arm_slices[0]].copy()

@@ -316,6 +316,11 @@ class ArmController:
         self.watch_load(obj)
         return True
 
+    def resume_grasp(self, name: str, opening: float, force: float) -> bool:
+        """Continue to grip at `opening` [m] with `force` [N], and store `name` as held if both fingers press on it."""
+        self.opening, self.force = opening, force
+        return self.detect_grasp(name)
+
     def watch_load(self, obj: SceneObject, offset: Array | None = None) -> None:
         """Monitor the held `obj` until it is released; `offset` (3,) [m] in the tool frame, by default as perceived."""
         tool = self.observation.tool

@@ -170,6 +170,11 @@ class BaseController:
         del name
         return False
 
+    def resume_grasp(self, name: str, opening: float, force: float) -> bool:
+        """False, because a base has no hand."""
+        del name, opening, force
+        return False
+
     def reproject(self, u: Array) -> Array:
         """u_nom (n,) projected again, because the rows known to φ changed within this tick."""
         self._u_nom = self._u_nom_prev

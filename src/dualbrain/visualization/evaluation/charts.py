@@ -5,39 +5,42 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from io import StringIO
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dualbrain.control.recording.trace import DEAD_BAND
 from dualbrain.evaluation.analysis.metrics import METRIC_BY_NAME
 from dualbrain.evaluation.analysis.statistics import Estimate, estimate
-from dualbrain.evaluation.report.tables import methods_of, values_by_cluster
+from dualbrain.evaluation.report.tables import estimate_metric, methods_of, values_by_cluster
 from dualbrain.evaluation.results.episode_row import EpisodeRow
 from dualbrain.visualization.html.page import Html
-from dualbrain.visualization.html.strip_chart import (
+from dualbrain.visualization.html.plot_style import (
     BLUE,
     GREEN,
+    LINE,
+    LINE_COLOURS,
     MATPLOTLIB_STYLE,
     MUTED,
-    ORANGE,
     RED,
-    SKY,
     TEXT,
-    VIOLET,
     apply_page_theme,
 )
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-LINE_COLOURS = (BLUE, ORANGE, GREEN, RED, VIOLET, TEXT, SKY, MUTED)
+Array = NDArray[np.float64]
 DASHES = ("solid", (0, (4, 2)), (0, (1, 1.5)))
-MARKERS = "osD^vP<X>"
+MAX_GROUP = 9
+"""Largest number of methods in one figure."""
 MAX_CLEARANCE_MM = 60.0
 """Larger clearances are drawn at this value [mm]."""
-DODGE_WIDTH = 0.6
-"""Width over which the methods are spread at each repetition, as a share of the distance between repetitions."""
+BAR_TEXT_AT = 1.16
+"""Place of the numbers at the right of the bars, as a share."""
+SUMMARY_METRICS = (("success", GREEN), ("violation rate", RED))
+"""Rates of the first chart, with their colours."""
 CURVE_METRICS = ("success", "violation rate", "Δ of successes", "intervention frequency")
 MAX_RATIO_FOR_MINOR_TICKS = 100.0
 """Beyond this ratio of its ends a logarithmic axis is labelled at powers of ten only."""
@@ -45,13 +48,13 @@ MAX_RATIO_FOR_MINOR_TICKS = 100.0
 
 def group_methods(methods: Sequence[str]) -> list[list[str]]:
     """Groups of methods that share a figure: all methods, or if these are too many, each method with its variants."""
-    if len(methods) <= len(MARKERS):
+    if len(methods) <= MAX_GROUP:
         return [list(methods)]
     leads = dict.fromkeys(name.partition("-")[0] for name in methods)
     found: list[list[str]] = [[]]
     for lead in leads:
         variants = [name for name in methods if name.partition("-")[0] == lead]
-        if found[-1] and len(found[-1]) + len(variants) > len(MARKERS):
+        if found[-1] and len(found[-1]) + len(variants) > MAX_GROUP:
             found.append([])
         found[-1] += variants
     return found
@@ -79,40 +82,107 @@ def _canvas(rows: int, columns: int, height: float, parts: int = 1) -> Iterator[
         whole.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
 
 
+def summary_chart(rows: Sequence[EpisodeRow]) -> Html:
+    """Chart with one bar per method for each of the main rates, with its interval; methods below each other."""
+    methods = methods_of(rows)
+    height = 0.9 + 0.27 * len(methods)
+    with _canvas(1, len(SUMMARY_METRICS), height) as (((figure, axes),), out):
+        figure.subplots_adjust(left=0.09, right=0.99, top=1.0 - 0.4 / height, bottom=0.32 / height, wspace=0.1)
+        for place, (name, colour) in zip(axes.flat, SUMMARY_METRICS, strict=True):
+            _draw_bars(place, rows, methods, name, colour)
+            place.tick_params(axis="y", length=0, labelleft=place is axes.flat[0], labelsize=9, labelcolor=TEXT)
+    return apply_page_theme(out.getvalue(), "success and violations by method")
+
+
+def _draw_bars(axes: Axes, rows: Sequence[EpisodeRow], methods: Sequence[str], name: str, colour: str) -> None:
+    from matplotlib.ticker import PercentFormatter  # noqa: PLC0415
+
+    axes.set_title(name, loc="left", fontsize=9.5, fontweight="bold", color=TEXT)
+    axes.set_title("share of episodes, 95 %", loc="right", fontsize=8, color=MUTED)
+    for place, method in enumerate(methods):
+        found = estimate_metric(rows, method, name)
+        if not found.n:
+            axes.text(0.01, place, "not measured", va="center", fontsize=8, color=MUTED)
+            continue
+        axes.barh(place, found.mean, height=0.62, color=colour, alpha=0.8)
+        if np.isfinite(found.low + found.high):
+            axes.plot((found.low, found.high), (place, place), color=TEXT, linewidth=1.1, solid_capstyle="butt")
+        axes.text(BAR_TEXT_AT, place, f"{100.0 * found.mean:.1f} %", va="center", ha="right", fontsize=8.5, color=TEXT)
+    axes.set_xlim(0.0, BAR_TEXT_AT)
+    axes.set_xticks(np.linspace(0.0, 1.0, 6))
+    axes.set_ylim(len(methods) - 0.45, -0.55)
+    axes.set_yticks(range(len(methods)), methods)
+    axes.xaxis.set_major_formatter(PercentFormatter(1.0, symbol=" %"))
+    axes.grid(axis="x")
+    axes.set_axisbelow(True)
+
+
 def metrics_chart(rows: Sequence[EpisodeRow]) -> Html:
-    """Chart of the main metrics over the repetitions of a scene, by method, with intervals."""
+    """Chart of the main metrics over the repetitions of a scene: one small panel for each metric and method.
+
+    The intervals are those of the method of the panel; the other methods of the figure are thin lines behind it.
+    """
     groups = group_methods(methods_of(rows))
-    with _canvas(2, 2, 6.0, len(groups)) as (figures, out):
+    columns = max(map(len, groups))
+    with _canvas(len(CURVE_METRICS), columns, 6.4, len(groups)) as (figures, out):
         for methods, (figure, axes) in zip(groups, figures, strict=True):
-            for place, name in zip(axes.flat, CURVE_METRICS, strict=True):
-                _set_title(place, name, "over repetitions")
-                _draw_metric(place, rows, methods, name)
-            _add_legend(figure, methods, marked=True)
-    return apply_page_theme(out.getvalue(), "metrics over repetitions")
+            figure.subplots_adjust(left=0.075, top=0.93, bottom=0.09, hspace=0.32, wspace=0.14)
+            for line, name in zip(axes, CURVE_METRICS, strict=True):
+                _draw_panels(line, rows, methods, name)
+            for place, method in zip(axes[0], methods, strict=False):
+                place.set_title(method, fontsize=9.5, fontweight="bold", color=TEXT)
+    return apply_page_theme(out.getvalue(), "metrics over repetitions, a panel for each metric and method")
 
 
-def _draw_metric(axes: Axes, rows: Sequence[EpisodeRow], methods: Sequence[str], name: str) -> None:
+def _draw_panels(line: Sequence[Axes], rows: Sequence[EpisodeRow], methods: Sequence[str], name: str) -> None:
+    """One metric in a panel for each method, all with the same axis; panels without a method remain empty."""
     from matplotlib.ticker import MaxNLocator  # noqa: PLC0415
 
-    for index, method in enumerate(methods):
-        _draw_curve(axes, rows, method, name, index, DODGE_WIDTH * ((index + 0.5) / len(methods) - 0.5))
-    axes.set_ylim(0, None)
-    axes.set_xlabel("repetition", loc="right", labelpad=1)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+    curves = [_curve(rows, method, name) for method in methods]
+    highest = max((one.highest for one in curves), default=0.0)
+    for column, place in enumerate(line):
+        if column >= len(methods):
+            place.set_visible(False)
+            continue
+        for other in curves:
+            place.plot(other.x, other.mean, color=LINE, linewidth=0.9, zorder=1)
+        _draw_curve(place, curves[column])
+        place.set_ylim(0.0, 1.06 * highest if highest > 0.0 else 1.0)
+        place.grid(axis="y")
+        place.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=4, min_n_ticks=1))
+        place.yaxis.set_major_locator(MaxNLocator(nbins=4))
+        place.tick_params(length=2, labelsize=7.5, labelleft=column == 0, labelbottom=name == CURVE_METRICS[-1])
+    line[0].set_ylabel(name.replace(" ", "\n", 1), fontsize=8.5, fontweight="bold", color=TEXT)
+    if name == CURVE_METRICS[-1]:
+        line[len(methods) - 1].set_xlabel("repetition", loc="right", labelpad=1, fontsize=8)
 
 
-def _draw_curve(axes: Axes, rows: Sequence[EpisodeRow], method: str, name: str, index: int, dodge: float) -> None:
-    """Means with their intervals, shifted by `dodge` repetitions so that equal methods remain visible."""
+class _Curve(NamedTuple):
+    """Means of one method over the repetitions `x`, with the ends of their intervals (not finite: unknown)."""
+
+    x: Array
+    mean: Array
+    low: Array
+    high: Array
+
+    @property
+    def highest(self) -> float:
+        """The largest drawn value."""
+        return float(np.max(np.r_[0.0, self.mean, self.high[np.isfinite(self.high)]]))
+
+
+def _curve(rows: Sequence[EpisodeRow], method: str, name: str) -> _Curve:
     mine = [row for row in rows if row.method == method]
     points = [(k, _estimate_at(mine, k, name)) for k in sorted({row.repetition for row in mine})]
-    known = [(k, found) for k, found in points if found.n]
-    if not known:
-        return
-    x = np.array([k for k, _ in known], float) + 1.0 + dodge
-    means, low, high = (np.array([getattr(found, part) for _, found in known]) for part in ("mean", "low", "high"))
-    axes.plot(x, means, linewidth=1.0, marker=MARKERS[index % len(MARKERS)], markersize=4.2, **line_style(index))
-    fine = np.isfinite(low) & np.isfinite(high)
-    axes.vlines(x[fine], low[fine], high[fine], color=line_style(index)["color"], alpha=0.45, linewidth=0.9)
+    known = [(k + 1.0, found.mean, found.low, found.high) for k, found in points if found.n]
+    return _Curve(*np.array(known, float).reshape(-1, 4).T)
+
+
+def _draw_curve(axes: Axes, curve: _Curve) -> None:
+    """The curve of a panel with its intervals."""
+    fine = np.isfinite(curve.low) & np.isfinite(curve.high)
+    axes.vlines(curve.x[fine], curve.low[fine], curve.high[fine], color=BLUE, alpha=0.45, linewidth=1.4, zorder=2)
+    axes.plot(curve.x, curve.mean, color=BLUE, linewidth=1.4, marker="o", markersize=3.2, zorder=3)
 
 
 def _estimate_at(rows: Sequence[EpisodeRow], repetition: int, name: str) -> Estimate:
@@ -226,12 +296,9 @@ def _set_title(axes: Axes, title: str, subtitle: str) -> None:
     axes.grid(axis="y")
 
 
-def _add_legend(figure: Any, shown: Sequence[str], *, marked: bool = False) -> None:
+def _add_legend(figure: Any, shown: Sequence[str]) -> None:
     """Legend above a figure, in the order of the line styles."""
     from matplotlib.lines import Line2D  # noqa: PLC0415
 
-    marks = [MARKERS[k % len(MARKERS)] if marked else "" for k in range(len(shown))]
-    lines = [
-        Line2D([], [], linewidth=1.6, marker=mark, markersize=4.2, **line_style(k)) for k, mark in enumerate(marks)
-    ]
+    lines = [Line2D([], [], linewidth=1.6, **line_style(k)) for k in range(len(shown))]
     figure.legend(lines, shown, loc="upper center", ncol=len(shown) or 1, frameon=False, fontsize=8.5, handlelength=2.6)

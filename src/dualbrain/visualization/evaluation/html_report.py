@@ -23,13 +23,21 @@ from dualbrain.evaluation.report.all_tables import all_tables
 from dualbrain.evaluation.report.captions import headline
 from dualbrain.evaluation.report.decision_latency import unbatched_latencies
 from dualbrain.evaluation.report.not_measured import list_not_measured
+from dualbrain.evaluation.report.summary import describe_methods, summary_sentence
 from dualbrain.evaluation.report.tables import WALL_TIME_NOTE, Table
 from dualbrain.evaluation.results.episode_row import EpisodeRow
-from dualbrain.visualization.evaluation.charts import latencies_chart, metrics_chart, select_traced_pair, traces_chart
+from dualbrain.visualization.evaluation.charts import (
+    latencies_chart,
+    metrics_chart,
+    select_traced_pair,
+    summary_chart,
+    traces_chart,
+)
 from dualbrain.visualization.html.page import Html, badge, document, element, join, section, table
 
 VERDICT_TONES = {"supported": "good", "refuted": "bad", "undecided": "warn", "not measured": "quiet"}
 IMAGE_WIDTH = 480
+CURVES_NOTE = "mean with 95 % interval, the other methods in grey; a run repeats its scenes"
 LATENCY_NOTE = (
     "cumulative shares; cached answers are not counted; gate and filter: "
     f"{WALL_TIME_NOTE}, so that the longest times include other processes. The simulation waits for each step, so none "
@@ -87,6 +95,16 @@ class ReportData:
         return select_traced_pair(self.rows)
 
     @cached_property
+    def summary(self) -> str:
+        """The result in one sentence."""
+        return summary_sentence(self.rows)
+
+    @cached_property
+    def bars(self) -> Html:
+        """Chart of success and violations by method."""
+        return summary_chart(self.rows)
+
+    @cached_property
     def curves(self) -> Html:
         """Chart of the metrics over repetitions."""
         return metrics_chart(self.rows)
@@ -112,10 +130,12 @@ def render_html_report(data: ReportData) -> str:
     first, *rest = data.tables
     parts = (
         _header(data),
+        element("p", data.summary, class_="lead"),
+        element("div", data.bars, element("p", describe_methods(data.rows), class_="muted"), class_="card chart"),
         element("div", *map(_tile, data.hypotheses), class_="tiles"),
         _table_section(first),
         _table_section(rest[0]),
-        _chart_section("Metrics over repetitions", data.curves, "mean with 95 % interval; a run repeats its scenes"),
+        _chart_section("Metrics over repetitions", data.curves, CURVES_NOTE),
         *map(_table_section, rest[1:4]),
         *(
             [_chart_section("Traces of one case", data.traces, traces_caption(data.traced_pair))]

@@ -8,9 +8,11 @@ from pathlib import Path
 
 from dualbrain.core.untrusted.visible_text import visible_text
 from dualbrain.evaluation.report.captions import headline
+from dualbrain.evaluation.report.summary import describe_methods
 from dualbrain.evaluation.report.tables import Table, markdown_page
 from dualbrain.evaluation.results.episode_row import EpisodeRow
 from dualbrain.visualization.evaluation.html_report import (
+    CURVES_NOTE,
     LATENCY_NOTE,
     ReportData,
     encode_jpeg,
@@ -32,7 +34,7 @@ def write_markdown_page(folder: Path, data: ReportData) -> None:
     """
     folder.mkdir(parents=True, exist_ok=True)
     replaced = _failure_images(folder / PAGE_FILE) if data.gallery else set[str]()
-    charts = [("curves", data.curves), ("latencies", data.latencies)]
+    charts = [("summary", data.bars), ("curves", data.curves), ("latencies", data.latencies)]
     charts += [("traces", data.traces)] if data.traced_pair else []
     for name, chart in charts:
         folder.joinpath(f"{name}.svg").write_text(standalone_svg(chart), encoding="utf-8")
@@ -56,7 +58,7 @@ def render_markdown_page(
 
     `traced_pair` is the case of the traces ("" without traces), `captions` are those of failure_1.jpg, failure_2.jpg, …
     """
-    titles = {"curves": "Metrics over repetitions: mean with 95 % interval"}
+    titles = {"curves": f"Metrics over repetitions: {CURVES_NOTE}"}
     titles |= {"traces": f"{TRACES_PREFIX}{traces_caption(traced_pair)}"} if traced_pair else {}
     titles |= {"latencies": f"Latency: {LATENCY_NOTE}"}
     lines = [f"## {CHARTS_TITLE}", ""]
@@ -84,6 +86,9 @@ def header_lines(data: ReportData) -> list[str]:
     seeds = sorted({row.seed for row in data.rows})
     code = data.config.get("origin", {}).get("code", "unknown")
     return [
+        f"**{escape_markdown(data.summary)}**",
+        "![success and violations by method](summary.svg)",
+        escape_markdown(describe_methods(data.rows)),
         data.suite.description,
         f"{len(data.rows)} episodes, {data.date}, code {code}, seeds {seeds[0]} to {seeds[-1]} ({len(seeds)}).",
         f"Reproduce: `{data.command}`; with `--again KEY` a single episode by its key.",

@@ -8,7 +8,7 @@ import numpy as np
 
 from dualbrain.memory.maintenance.projection import MemoryProjection
 from dualbrain.visualization.html.page import Html, element, section
-from dualbrain.visualization.html.strip_chart import AMBER, BLUE, MATPLOTLIB_STYLE, MUTED, RED, SKY, apply_page_theme
+from dualbrain.visualization.html.plot_style import AMBER, BLUE, MATPLOTLIB_STYLE, MUTED, RED, SKY, apply_page_theme
 
 WEIGHT_COLOURS = ((0.2, RED), (0.4, AMBER), (0.6, MUTED), (0.8, SKY), (1.01, BLUE))
 """Colour of weights below each bound."""

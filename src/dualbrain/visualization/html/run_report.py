@@ -17,9 +17,10 @@ from dualbrain.contracts.verdict import Accepted, Rejected
 from dualbrain.control.recording.trace import DEAD_BAND, Event, Trace
 from dualbrain.core.storage.atomic_files import write_atomically
 from dualbrain.memory.maintenance.projection import MemoryProjection
-from dualbrain.records import Attempt, Episode, Exemplar, MemoryUse
+from dualbrain.records import Attempt, Episode, Exemplar, MemoryUse, Outcome
 from dualbrain.runtime.planning.planning_time import latency_breakdown
 from dualbrain.safety.barriers import BARRIERS
+from dualbrain.visualization.html.attempts import STATUS_TONES, attempts_section, combine
 from dualbrain.visualization.html.key_numbers import (
     KeyNumber,
     format_dimensionless,
@@ -31,23 +32,9 @@ from dualbrain.visualization.html.memory_map import memory_map_section
 from dualbrain.visualization.html.page import Html, badge, document, element, join, section, table
 from dualbrain.visualization.html.strip_chart import strip_chart
 
-STATUS_TONES = {
-    "succeeded": "good",
-    "failed": "bad",
-    "taken_over": "warn",
-    "rejected": "warn",
-    "declined": "quiet",
-    "aborted": "warn",
-    "paused": "warn",
-    "slowed": "warn",
-    "handed_over": "warn",
-    "emergency": "bad",
-    "stopped": "bad",
-    "done": "good",
-    "not_run": "quiet",
-}
 GATE_STAGES = ("syntax", "authorization", "envelope")
-IMAGE_WIDTH = 480
+IMAGE_WIDTH = 960
+"""Largest width of an image [pixel]: a click enlarges it to this width."""
 NO_INSTRUCTION_TITLE = "a given contract"
 MAX_TEXT_CHARACTERS = 4000
 FILTER_OFF_NOTICE = "The safety filter was off: Δ and clearances are only measured."
@@ -68,18 +55,30 @@ def write_report(
     trace: Trace,
     snapshots: Sequence[Snapshot] = (),
     projection: MemoryProjection | None = None,
+    earlier: Sequence[Episode] = (),
 ) -> None:
-    """Write the report of `episode` to `path`; `trace` is empty if the gate rejected the contract."""
-    write_atomically(path, render_report(episode, trace, snapshots, projection).encode())
+    """Write the report of `episode` to `path`; `trace` is empty if the gate rejected the contract.
+
+    `earlier` are the tries of the same instruction before this episode.
+    """
+    write_atomically(path, render_report(episode, trace, snapshots, projection, earlier).encode())
 
 
 def render_report(
-    episode: Episode, trace: Trace, snapshots: Sequence[Snapshot] = (), projection: MemoryProjection | None = None
+    episode: Episode,
+    trace: Trace,
+    snapshots: Sequence[Snapshot] = (),
+    projection: MemoryProjection | None = None,
+    earlier: Sequence[Episode] = (),
 ) -> str:
     """Text of the report as HTML, with a memory map if `projection` is given."""
+    tries = (*earlier, episode)
+    whole = combine(tries)
     parts = (
         _header(episode),
-        element("div", *map(_tile, key_numbers(episode)), class_="tiles"),
+        element("div", *map(_tile, key_numbers(whole)), class_="tiles"),
+        element("p", intervention_in_words(whole.outcome, trace), class_="muted meaning"),
+        attempts_section(tries),
         _snapshots_section(snapshots),
         _time_course_section(episode, trace),
         _contract(episode),
@@ -120,6 +119,21 @@ def _header(episode: Episode) -> Html:
     )
 
 
+def intervention_in_words(outcome: Outcome, trace: Trace) -> str:
+    """What Δ means, and what it is in this run."""
+    meaning = "Δ is the mean of δ, the part of full speed by which the filter changed the commanded motion in one tick."
+    if outcome.Delta is None:
+        return f"{meaning} No contract was executed, so there is none."
+    if outcome.delta_peak <= DEAD_BAND:
+        return f"{meaning} Here the filter changed nothing: the motion was safe as it was planned."
+    moments, deltas = trace["t"], trace["delta"]
+    when = f", at {moments[int(np.argmax(deltas))]:.1f} s" if len(trace) else ""
+    return (
+        f"{meaning} Here the filter changed {100.0 * outcome.intervention_frequency:.2g} % of the ticks, by "
+        f"{100.0 * outcome.Delta:.2g} % of full speed on average and {100.0 * outcome.delta_peak:.2g} % at most{when}."
+    )
+
+
 def _tile(number: KeyNumber) -> Html:
     unit = element("small", number.unit) if number.unit and number.value is not None else Html("")
     value = element("b", number.text, unit, id=f"number-{number.name}", data_value=str(number.value))
@@ -130,7 +144,11 @@ def _snapshots_section(snapshots: Sequence[Snapshot]) -> Html:
     if not snapshots:
         return Html("")
     across = "four" if len(snapshots) % 3 and len(snapshots) > 3 and len(snapshots) != 5 else "three"
-    return section("Snapshots", element("div", *map(_snapshot_figure, snapshots), class_=f"shots {across}"))
+    return section(
+        "Snapshots",
+        element("div", *map(_snapshot_figure, snapshots), class_=f"shots {across}"),
+        note="a click enlarges",
+    )
 
 
 def _snapshot_figure(shot: Snapshot) -> Html:
@@ -144,7 +162,8 @@ def _snapshot_figure(shot: Snapshot) -> Html:
     imsave(data, small, format="jpeg", pil_kwargs={"quality": 86})
     source = "data:image/jpeg;base64," + base64.b64encode(data.getvalue()).decode()
     caption = element("figcaption", element("b", f"{shot.t:.1f} s"), shot.caption)
-    return element("figure", element("img", src=source, alt=shot.caption), caption)
+    image = element("summary", element("img", src=source, alt=shot.caption), title="enlarge or reduce")
+    return element("figure", element("details", image, class_="zoom"), caption)
 
 
 def _time_course_section(episode: Episode, trace: Trace) -> Html:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from io import StringIO
 from itertools import pairwise
@@ -14,6 +13,20 @@ from numpy.typing import NDArray
 from dualbrain.control.recording.trace import DEAD_BAND, Trace
 from dualbrain.records import ActionResult, Episode
 from dualbrain.visualization.html.page import Html
+from dualbrain.visualization.html.plot_style import (
+    AMBER,
+    BLUE,
+    CARD,
+    FAINT,
+    MATPLOTLIB_STYLE,
+    MUTED,
+    ORANGE,
+    RED,
+    ROSE,
+    SKY,
+    TEXT,
+    apply_page_theme,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,45 +39,12 @@ MAX_BUCKETS = 900
 CHART_WIDTH_PT = 10.4 * 72 * 0.93
 """Width of the drawing area [points]."""
 
-# Each colour is drawn as a placeholder that no plot uses otherwise; `apply_page_theme` replaces it by a CSS variable.
-PLACEHOLDER_COLOURS = {
-    name: f"#0101{k + 1:02x}"
-    for k, name in enumerate(
-        ("text", "muted", "line", "faint", "blue", "sky", "orange", "amber", "red", "rose", "green", "card", "violet")
-    )
-}
-TEXT, MUTED, LINE, FAINT, BLUE, SKY, ORANGE, AMBER, RED, ROSE, GREEN, CARD, VIOLET = PLACEHOLDER_COLOURS.values()
-
 STATUS_COLOURS: Mapping[str, str] = {
     "done": BLUE,
     "failed": RED,
     "taken_over": ORANGE,
     "stopped": RED,
     "not_run": MUTED,
-}
-
-MATPLOTLIB_STYLE: dict[Any, Any] = {
-    "svg.fonttype": "none",
-    "svg.hashsalt": "dualbrain",
-    "font.family": "DejaVu Sans",
-    "font.size": 9,
-    "text.parse_math": False,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.edgecolor": LINE,
-    "axes.labelcolor": MUTED,
-    "text.color": TEXT,
-    "xtick.color": LINE,
-    "ytick.color": LINE,
-    "xtick.labelcolor": MUTED,
-    "ytick.labelcolor": MUTED,
-    "axes.facecolor": "none",
-    "figure.facecolor": "none",
-    "axes.linewidth": 0.8,
-    "grid.color": FAINT,
-    "grid.linewidth": 0.8,
-    "lines.solid_joinstyle": "round",
-    "hatch.linewidth": 0.6,
 }
 
 
@@ -294,18 +274,3 @@ def _draw_speed(axes: Axes, trace: Trace, speed: SpeedStrip) -> None:
         axes.plot(t, y, color=colour, linewidth=1.3, linestyle=dash)
     if not signed:
         axes.set_ylim(0, None)
-
-
-def apply_page_theme(svg: str, label: str) -> Html:
-    """The SVG element without XML prologue, with the colours and fonts of the page; `label` describes it to readers."""
-    svg = svg[svg.index("<svg") :]
-    for name, placeholder in PLACEHOLDER_COLOURS.items():
-        svg = svg.replace(placeholder, f"var(--{name})")
-    svg = re.sub(
-        r"font: (?:bold |[0-9]+ )?([0-9.]+)px [^;\"]*",
-        lambda m: m[0].split("px")[0] + "px system-ui, 'DejaVu Sans', sans-serif",
-        svg,
-    )
-    before, _, rest = svg.partition("<metadata>")
-    svg = before + rest.partition("</metadata>")[2] if rest else svg
-    return Html(svg.replace("<svg ", f'<svg role="img" aria-label="{label}" ', 1))

@@ -20,8 +20,11 @@ from __future__ import annotations
 import socket
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
+from http import HTTPStatus
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Protocol
+
+from dualbrain.visualization.live.web.own_pages import ESTOP_PATH, OwnPages, PageResponse
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
@@ -90,8 +93,10 @@ def security_headers(port: int) -> dict[str, str]:
 
 
 @contextmanager
-def guard_new_servers() -> Generator[None]:
+def guard_new_servers(pages: OwnPages | None = None) -> Generator[None]:
     """While the body runs, a WebSocket server that viser starts gets the guard, which stays with the server.
+
+    The guarded server answers requests for `pages` itself.
 
     viser 1.1 has no setting for it. `guard_is_active` tests the result, because another version may start its server in
     another way.
@@ -104,7 +109,7 @@ def guard_new_servers() -> Generator[None]:
 
         def serve(handler: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
             if (getattr(handler, "__module__", None) or "").partition(".")[0] == "viser":
-                options["process_request"] = _guarded(options.get("process_request"))
+                options["process_request"] = _guarded(options.get("process_request"), pages)
             return original(handler, *arguments, **options)
 
         module.serve = serve
@@ -128,13 +133,15 @@ def guard_is_active(port: int) -> bool:
         return False
 
 
-def _guarded(process_request: RequestHandler | None) -> RequestHandler:
-    """`process_request` after the guard, with the security headers in its response."""
+def _guarded(process_request: RequestHandler | None, pages: OwnPages | None) -> RequestHandler:
+    """`process_request` after the guard and the own pages, with the security headers in its response."""
 
     def process(connection: ServerConnection, request: Request) -> Response | None:
         port = connection.local_address[1]
-        if reason := refuse_request(request.headers, port):
+        if reason := refuse_request(request.headers, port) or _refuse_stop(request):
             response = connection.respond(403, f"Refused: {reason}.\n")
+        elif own := _own_page(request, pages):
+            response = _as_response(connection, own)
         else:
             response = process_request(connection, request) if process_request is not None else None
         if response is not None:
@@ -145,3 +152,27 @@ def _guarded(process_request: RequestHandler | None) -> RequestHandler:
         return response
 
     return process
+
+
+def _refuse_stop(request: Request) -> str:
+    """The reason to refuse an emergency stop: a link of another site leads to it. "" for every other request."""
+    is_stop = request.path.partition("?")[0] == ESTOP_PATH
+    foreign = any(site.lower() not in OWN_SITES for site in request.headers.get_all("Sec-Fetch-Site"))
+    return "the request is from a foreign page" if is_stop and foreign else ""
+
+
+def _own_page(request: Request, pages: OwnPages | None) -> PageResponse | None:
+    if pages is None or request.headers.get("Upgrade", "").lower() == "websocket":
+        return None
+    return pages.respond(request.path, accepts_gzip="gzip" in request.headers.get("Accept-Encoding", ""))
+
+
+def _as_response(connection: ServerConnection, page: PageResponse) -> Response:
+    """`page` as a response of the server of `connection`."""
+    response = connection.respond(HTTPStatus(page.status), "")
+    response.body = page.body
+    for name, value in {"Content-Type": page.media_type, "Content-Length": str(len(page.body)), **page.headers}.items():
+        if name in response.headers:
+            del response.headers[name]
+        response.headers[name] = value
+    return response

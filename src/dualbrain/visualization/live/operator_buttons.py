@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable
 from math import ceil, inf
 from threading import Lock
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from dualbrain.control.gatekeeper.operator_commands import UNRESTRICTED_ACTIONS
 from dualbrain.control.gatekeeper.protocol.messages import OperatorAction
@@ -39,6 +39,8 @@ OPERATOR_BUTTONS: tuple[tuple[OperatorAction, str], ...] = (
     ("reset", "2. reset, into hold"),
 )
 """Buttons that need the operator's code. A reset has no effect before the stop is released; `resume` ends the hold."""
+HOTKEYS: tuple[tuple[OperatorAction, Literal["P", "R", "A"]], ...] = (("pause", "P"), ("resume", "R"), ("abort", "A"))
+"""Keys of urgent actions, outside text fields; Escape is the emergency stop (`status_bar.js`)."""
 MIN_SPEED_PERCENT, SPEED_STEP_PERCENT = 5, 5
 """Minimum and step of the speed slider [%]."""
 
@@ -64,6 +66,11 @@ class OperatorAccess:
             self._attempts.record_failure(page)
             return False
 
+    def is_unlocked(self, page: int) -> bool:
+        """Whether the operator's code was entered on `page`."""
+        with self._lock:
+            return page in self._operators
+
     def describe_refusal(self, page: int) -> str:
         """Why the last code did not unlock `page`, as text for the page."""
         with self._lock:
@@ -77,6 +84,10 @@ class OperatorAccess:
         with self._lock:
             self._operators.discard(page)
             self._attempts.remove_page(page)
+
+    def emergency_stop(self) -> str:
+        """Send the emergency stop, which needs no code; "" or the reason of the failure."""
+        return self._operate("estop", 1.0)
 
     def apply(self, page: int, action: OperatorAction, speed: float = 1.0) -> str:
         """Send `action` to the gatekeeper if `page` is permitted to; the result as text for the page."""
@@ -104,6 +115,9 @@ class OperatorButtons:
 
         stop = gui.add_button("EMERGENCY STOP", color="red", hint="needs no code", order=-10.0)
         stop.on_click(lambda _: show(self._access.apply(page, "estop")))
+        for action, key in HOTKEYS:
+            command = gui.add_command(action.capitalize(), hotkey=key, description="needs the operator's code")
+            command.on_trigger(lambda _, action=action: show(self._access.apply(page, action)))
         with gui.add_folder("operator", order=-9.0, expand_by_default=False):
             code = gui.add_text("code", "", hint="printed in the terminal of the run")
             locked = self._add_locked_buttons(gui, page, show)

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 MAX_HISTORY_POINTS = 450
 """Points of the plots: half a minute at 15 Hz."""
 MAX_LINES = 8
+DETAILS_ORDER = 1e6
+"""Place of the details in the panel: at its end."""
 
 PANEL_CSS = """<style>
 .db { font: 13px/1.5 system-ui, "DejaVu Sans", sans-serif; font-variant-numeric: tabular-nums; padding: 0 10px; }
@@ -34,6 +36,13 @@ PANEL_CSS = """<style>
 .db h4 { margin: 2px 0 6px; font-size: 15px; overflow-wrap: anywhere; }
 .db p { margin: 4px 0; overflow-wrap: anywhere; }
 .db .good { color: #0a7f5f; } .db .bad { color: #c4500a; }
+[data-mantine-color-scheme="dark"] .db .good { color: #43c39b; }
+[data-mantine-color-scheme="dark"] .db .bad { color: #f08a50; }
+.db .legend { padding: 0; list-style: none; } .db .legend li { display: flex; gap: 9px; align-items: center; }
+.db .sign { flex: none; width: 24px; height: 5px; background: currentColor; }
+.db .sign.arrow { height: 12px; clip-path: polygon(0 38%, 62% 38%, 62% 0, 100% 50%, 62% 100%, 62% 62%, 0 62%); }
+.db .sign.ghost { height: 14px; opacity: .35; } .db .sign.part { height: 14px; border-radius: 4px; }
+.db .sign.halo { height: 14px; border-radius: 7px; opacity: .4; }
 </style>"""
 
 NumberRow = tuple[str, str, str]
@@ -95,6 +104,21 @@ def numbers_html(state: ViewState, speeds: tuple[NumberRow, ...] = JOINT_SPEED_R
     return PANEL_CSS + element("div", element("table", *rows), class_="db")
 
 
+def plain_html(state: ViewState) -> str:
+    """The numbers for the operator, in plain words, as HTML."""
+    situation, h_min = state.situation, state.numbers.get("h_min")
+    step = next(
+        (f"{k} of {len(state.plan)}: {one.label}" for k, one in enumerate(state.plan, 1) if one.is_current), "–"
+    )
+    distance = f"{1e3 * h_min:.0f}" if isinstance(h_min, float | int) and np.isfinite(h_min) else "–"
+    rows = (
+        _table_row("plain-step", "step", step, ""),
+        _table_row("plain-distance", "to the nearest safety margin", distance, "mm"),
+        _table_row("plain-speed", "speed that the filter permits", f"{100 * min(1.0, situation.speed_share):.0f}", "%"),
+    )
+    return PANEL_CSS + element("div", element("table", *rows), class_="db")
+
+
 def lines_html(lines: tuple[str, ...]) -> str:
     """The last `MAX_LINES` lines as HTML, the newest first."""
     return PANEL_CSS + element(
@@ -120,16 +144,18 @@ class LivePanel:
     """GUI elements of the panel."""
 
     def __init__(self, gui: GuiApi, speeds: tuple[NumberRow, ...] = JOINT_SPEED_ROWS) -> None:
-        """Add the final result (hidden), the numbers with the rows `speeds`, the plots and the lines."""
+        """Add the final result (hidden), numbers, plots and lines; the rows `speeds` are below "details"."""
         self._speeds = speeds
         self._history: deque[tuple[float, float, float]] = deque(maxlen=MAX_HISTORY_POINTS)
         self._instruction = gui.add_html("")
         self._final = gui.add_html("", visible=False)
-        self._numbers = gui.add_html("")
-        self._h = _add_plot(gui, "clearance h_min [mm] over time [s]", {"stroke": "#2f86c6", "width": 1.5})
-        filled = {"stroke": "#d0601c", "width": 1.5, "fill": "#d0601c33"}
-        self._delta = _add_plot(gui, "intervention δ over time [s]", filled)
+        self._plain = gui.add_html("")
+        self._h = _add_plot(gui, "distance to the nearest safety margin [mm]", {"stroke": "#2f86c6", "width": 1.5})
         self._lines = gui.add_html("")
+        with gui.add_folder("details", expand_by_default=False, order=DETAILS_ORDER):
+            self._numbers = gui.add_html("")
+            filled = {"stroke": "#d0601c", "width": 1.5, "fill": "#d0601c33"}
+            self._delta = _add_plot(gui, "intervention δ over time [s]", filled)
 
     def show_instruction(self, instruction: str) -> None:
         """Show the instruction of the run."""
@@ -137,6 +163,7 @@ class LivePanel:
 
     def update(self, state: ViewState) -> None:
         """Show the numbers and lines of `state`, and append its h_min and δ to the plots."""
+        self._plain.content = plain_html(state)
         self._numbers.content = numbers_html(state, self._speeds)
         self._lines.content = lines_html(state.lines)
         h, delta = state.numbers.get("h_min"), state.numbers.get("delta")
@@ -149,7 +176,7 @@ class LivePanel:
     def finish(self, episode: Episode) -> None:
         """Show the final result in place of the live numbers."""
         self._final.content = final_html(episode)
-        self._final.visible, self._numbers.visible = True, False
+        self._final.visible, self._numbers.visible, self._plain.visible = True, False, False
 
 
 def _add_plot(gui: GuiApi, title: str, line: Any) -> GuiUplotHandle:

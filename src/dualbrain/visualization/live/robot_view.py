@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from math import dist
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,15 +19,29 @@ if TYPE_CHECKING:
     from dualbrain.simulation.models.visual_meshes import ColouredMesh
 
 Array = NDArray[np.float64]
+Colour = tuple[int, int, int]
 LinkMeshes = Mapping[str, "Sequence[ColouredMesh]"]
 """Coloured triangles by link, in the frame of the link."""
 
+LIMITING_COLOUR: Colour = (210, 82, 30)
+"""Colour of a link that limits the motion."""
+VISIBLE_MOTION_M, VISIBLE_TURN = 5e-4, 5e-4
+"""Smallest motion [m] and smallest distance of two quaternions that are drawn."""
 MERGE_CELL_M = 0.008
 """Size [m] of the surface details that are not sent to the browser, which may have no graphics card."""
 
 COLOUR_CLEARANCES_M = (0.0, 0.01, 0.03, 0.08)
 """Clearances [m] of the colours in `CLEARANCE_COLOURS`; colours between them are interpolated."""
 CLEARANCE_COLOURS = np.array([[200, 60, 10], [235, 150, 30], [120, 170, 190], [70, 130, 190]], float)
+
+
+def is_moved(shown: Pose | None, pose: Pose) -> bool:
+    """Whether `pose` differs visibly from the `shown` one; equal poses cost a comparison of viser each."""
+    return (
+        shown is None
+        or dist(shown.position, pose.position) > VISIBLE_MOTION_M
+        or dist(shown.quaternion, pose.quaternion) > VISIBLE_TURN
+    )
 
 
 def clearance_colours(clearances: Array) -> NDArray[np.uint8]:
@@ -60,6 +75,9 @@ class LiveRobot:
         self._show_spheres = False
         self.root = scene.add_frame("/robot", show_axes=False)
         self._links: dict[str, FrameHandle] = {}
+        self._surfaces: dict[str, list[tuple[Any, Colour]]] = {link.name: [] for link in robot_model.links}
+        self._tinted: frozenset[str] = frozenset()
+        self._shown_poses: dict[str, Pose] = {}
         for link in robot_model.links:
             self._links[link.name] = scene.add_frame(f"/robot/{link.name}", show_axes=False)
             self._add_link_meshes(link.name, link_meshes.get(link.name, ()))
@@ -68,6 +86,7 @@ class LiveRobot:
     def update(self, state: ViewState) -> None:
         """Set the poses of the links, and the positions and colours of the spheres."""
         self._set_link_poses(state.frames)
+        self._tint(state.limiting_links)
         if not len(state.radii):
             return
         clearances = state.clearances if len(state.clearances) else np.full(len(state.radii), np.inf)
@@ -85,23 +104,33 @@ class LiveRobot:
 
     def _set_link_poses(self, frames: Mapping[str, Pose]) -> None:
         for name, pose in frames.items():
-            if (link := self._links.get(name)) is not None:
+            if (link := self._links.get(name)) is not None and is_moved(self._shown_poses.get(name), pose):
                 link.position, link.wxyz = pose.position, pose.quaternion
+                self._shown_poses[name] = pose
+
+    def _tint(self, links: frozenset[str]) -> None:
+        """Colour the surfaces of `links`, and give the others their own colour again."""
+        for name in links ^ self._tinted:
+            for surface, own in self._surfaces.get(name, ()):
+                surface.color = LIMITING_COLOUR if name in links else own
+        self._tinted = links
 
     def _add_link_meshes(self, link: str, patches: Sequence[ColouredMesh]) -> None:
         for k, patch in enumerate(patches):
             points, faces = simplify_mesh(patch.points, patch.faces)
-            colour = np.round(255 * (0.86 * np.array(patch.colour) + 0.02)).astype(np.uint8)
-            self._scene.add_mesh_simple(
-                f"/robot/{link}/{k}", points, faces, color=colour, side="double", receive_shadow=False
+            red, green, blue = np.round(255 * (0.86 * np.array(patch.colour) + 0.02)).astype(int).tolist()
+            surface = self._scene.add_mesh_simple(
+                f"/robot/{link}/{k}", points, faces, color=(red, green, blue), side="double", receive_shadow=False
             )
+            self._surfaces[link].append((surface, (red, green, blue)))
 
     def _add_link_spheres(self, robot_model: RobotModel, link_meshes: LinkMeshes) -> None:
         for k, sphere in enumerate(robot_model.spheres):
             if link_meshes.get(sphere.link):
                 continue
             name, grey = f"/robot/{sphere.link}/{k}", (205, 208, 212)
-            self._scene.add_icosphere(name, sphere.radius, color=grey, subdivisions=2, position=sphere.centre)
+            surface = self._scene.add_icosphere(name, sphere.radius, color=grey, subdivisions=2, position=sphere.centre)
+            self._surfaces[sphere.link].append((surface, grey))
 
     def _add_sphere_batch(self, state: ViewState, colours: NDArray[np.uint8]) -> BatchedMeshHandle:
         import trimesh  # noqa: PLC0415  (comes with viser)

@@ -2,30 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dualbrain.core.geometry.shapes import Bowl, Box, Capsule, Cylinder, HalfSpace, Shape, Sphere
+from dualbrain.core.geometry.shapes import Bowl, Box, Capsule, Cylinder, HalfSpace, Pose, Shape, Sphere
 from dualbrain.core.untrusted.visible_text import visible_text
 from dualbrain.records import Place, SceneObject
+from dualbrain.visualization.live.robot_view import LinkMeshes, is_moved
 from dualbrain.visualization.live.view_state import ViewState
 
 if TYPE_CHECKING:
     from viser import FrameHandle, MeshHandle, SceneApi
 
+    from dualbrain.simulation.models.visual_meshes import ColouredMesh
+
 MIN_VISIBLE_MARGIN_M = 1e-6
 TABLE_EXTENT_M = (1.15, 1.30, 0.03)
 """Extent [m] that is drawn of a support; the support itself is an unbounded half space."""
 TABLE_CENTRE_X_M = 0.375
+TABLE_LEG_M = (0.06, 0.06, 0.68)
+"""Extent [m] of a drawn leg of the table."""
+COLOUR_LEG, GRID_COLOUR = (92, 84, 76), (150, 156, 163)
 FLOOR_HEIGHT_M = -0.002
 """Height [m] at which a floor is drawn, just below the objects on it."""
 
 COLOUR_BY_ROLE = {
     "object": (200, 60, 50),
     "container": (232, 230, 222),
-    "support": (214, 197, 172),
+    "support": (186, 156, 122),
     "obstacle": (133, 140, 148),
     "person": (222, 171, 140),
 }
@@ -47,25 +55,29 @@ COLOUR_BY_NAME = {
 }
 PLACE_COLOUR, PLACE_RADIUS, PLACE_HALF_HEIGHT = (10, 127, 95), 0.12, 0.003
 """Marker of a place on the floor: colour, radius and half height [m]."""
-MARGIN_COLOUR = (240, 160, 60)
+MARGIN_COLOUR, MARGIN_OPACITY = (240, 150, 40), 0.24
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class _ObjectNodes:
-    """Scene nodes of one object, with the shape and the margin [m] that they show."""
+    """Scene nodes of one object, with the shape, the margin [m] and the pose that they show."""
 
     shape: Shape
     margin: float
     frame: FrameHandle
     margin_mesh: MeshHandle | None
+    pose: Pose | None = None
 
 
 class LiveScene:
     """Scene nodes of the perceived objects; rebuilt only if a shape changes, or a margin by more than 2 mm."""
 
-    def __init__(self, scene: SceneApi) -> None:
-        """Start without objects."""
-        self._scene = scene
+    def __init__(self, scene: SceneApi, object_meshes: LinkMeshes | None = None) -> None:
+        """Start without objects.
+
+        An object with a mesh in `object_meshes` is drawn with it, in the frame of the object; others by their shape.
+        """
+        self._scene, self._object_meshes = scene, object_meshes or {}
         self._objects: dict[str, _ObjectNodes] = {}
         self._show_margins = True
         self._region: tuple[tuple[float, float], ...] = ()
@@ -124,7 +136,9 @@ class LiveScene:
             if node is not None:
                 node.frame.remove()
             node = self._objects[scene_object.name] = self._add_object(scene_object, margin)
-        node.frame.position, node.frame.wxyz = scene_object.pose.position, scene_object.pose.quaternion
+        if is_moved(node.pose, scene_object.pose):
+            node.pose = scene_object.pose
+            node.frame.position, node.frame.wxyz = node.pose.position, node.pose.quaternion
         if node.margin_mesh is not None:
             node.margin_mesh.visible = self._show_margins
 
@@ -133,10 +147,43 @@ class LiveScene:
         shape = scene_object.shape
         frame = self._scene.add_frame(path, show_axes=False)
         colour = COLOUR_BY_NAME.get(scene_object.colour, COLOUR_BY_ROLE[scene_object.role])
-        self._add_mesh(f"{path}/body", shape, 0.0, colour, None)
+        if patches := self._object_meshes.get(scene_object.name):
+            self._add_patches(path, patches)
+        else:
+            self._add_mesh(f"{path}/body", shape, 0.0, colour, None)
+        if isinstance(shape, HalfSpace):
+            self._add_table_legs(path)
         inflated = margin > MIN_VISIBLE_MARGIN_M and not isinstance(shape, HalfSpace)
-        margin_mesh = self._add_mesh(f"{path}/margin", shape, margin, MARGIN_COLOUR, 0.16) if inflated else None
-        return _ObjectNodes(shape, margin, frame, margin_mesh)
+        margin_mesh = (
+            self._add_mesh(f"{path}/margin", shape, margin, MARGIN_COLOUR, MARGIN_OPACITY) if inflated else None
+        )
+        return _ObjectNodes(shape=shape, margin=margin, frame=frame, margin_mesh=margin_mesh)
+
+    def _add_patches(self, path: str, patches: Sequence[ColouredMesh]) -> None:
+        for k, patch in enumerate(patches):
+            red, green, blue = np.round(255 * np.array(patch.colour)).astype(int).tolist()
+            self._scene.add_mesh_simple(f"{path}/{k}", patch.points, patch.faces, color=(red, green, blue))
+
+    def _add_table_legs(self, path: str) -> None:
+        """Draw four legs below the plate of the table, and the floor on which they stand."""
+        length, width, thickness = TABLE_EXTENT_M
+        for k, (side, end) in enumerate(product((-1, 1), (-1, 1))):
+            x = TABLE_CENTRE_X_M + side * (0.5 * length - 0.06)
+            y, z = end * (0.5 * width - 0.06), -thickness - 0.5 * TABLE_LEG_M[2]
+            self._scene.add_box(f"{path}/leg{k}", COLOUR_LEG, TABLE_LEG_M, position=(x, y, z))
+        self._scene.add_grid(
+            f"{path}/floor",
+            infinite_grid=True,
+            cell_size=0.25,
+            section_size=1.0,
+            cell_color=GRID_COLOUR,
+            section_color=GRID_COLOUR,
+            cell_thickness=0.5,
+            section_thickness=1.0,
+            fade_distance=12.0,
+            shadow_opacity=0.35,
+            position=(TABLE_CENTRE_X_M, 0.0, -thickness - TABLE_LEG_M[2]),
+        )
 
     def _add_mesh(
         self, path: str, shape: Shape, margin: float, colour: tuple[int, int, int], opacity: float | None

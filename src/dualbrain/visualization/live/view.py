@@ -8,6 +8,9 @@ to programs and pages of this machine only, never to a foreign web page (`connec
 from __future__ import annotations
 
 import socket
+import time
+from dataclasses import replace
+from math import inf
 from threading import Event as Signal
 from threading import Thread
 from typing import TYPE_CHECKING
@@ -16,19 +19,25 @@ from dualbrain.errors import ConfigurationError, MissingDependencyError
 from dualbrain.records import Episode
 from dualbrain.robots.model import RobotModel
 from dualbrain.visualization.live.connection_guard import HOST, guard_is_active, guard_new_servers
+from dualbrain.visualization.live.motion.motion_overlay import MotionOverlay, legend_html
+from dualbrain.visualization.live.operator.instruction_field import InstructionField, SubmitCallback
+from dualbrain.visualization.live.operator.operator_status import Situation, StatusTracker
 from dualbrain.visualization.live.operator_buttons import OperatorAccess, OperatorButtons
-from dualbrain.visualization.live.panel import LivePanel, speed_rows
+from dualbrain.visualization.live.panel import LivePanel, final_html, numbers_html, speed_rows
 from dualbrain.visualization.live.robot_view import LinkMeshes, LiveRobot
 from dualbrain.visualization.live.scene_view import LiveScene
 from dualbrain.visualization.live.view_state import ViewState
+from dualbrain.visualization.live.web.own_pages import OwnPages
 
 if TYPE_CHECKING:
     from viser import ViserServer
 
-FRAME_RATE_HZ = 15.0
-"""Maximum frame rate [1/s]."""
+FRAME_RATE_HZ, PANEL_RATE_HZ = 12.0, 4.0
+"""Maximum rate of the 3D scene, and of the texts and plots [1/s]."""
 MAX_PORTS_TRIED = 20
-ARM_CAMERA = (1.22, -0.80, 0.74), (0.40, 0.05, 0.17)
+RESULT_TIME_S = 0.8
+"""Time [s] in which every open page asks for the result of a run at least once."""
+ARM_CAMERA = (1.34, -0.92, 0.84), (0.36, 0.0, 0.12)
 BASE_CAMERA = (0.4, -4.3, 3.4), (2.9, -0.3, 0.0)
 """Initial position of the camera and the point that it looks at [m], for an arm at a table and for a base in a room."""
 
@@ -45,10 +54,14 @@ class LiveView:
         instruction: str = "",
         access: OperatorAccess | None = None,
         link_meshes: LinkMeshes | None = None,
+        object_meshes: LinkMeshes | None = None,
+        submit: SubmitCallback | None = None,
     ) -> None:
         """Serve on `port`, or with `allow_other_port` on the next free port.
 
-        Links without a mesh in `link_meshes` are drawn as spheres. With `access` the page has operator buttons.
+        Links without a mesh in `link_meshes` are drawn as spheres, objects without one in `object_meshes` by their
+        shape. With `access` the page has operator buttons. With
+        `submit` it has a field for instructions, `instruction_field`.
 
         Raises:
             MissingDependencyError: viser is not installed.
@@ -58,19 +71,26 @@ class LiveView:
         self.notice = "" if self.port == port else f"Port {port} is in use; the live view is on port {self.port}."
         self.url = f"http://{HOST}:{self.port}"
         self._closing, self._drawn, self._stale = Signal(), Signal(), Signal()
-        self._server = start_server(self.port)
+        self._pages = OwnPages(access.emergency_stop if access is not None else None)
+        self._status, self._speeds = StatusTracker(), speed_rows(robot_model)
+        self._server = start_server(self.port, self._pages)
         if robot_model.is_mobile:
             self._server.initial_camera.position, self._server.initial_camera.look_at = BASE_CAMERA
         self._robot = LiveRobot(self._server.scene, robot_model, link_meshes or {})
-        self._scene = LiveScene(self._server.scene)
-        self._panel = LivePanel(self._server.gui, speed_rows(robot_model))
+        self._scene = LiveScene(self._server.scene, object_meshes)
+        self._overlay = MotionOverlay(self._server.scene, link_meshes or {})
+        self._panel = LivePanel(self._server.gui, self._speeds)
+        self._server.gui.add_html(legend_html())
         self._add_toggles()
         if access is not None:
             OperatorButtons(self._server, access)
+        self.instruction_field = InstructionField(self._server, submit, access) if submit is not None else None
         if instruction:
             self._panel.show_instruction(instruction)
         self._latest: ViewState | None = None
         self._episode: Episode | None = None
+        self._panel_at = -inf
+        self._server.on_client_connect(lambda client: self._stale.set())
         self._thread = Thread(target=self._draw, name="live view", daemon=True)
         self._thread.start()
 
@@ -85,9 +105,11 @@ class LiveView:
         self._drawn.wait(timeout)
 
     def close(self) -> None:
-        """Stop serving; further calls have no effect."""
+        """Stop serving, after open pages had time to receive the result; further calls have no effect."""
         if not self._closing.is_set():
             self._closing.set()
+            if self._episode is not None and self._server.get_clients():
+                time.sleep(RESULT_TIME_S)
             self._thread.join(2.0)
             self._server.stop()
             _set_rich_quiet(quiet=False)
@@ -120,14 +142,42 @@ class LiveView:
             if newest[1] is not None:
                 self._drawn.set()
 
+    def _publish(self, state: ViewState | None, episode: Episode | None) -> None:
+        """Publish the words and numbers of the pages that do not need the 3D client."""
+        situation = state.situation if state is not None else Situation()
+        if episode is not None:
+            kind, reason = episode.outcome.kind.replace("_", " "), episode.outcome.reason
+            situation = replace(situation, result=f"{kind}. {reason[:1].upper()}{reason[1:]}.")
+
+        def numbers() -> str:
+            if episode is not None:
+                return final_html(episode)
+            return numbers_html(state, self._speeds) if state is not None else ""
+
+        status, ended = self._status.update(situation), episode is not None
+        self._pages.publish(status, numbers, expires=situation.in_contract and not ended, ended=ended)
+
     def _draw_one(self, state: ViewState | None, episode: Episode | None) -> None:
+        self._publish(state, episode)
+        if episode is None and not self._server.get_clients():  # a page that opens sets `_stale`
+            return
         with self._server.atomic():
             if state is not None:
                 self._robot.update(state)
                 self._scene.update(state)
-                self._panel.update(state)
+                self._overlay.update(state)
+                self._update_panel(state)
             if episode is not None:
                 self._panel.finish(episode)
+
+    def _update_panel(self, state: ViewState) -> None:
+        """Update the texts and plots at `PANEL_RATE_HZ`, because they take most of the time."""
+        now = time.monotonic()
+        if now - self._panel_at < 1.0 / PANEL_RATE_HZ:
+            self._stale.set()
+            return
+        self._panel_at = now
+        self._panel.update(state)
 
 
 def find_free_port(first_port: int, max_tries: int) -> int:
@@ -152,10 +202,10 @@ def find_free_port(first_port: int, max_tries: int) -> int:
     )
 
 
-def start_server(port: int) -> ViserServer:
+def start_server(port: int, pages: OwnPages | None = None) -> ViserServer:
     """A viser server on the loopback address of this machine, without the button that opens a public tunnel.
 
-    It refuses every request of a foreign page (`connection_guard.py`).
+    It refuses every request of a foreign page (`connection_guard.py`), and answers requests for `pages` with them.
 
     Raises:
         MissingDependencyError: viser is not installed.
@@ -169,7 +219,7 @@ def start_server(port: int) -> ViserServer:
             fix="Install it with `pip install 'dualbrain[view]'`, or run with --headless.",
         ) from error
     _set_rich_quiet(quiet=True)
-    with guard_new_servers():
+    with guard_new_servers(pages):
         server = viser.ViserServer(host=HOST, port=port, label="dualbrain", verbose=False)
     if server.get_port() != port or not guard_is_active(port):
         server.stop()
@@ -179,6 +229,7 @@ def start_server(port: int) -> ViserServer:
             fix="Choose another port with --port, install viser 1.1 (`pip install 'viser==1.1.1'`), or use --headless.",
         )
     server.request_share_url = lambda verbose=True: None  # a page must not be able to open a public tunnel
+    server.gui.main_panel.dock_right()
     server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
     server.scene.set_up_direction("+z")
     server.initial_camera.position, server.initial_camera.look_at = ARM_CAMERA

@@ -132,7 +132,11 @@ class EventReport(Message, frozen=True):
 
 
 class TickReport(Message, frozen=True, kw_only=True):
-    """One tick, for visualization; `h_min` [m] is None if the filter refused its input."""
+    """One tick, for visualization; `h_min` [m] is None if the filter refused its input.
+
+    `u` and `u_nom` [rad/s] are the control after and before the filter. `pairs` are the binding pairs with obstacles:
+    link, obstacle, h [m].
+    """
 
     t: float
     scene: Scene
@@ -148,6 +152,8 @@ class TickReport(Message, frozen=True, kw_only=True):
     in_contract: bool
     order: str
     check: str
+    u_nom: tuple[float, ...] = ()
+    pairs: tuple[tuple[str, str, float], ...] = ()
 
 
 class RequestRefused(Message, frozen=True):

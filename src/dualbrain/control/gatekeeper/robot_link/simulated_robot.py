@@ -25,6 +25,8 @@ from dualbrain.records import Judgement
 from dualbrain.robots.interface import Command
 from dualbrain.robots.loader import load_robot
 from dualbrain.robots.model import RobotModel
+from dualbrain.simulation.plant.end_state import EndState, read_end_state
+from dualbrain.simulation.plant.plant_state import PlantState
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
 from dualbrain.simulation.tasks.multi_goal import parse_goals
 from dualbrain.simulation.world import make_world
@@ -45,7 +47,8 @@ PERCEPTION_PERIOD = 0.033
 class SimulatedRobotSettings(msgspec.Struct, frozen=True, kw_only=True):
     """Settings of the robot process; `report` is a file that it writes at its end ("" for none).
 
-    `robot_model` is the robot with the limits of a site file, None without one.
+    `robot_model` is the robot with the limits of a site file, None without one. `start` is the state of the robot at
+    the beginning, None for its home.
     """
 
     robot: str
@@ -55,6 +58,7 @@ class SimulatedRobotSettings(msgspec.Struct, frozen=True, kw_only=True):
     instruction: str = ""
     report: str = ""
     robot_model: RobotModel | None = None
+    start: PlantState | None = None
 
 
 class RobotReport(
@@ -73,6 +77,7 @@ class RobotReport(
     `last_command_at`: arrival of the last valid command. `drive_off_at`, `drive_off_cause`: time at which the drive was
     switched off, and its cause. `travel` [rad]: largest joint motion since then. `speed` [rad/s]: largest joint speed
     at the end. `resynchronizations`: number of resynchronizations with the clock. `judgement`: result on ground truth.
+    `end`: state from which another run can continue.
     """
 
     last_command_at: float
@@ -83,6 +88,7 @@ class RobotReport(
     resynchronizations: int
     ticks: int
     judgement: Judgement
+    end: EndState | None = None
 
 
 class RobotProcess:
@@ -93,7 +99,9 @@ class RobotProcess:
         robot_model, spec = settings.robot_model or load_robot(settings.robot), settings.scene
         goal = parse_goals(settings.goal, spec) if settings.goal else None
         judge = make_instruction_judge(settings.instruction)
-        self.world = make_world(spec, robot_model, seed=settings.seed, goal=goal, instruction_judge=judge)
+        self.world = make_world(
+            spec, robot_model, seed=settings.seed, goal=goal, instruction_judge=judge, start=settings.start
+        )
         self.plant = self.world.plant
         self._packet_socket: PacketSocket[packets.ToRobot] = PacketSocket(link, packets.decode_to_robot)
         self._settings, self._period, self._shutdown_requested = settings, robot_model.period, False
@@ -197,6 +205,7 @@ class RobotProcess:
             resynchronizations=self._resynchronizations,
             ticks=self._ticks,
             judgement=self.world.judgement(),
+            end=read_end_state(self.plant),
         )
         write_atomically(Path(self._settings.report), msgspec.json.encode(report))
 

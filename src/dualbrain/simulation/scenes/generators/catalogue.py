@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.robots.loader import load_robot
+from dualbrain.simulation.scenes.arrangement import arrangement_problems
 from dualbrain.simulation.scenes.generators.rooms import ROOM_FAMILIES, make_room
 from dualbrain.simulation.scenes.generators.tabletop import SCENE_FAMILIES, make_scene
-from dualbrain.simulation.scenes.generators.workroom import WORKROOM_FAMILIES, make_workroom
+from dualbrain.simulation.scenes.generators.workroom import WORKROOM_DESCRIPTIONS, WORKROOM_FAMILIES, make_workroom
 from dualbrain.simulation.scenes.scene_spec import SceneSpec, load_scene
 
 NUMBERED_FAMILIES = ("forearm", "tabletop", "tall", "shelf")
@@ -31,12 +33,33 @@ def open_scene(choice: str, robot: str = "panda") -> SceneSpec:
         return _generate_scene(family, int(seed or 0), robot)
     path = Path(choice)
     if path.suffix == ".json" or path.exists():
-        return _require_robot(robot, load_scene(path), path)
+        return require_robot(robot, _load_arranged_scene(path), str(path))
     if choice.replace(":", "").replace("_", "").isalnum():
         owner = "the catalogue (a number or a scene file also works)"
         raise UnknownNameError("scene", family, families, owner=owner)
     allowed = f"a number, FAMILY:SEED with one of {', '.join(families)}, or a scene file (.json)"
     raise ConfigurationError("scene", got=choice, allowed=allowed)
+
+
+@dataclass(frozen=True, slots=True)
+class SceneFamily:
+    """A scene family: its name, the scene numbers that mean it in words, and its content in one sentence."""
+
+    name: str
+    numbers: str
+    description: str
+
+
+def describe_families(robot: str) -> list[SceneFamily]:
+    """The families that have scenes for `robot`; raises `UnknownNameError` for an unknown robot."""
+    families, numbered = _families_for(robot)
+    makers = {**ROOM_FAMILIES, **SCENE_FAMILIES}
+    found: list[SceneFamily] = []
+    for name in families:
+        first = f"{numbered.index(name)}, {numbered.index(name) + len(numbered)}, …" if name in numbered else ""
+        text = WORKROOM_DESCRIPTIONS.get(name) or (makers[name].__doc__ or "").splitlines()[0]
+        found.append(SceneFamily(name, first, text))
+    return found
 
 
 def is_mobile(robot: str) -> bool:
@@ -62,8 +85,19 @@ def _generate_scene(family: str, seed: int, robot: str) -> SceneSpec:
     return (make_room if is_mobile(robot) else make_scene)(family, seed, robot)
 
 
-def _require_robot(robot: str, spec: SceneSpec, path: Path) -> SceneSpec:
+def _load_arranged_scene(path: Path) -> SceneSpec:
+    """The scene in a file, if its objects are where objects can be."""
+    spec = load_scene(path)
+    if problems := arrangement_problems(spec):
+        sentence = f"The scene file cannot be used. {' '.join(problems)}"
+        raise ConfigurationError.stating(sentence, fix=f"Correct the file, or edit it: dualbrain scene new {path}")
+    return spec
+
+
+def require_robot(robot: str, spec: SceneSpec, path: str = "") -> SceneSpec:
+    """`spec`, read from the file `path`; raises `ConfigurationError` if it is the scene of another robot."""
     if spec.robot != robot:
-        sentence = f"The scene file is for robot {spec.robot!r}, not for {robot!r}."
-        raise ConfigurationError.stating(sentence, fix=f"Choose another file, or pass --robot {spec.robot}. {path}")
+        sentence = f"The scene is for robot {spec.robot!r}, not for {robot!r}."
+        fix = f"Choose another one, or pass --robot {spec.robot}. {path}".strip()
+        raise ConfigurationError.stating(sentence, fix=fix)
     return spec

@@ -63,7 +63,11 @@ def make_workroom(family: str, seed: int, robot: str) -> SceneSpec:
     return spec
 
 
-WORKROOM_FAMILIES = ("workroom", "busy_workroom")
+WORKROOM_DESCRIPTIONS = {
+    "workroom": "A room with shelf and charger, and a table with a red cube and a blue bowl.",
+    "busy_workroom": "The workroom with a can beside the cube.",
+}
+WORKROOM_FAMILIES = tuple(WORKROOM_DESCRIPTIONS)
 
 
 def _random_spots(

@@ -1,0 +1,1 @@
+"""Commands about scenes: list the families, show one scene, arrange a new one."""

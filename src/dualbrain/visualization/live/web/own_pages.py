@@ -1,0 +1,157 @@
+"""Pages that the live view serves itself, beside the 3D client of viser.
+
+- `/`: the 3D client with a bar on top that shows the state of the robot in words (`status_bar.js`).
+- `/text`: the same words without JavaScript and WebGL, loaded again every second. The 3D client draws its panel in the
+  loop of the 3D scene, so a browser without WebGL shows no panel at all; the bar leads such a browser here.
+- `/status`: the words as JSON, for the bar.
+- `/estop`: sends the emergency stop and leads back to `/text`. It needs no code, as on the gatekeeper's socket.
+
+The pages are prepared by the view; a request only reads them, so that many viewers cost little.
+"""
+
+from __future__ import annotations
+
+import gzip
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cache
+from importlib import resources
+from threading import Thread
+
+import msgspec
+
+from dualbrain.visualization.html.page import Html, element, join
+from dualbrain.visualization.live.operator.operator_status import STARTING, OperatorState, OperatorStatus
+
+STALE_AFTER_S = 2.0
+"""Age of the newest state [s] above which the bar does not show it any more."""
+STALE = OperatorStatus(
+    state=OperatorState.STOPPED,
+    reason="The control program has sent no state for more than 2 s. The robot may still move.",
+    next_action="Keep clear. If it stays so, press the emergency stop and look at the terminal.",
+)
+REFRESH_S = 1
+ESTOP_PATH = "/estop"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PageResponse:
+    """A response: HTTP status, media type, body, and more header fields."""
+
+    status: int
+    media_type: str
+    body: bytes
+    headers: dict[str, str] = field(default_factory=dict[str, str])
+
+
+class OwnPages:
+    """The pages of one live view; `publish` may be called from any thread."""
+
+    def __init__(
+        self, emergency_stop: Callable[[], str] | None = None, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        """Start before the first state; with `emergency_stop` the pages have a button for it. `clock` returns [s]."""
+        self._emergency_stop, self._clock = emergency_stop, clock
+        self._status: OperatorStatus = STARTING
+        self._numbers: Callable[[], str] = str
+        self._published_at, self._ended, self._expires, self._notice = clock(), False, False, ""
+
+    def publish(
+        self, status: OperatorStatus, numbers: Callable[[], str], *, expires: bool, ended: bool = False
+    ) -> None:
+        """Show `status` from now on, and on the text page the HTML table that `numbers` makes.
+
+        A status that `expires`, that of a moving robot, is not shown any more after `STALE_AFTER_S` without another.
+        """
+        self._status, self._numbers, self._ended, self._expires = status, numbers, ended, expires
+        self._published_at = self._clock()
+
+    def respond(self, path: str, *, accepts_gzip: bool) -> PageResponse | None:
+        """The response to a request for `path`, None if it is not a page of this class."""
+        match path.partition("?")[0]:
+            case "/status":
+                return PageResponse(status=200, media_type="application/json", body=self._status_json())
+            case "/text":
+                return PageResponse(
+                    status=200, media_type="text/html; charset=utf-8", body=self._text_page().encode("utf-8", "replace")
+                )
+            case "/estop":
+                if self._emergency_stop is None:
+                    return PageResponse(status=404, media_type="text/plain", body=b"There is no emergency stop here.\n")
+                Thread(target=self._stop, args=(self._emergency_stop,), name="emergency stop", daemon=True).start()
+                return PageResponse(status=303, media_type="text/plain", body=b"sent\n", headers={"Location": "/text"})
+            case "/" | "/index.html":
+                plain, compressed = index_page()
+                return PageResponse(
+                    status=200,
+                    media_type="text/html; charset=utf-8",
+                    body=compressed if accepts_gzip else plain,
+                    headers={"Content-Encoding": "gzip"} if accepts_gzip else {},
+                )
+            case _:
+                return None
+
+    def _stop(self, emergency_stop: Callable[[], str]) -> None:
+        self._notice = emergency_stop()
+
+    def _current(self) -> OperatorStatus:
+        stale = self._expires and self._clock() - self._published_at > STALE_AFTER_S
+        return STALE if stale else self._status
+
+    def _status_json(self) -> bytes:
+        status = self._current()
+        return msgspec.json.encode(
+            {
+                "state": status.state.name,
+                "word": status.state.value,
+                "reason": status.reason,
+                "next": " ".join(filter(None, (status.next_action, self._notice))),
+                "steps": status.steps,
+                "can_stop": self._emergency_stop is not None,
+                "ended": self._ended,
+            }
+        )
+
+    def _text_page(self) -> str:
+        status = self._current()
+        stop = [element("p", element("a", "EMERGENCY STOP", href=ESTOP_PATH, class_="stop"))]
+        head = element(
+            "head",
+            element("meta", charset="utf-8"),
+            element("meta", http_equiv="refresh", content=f"{REFRESH_S}; url=/text"),
+            element("meta", name="viewport", content="width=device-width, initial-scale=1"),
+            element("title", f"{status.state.value} – dualbrain"),
+            element("style", Html(_own_file("text_page.css"))),
+        )
+        main = element(
+            "main",
+            element("p", status.reason, id="reason"),
+            element("p", element("b", status.next_action), id="next"),
+            element("ol", *(element("li", step) for step in status.steps)) if status.steps else Html(""),
+            join(stop if self._emergency_stop is not None else []),
+            element("p", self._notice),
+            Html(self._numbers()),
+            element("p", element("a", "3D view (needs WebGL)", href="/")),
+        )
+        title = element("h1", status.state.value, id="state", class_=status.state.name)
+        return f"<!doctype html>\n{element('html', head, element('body', title, main), lang='en')}\n"
+
+
+@cache
+def index_page() -> tuple[bytes, bytes]:
+    """The page of the 3D client with the bar in its head, plain and compressed.
+
+    Raises:
+        FileNotFoundError: the installed viser has no built client.
+    """
+    client = resources.files("viser").joinpath("client", "build", "index.html").read_text("utf-8")
+    style, script = _own_file("status_bar.css"), _own_file("status_bar.js")
+    own = f"<head><style>{style}</style><script>{script}</script>"
+    page = client.replace("<head>", own, 1).replace("<title>Viser</title>", "<title>dualbrain</title>", 1)
+    data = page.encode("utf-8", "surrogatepass")
+    return data, gzip.compress(data, 6)
+
+
+def _own_file(name: str) -> str:
+    return resources.files("dualbrain.visualization.live.web").joinpath(name).read_text("utf-8")

@@ -1,0 +1,1 @@
+"""Editor of table scenes: a page on the loopback address in which objects are dragged."""
