@@ -110,9 +110,9 @@ def test_ten_viewers_that_read_nothing_delay_neither_a_state_nor_the_result(epis
         start = time.monotonic()
         view.finish(episode, timeout=20.0)
         assert time.monotonic() - start < 20.0
-        viewers.pop().socket.close()  # a tab that disappears
+        viewers.pop().close_socket()  # a tab that disappears
         view.show(state_of(ESTOP))
     finally:
         view.close()
         for viewer in viewers:
-            viewer.socket.close()
+            viewer.close_socket()
