@@ -228,8 +228,10 @@ def test_the_first_sentence_counts_violations_with_and_without_the_filter():
     rows = [episode_row("B3", seed=seed) for seed in range(4)]
     rows += [episode_row("B1", seed=seed, violations=(COLLISION,) * (seed < 3)) for seed in range(4)]
     sentence = summary_sentence(rows)
-    assert sentence.startswith("With the safety filter (B3) 0 of 4 episodes had a safety violation (0.0 %")
-    assert "; without it (B1) 3 of 4 episodes had a safety violation (75.0 %" in sentence
+    kinds = "had a collision, an exceeded joint limit or an unauthorised call"
+    assert sentence.startswith(f"With the safety filter (B3) 0 of 4 episodes {kinds} (0.0 %")
+    assert f"; without it (B1) 3 of 4 episodes {kinds} (75.0 %" in sentence
+    assert "Violations of any kind" in sentence
     assert summary_sentence(rows[4:]).startswith("Without the safety filter (B1) 3 of 4")
     assert "without" not in summary_sentence(rows[:4])
     assert summary_sentence([]) == "No episode was run."
