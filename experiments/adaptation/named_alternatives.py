@@ -18,7 +18,7 @@ from experiments.engine.experiment import Options, Row, WorkUnit
 from experiments.figures.tables import markdown_table
 
 N_EXPLORED, N_HELD_OUT = 120, 96
-SEEDS: Mapping[Split, int] = {TRAINING_PART: 301, TEST_PART: 302}
+SEEDS: Mapping[Split, int] = {TRAINING_PART: 1, TEST_PART: 302}
 """Seeds of the explored and of the held-out places."""
 EPSILON = 0.0021
 CURVE = (5, 10, 20, 40, 80, 120)
