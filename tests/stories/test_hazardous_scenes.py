@@ -43,7 +43,7 @@ def test_an_object_out_of_reach_is_rejected_before_any_motion(tmp_path):
 WALL = ObjectSpec(
     name="wall",
     role="obstacle",
-    shape=Box((0.02, 0.25, 0.30)),
+    shape=Box((0.02, 0.15, 0.30)),
     position=(0.40, 0.0, 0.30),
     mass=1.0,
     colour="grey",

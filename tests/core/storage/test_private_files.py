@@ -40,6 +40,7 @@ PUBLIC_PLACES = {
     "core/storage/resumable_steps.py": "copies of private folders",
     "core/weights.py": "weights of public models",
     "evaluation/results/parquet.py": "a table for publication",
+    "visualization/html/plot_style.py": "an image for publication",
     "evaluation/runner/run_ledgers.py": "copies of private folders",
     "memory/state/snapshot.py": "opens the temporary file of `private_file`",
     "robots/builtin/generate.py": "data of the package, for developers",
