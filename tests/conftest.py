@@ -1,8 +1,16 @@
-"""A busy machine is no failure: no deadline for an example of a property, five attempts at a test in real time."""
+"""A busy machine is no failure: no deadline for an example of a property, three attempts at a test in real time.
 
+Tests in real time run one after another, also those of different workers: two gatekeepers with their robots have four
+processes of real-time priority, which two processors cannot serve.
+"""
+
+import fcntl
 import gc
+import os
 import sys
+import tempfile
 import warnings
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -14,7 +22,17 @@ settings.load_profile("patient")
 def pytest_collection_modifyitems(items):
     for item in items:
         if item.get_closest_marker("realtime"):
-            item.add_marker(pytest.mark.flaky(reruns=4))
+            item.add_marker(pytest.mark.flaky(reruns=2))
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_protocol(item):
+    """Hold the lock of all workers during a test in real time, with all its attempts."""
+    if not item.get_closest_marker("realtime"):
+        return (yield)
+    with Path(tempfile.gettempdir(), f"dualbrain-tests-in-real-time-{os.getuid()}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        return (yield)
 
 
 @pytest.hookimpl(tryfirst=True)
