@@ -23,7 +23,7 @@ from dualbrain.contracts.contract import Action
 from dualbrain.simulation.plant.render_meshes import link_meshes, object_meshes
 from dualbrain.simulation.world import SimulatedWorld
 from dualbrain.visualization.live.operator_buttons import OperatorAccess
-from dualbrain.visualization.live.state_builder import StateBuilder, Tick
+from dualbrain.visualization.live.state_builder import StateBuilder, tick_of_result
 from dualbrain.visualization.live.view import LiveView
 from dualbrain.visualization.live.view_state import ViewState
 from scripts.filter_demo import ROBOT, DemoTick, open_demo_world, run_demo
@@ -78,27 +78,11 @@ def states_of(world: SimulatedWorld) -> dict[str, ViewState]:
 
 
 def _state(builder: StateBuilder, demo: DemoTick, frames) -> ViewState:
-    state, result = demo.state, demo.result
-    tick = Tick(
-        t=state.stamp,
-        scene=demo.scene,
-        q=state.q,
-        opening=state.opening,
-        u=np.asarray(result.u, float),
-        u_nom=np.asarray(result.u_nom, float),
-        delta=result.delta,
-        h_min=result.h_min,
-        status=result.status.name,
-        barriers=result.barriers,
-        pairs=result.obstacle_pairs,
-        in_contract=True,
-        skill="place",
-        phase="carry",
-        action="NONE",
-        check="",
+    tick = tick_of_result(
+        demo.state, demo.scene, demo.result, in_contract=True, skill="place", phase="carry", action="NONE", check=""
     )
     builder.count(tick.delta)
-    return builder.build(tick, frames, (f"{state.stamp:.1f} s  place: carry",))
+    return builder.build(tick, frames, (f"{tick.t:.1f} s  place: carry",))
 
 
 class Repeater:

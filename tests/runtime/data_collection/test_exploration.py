@@ -7,6 +7,7 @@ import pytest
 from dualbrain.adaptation.curation.curate import CurationConfig
 from dualbrain.adaptation.value_model.value_model import fit_value_model
 from dualbrain.contracts.verdict import Accepted
+from dualbrain.errors import ConfigurationError
 from dualbrain.grounding.alternatives import DEFAULT_ALTERNATIVE
 from dualbrain.grounding.instruction.goals.goal import Goal
 from dualbrain.grounding.instruction.goals.goal_reading import read_goal
@@ -26,7 +27,7 @@ from dualbrain.runtime.data_collection.exploration.training_set import (
 from dualbrain.runtime.data_collection.exploration.trial import Trial, execute_siblings, group_siblings
 from dualbrain.runtime.data_collection.exploration.twin_cell import make_twin_cell
 from dualbrain.runtime.data_collection.rollouts import instruction_of
-from dualbrain.runtime.data_collection.synthetic_scenes import scene_context_by_name
+from dualbrain.runtime.data_collection.synthetic_scenes import scene_by_name, scene_context_by_name
 
 BARE = Place("panda bare:50001", (("grasp", {"object": "red_cube"}), ("place", {"destination": "blue_bowl"})))
 EPSILON = 0.0021
@@ -70,6 +71,11 @@ def test_the_twin_has_the_gate_of_the_robot():
         contract["action_sequence"][0]["params"]["opening"] = 0.03
         assert not isinstance(cell.check(contract), Accepted)
         assert not cell.judgement().basis.judged
+
+
+def test_the_twin_refuses_a_mobile_base():
+    with pytest.raises(ConfigurationError, match="without a mobile base"):
+        make_twin_cell(scene_by_name("base empty_room:50001"))
 
 
 def test_an_interrupted_exploration_continues_with_the_same_trials(tmp_path, monkeypatch):

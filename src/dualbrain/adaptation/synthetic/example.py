@@ -23,6 +23,7 @@ from dualbrain.contracts.contract import Action, Context, Contract, ParameterVal
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.skill_spec import ChoiceParameter, NameParameter, NumberParameter
+from dualbrain.planner.prompt.full_prompt import ChatMessage
 from dualbrain.planner.prompt.short_prompt import MAX_SHOWN_EXEMPLARS, exemplar_steps, render_short_with_steps
 
 SOURCE = "templates"
@@ -100,21 +101,28 @@ def _try_example(
     prompt = render_short_with_steps(
         steps, context.summary, task.sentence, robot=registry.robot, registry=registry.hash, contract_id=CONTRACT_ID
     )
+    return unexecuted_sample(prompt, text, scene=context.scene, names=context.names, source=SOURCE)
+
+
+def unexecuted_sample(
+    prompt: Sequence[ChatMessage], contract: str, *, scene: str, names: SceneNames, source: str
+) -> Sample:
+    """The sample of `contract` by `source` as the answer to `prompt`, without an episode: its weight is ½."""
     messages = [{"role": turn["role"], "content": turn["content"]} for turn in prompt]
     return Sample(
-        id=content_id(messages, text),
+        id=content_id(messages, contract),
         prompt=messages,
-        completion=assistant_turn(text),
+        completion=assistant_turn(contract),
         weight=0.5,
         Delta=0.0,
         duration=0.0,
         repeats=1,
-        scene=context.scene,
+        scene=scene,
         memory="",
         events=(),
-        source=SOURCE,
-        graspable=context.names.graspable,
-        receptive=context.names.receptive,
+        source=source,
+        graspable=names.graspable,
+        receptive=names.receptive,
     )
 
 

@@ -125,7 +125,7 @@ def make_clocks(view: RunView) -> Clocks:
 
 
 def print_title(console: Console, session: Session) -> None:
-    """Print the instruction with robot, scene and run folder, and what is special about the run."""
+    """Print the instruction with robot, scene and run folder, and every option that changes the run."""
     config = session.config
     title = escape(storable_text(config.instruction, 400)) or "a given contract"
     where = f"continues {config.after}" if config.after else f"scene {config.scene}"

@@ -22,7 +22,7 @@ from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.plant.render_meshes import link_meshes, object_meshes
 from dualbrain.visualization.live.operator.instruction_field import LineTone, SubmitCallback
 from dualbrain.visualization.live.operator_buttons import OperateCallback, OperatorAccess
-from dualbrain.visualization.live.state_builder import StateBuilder, Tick
+from dualbrain.visualization.live.state_builder import StateBuilder, Tick, tick_of_result
 from dualbrain.visualization.live.view import FRAME_RATE_HZ, LiveView
 from dualbrain.visualization.live.view_state import ViewState
 
@@ -109,19 +109,10 @@ class LiveFeed:
 
     def on_tick(self, moment: TickSnapshot) -> None:
         """Show a tick of the control loop."""
-        state, result = moment.state, moment.result
-        tick = Tick(
-            t=state.stamp,
-            scene=moment.scene,
-            q=state.q,
-            opening=state.opening,
-            u=np.asarray(result.u, float),
-            u_nom=np.asarray(result.u_nom, float),
-            delta=result.delta,
-            h_min=result.h_min,
-            status=result.status.name,
-            barriers=result.barriers,
-            pairs=result.obstacle_pairs,
+        tick = tick_of_result(
+            moment.state,
+            moment.scene,
+            moment.result,
             in_contract=moment.action >= 0,
             skill=moment.skill,
             phase=moment.nominal.phase,

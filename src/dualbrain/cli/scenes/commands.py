@@ -22,7 +22,7 @@ COUNTED_SEEDS = 8
 
 
 def list_scenes(*, robot: str = "panda") -> int:
-    """List the scene families of a robot: the numbers that mean them, how many objects they have, and what is in them.
+    """List the scene families of a robot with their numbers, their numbers of objects, and their content.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A scene as a table: each object with its shape, its position and what is special about it."""
+"""A scene as a table: each object with its shape, its position and its properties."""
 
 from __future__ import annotations
 

@@ -12,8 +12,9 @@ from dualbrain.contracts.contract import Action
 from dualbrain.control.recording.trace import DEAD_BAND
 from dualbrain.core.geometry.shapes import Pose, Vector
 from dualbrain.records import Scene
+from dualbrain.robots.interface import RobotState
 from dualbrain.robots.model import RobotModel
-from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.safety.cbf.filter import FilterResult, SafetyFilter
 from dualbrain.safety.cbf.obstacles import obstacles_from_scene
 from dualbrain.visualization.live.motion.motion_geometry import (
     link_poses,
@@ -53,6 +54,38 @@ class Tick:
     phase: str
     action: str
     check: str
+
+
+def tick_of_result(
+    state: RobotState,
+    scene: Scene,
+    result: FilterResult,
+    *,
+    in_contract: bool,
+    skill: str,
+    phase: str,
+    action: str,
+    check: str,
+) -> Tick:
+    """The tick of a filter `result` at the measured `state`; the words are those of `Tick`."""
+    return Tick(
+        t=state.stamp,
+        scene=scene,
+        q=state.q,
+        opening=state.opening,
+        u=np.asarray(result.u, float),
+        u_nom=np.asarray(result.u_nom, float),
+        delta=result.delta,
+        h_min=result.h_min,
+        status=result.status.name,
+        barriers=result.barriers,
+        pairs=result.obstacle_pairs,
+        in_contract=in_contract,
+        skill=skill,
+        phase=phase,
+        action=action,
+        check=check,
+    )
 
 
 class StateBuilder:

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from dualbrain.adaptation.curation.curate import CONTRACT_ID
 from dualbrain.adaptation.synthetic.split import Split
 from dualbrain.adaptation.value_model.symbols import Placement
 from dualbrain.contracts.canonical_form import canonical_contract
@@ -18,8 +19,6 @@ from dualbrain.grounding.vocabulary import load_skill_registry
 from dualbrain.records import Scene
 from dualbrain.runtime.data_collection.synthetic_scenes import draw_scene, perceive_scene, scene_by_name
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
-
-CONTRACT_ID = "c-0001"
 
 
 @dataclass(frozen=True)

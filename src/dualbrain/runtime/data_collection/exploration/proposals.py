@@ -1,25 +1,28 @@
 """Proposals of the value model: at each new place the alternative that it chooses, with an instruction for it.
 
 `rollouts.run_proposals` executes them in the full simulation and stores the episodes in a ledger, from which D_clean is
-curated. The twin decides only what is proposed.
+curated. The twin selects the proposals and admits none of them.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from dualbrain.adaptation.curation.curate import content_id
-from dualbrain.adaptation.curation.sample import Sample, assistant_turn
+from dualbrain.adaptation.curation.curate import CONTRACT_ID
+from dualbrain.adaptation.curation.sample import Sample
+from dualbrain.adaptation.synthetic.example import unexecuted_sample
 from dualbrain.adaptation.synthetic.instruction import vary_punctuation
 from dualbrain.adaptation.synthetic.split import Split
 from dualbrain.adaptation.value_model.value_model import ValueModel
 from dualbrain.grounding.alternatives import DEFAULT_ALTERNATIVE
 from dualbrain.grounding.instruction.goals.goal import Goal
 from dualbrain.grounding.instruction.goals.goal_reading import read_goal
+from dualbrain.grounding.vocabulary import scene_names
 from dualbrain.planner.prompt.short_prompt import render_short
 from dualbrain.runtime.data_collection.exploration.explore import nth_place
-from dualbrain.runtime.data_collection.exploration.place import CONTRACT_ID, Place
+from dualbrain.runtime.data_collection.exploration.place import Place
 from dualbrain.runtime.data_collection.synthetic_scenes import load_phrasings
+from dualbrain.simulation.scenes.generators.catalogue import is_mobile
 from dualbrain.simulation.tasks.instructions import natural_name
 
 SOURCE = "value-model"
@@ -53,7 +56,7 @@ def draw_sentence(place: Place, part: Split, rng: np.random.Generator) -> str:
     kind = "put_in" if is_container else "put_at"
     sentences = [
         one
-        for one in load_phrasings(place.registry.robot == "base", part).sentences[kind]
+        for one in load_phrasings(is_mobile(place.spec.robot), part).sentences[kind]
         if all(f"{{{slot}}}" not in one for slot in ("second", "second_target", "group", "number"))
     ]
     words = {"object": natural_name(placement.object_name), "target": natural_name(placement.destination)}
@@ -62,23 +65,8 @@ def draw_sentence(place: Place, part: Split, rng: np.random.Generator) -> str:
 
 def make_sample(place: Place, contract: str, sentence: str, *, source: str = SOURCE) -> Sample:
     """`contract` of `source` as the answer to `sentence` at `place`, with fitting values in the prompt."""
-    scene, registry = place.scene, place.registry
+    registry = place.registry
     prompt = render_short(
         place.summary, sentence, robot=registry.robot, registry=registry.hash, contract_id=CONTRACT_ID
     )
-    messages = [{"role": turn["role"], "content": turn["content"]} for turn in prompt]
-    return Sample(
-        id=content_id(messages, contract),
-        prompt=messages,
-        completion=assistant_turn(contract),
-        weight=0.5,
-        Delta=0.0,
-        duration=0.0,
-        repeats=1,
-        scene=place.scene_name,
-        memory="",
-        events=(),
-        source=source,
-        graspable=scene.graspable,
-        receptive=scene.receptive,
-    )
+    return unexecuted_sample(prompt, contract, scene=place.scene_name, names=scene_names(place.scene), source=source)

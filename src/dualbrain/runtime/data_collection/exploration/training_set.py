@@ -16,7 +16,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from dualbrain.adaptation.curation.curate import CurationConfig, content_id, curate
+from dualbrain.adaptation.curation.curate import CONTRACT_ID, CurationConfig, content_id, curate
 from dualbrain.adaptation.curation.dataset import SAMPLE_FORMAT, Dataset, DatasetCard, dataset_hash
 from dualbrain.adaptation.curation.sample import Sample, encode_samples
 from dualbrain.adaptation.synthetic.split import Split
@@ -30,7 +30,7 @@ from dualbrain.planner.prompt.short_prompt import (
     render_short_with_steps,
     short_template_hash,
 )
-from dualbrain.runtime.data_collection.exploration.place import CONTRACT_ID, Place
+from dualbrain.runtime.data_collection.exploration.place import Place
 from dualbrain.runtime.data_collection.exploration.proposals import draw_sentence, make_sample
 from dualbrain.runtime.data_collection.exploration.rehearsal import draw_rehearsal
 from dualbrain.runtime.data_collection.exploration.trial import Trial
