@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from dualbrain.core.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
+    from dualbrain.agent_api.robot import Robot
     from dualbrain.api import open_planner, run
     from dualbrain.contracts.contract import Contract
     from dualbrain.contracts.gate.gate import Gate
@@ -51,6 +52,7 @@ if TYPE_CHECKING:
 __version__ = "0.2.0"
 
 _MODULES = {
+    "agent_api.robot": ("Robot",),
     "api": ("open_planner", "run"),
     "contracts.contract": ("Contract",),
     "contracts.gate.gate": ("Gate",),
@@ -116,6 +118,7 @@ __all__ = [
     "Pose",
     "Proposal",
     "Rejected",
+    "Robot",
     "RobotInterface",
     "RobotModel",
     "RobotState",

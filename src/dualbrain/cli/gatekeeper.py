@@ -75,11 +75,12 @@ def gatekeeper(
     import msgspec
 
     from dualbrain.cli.common.console import print_result
-    from dualbrain.cli.common.running_gatekeepers import REGISTRATIONS, STARTED_BY_PERSON
+    from dualbrain.cli.common.running_gatekeepers import STARTED_BY_PERSON
     from dualbrain.cli.common.signals import survive_closed_terminal
     from dualbrain.control.gatekeeper.config import GatekeeperConfig
     from dualbrain.control.gatekeeper.process import run_gatekeeper
     from dualbrain.control.gatekeeper.protocol.authentication import PRINCIPALS, load_keys
+    from dualbrain.control.gatekeeper.protocol.registration import REGISTRATIONS
     from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
     survive_closed_terminal()

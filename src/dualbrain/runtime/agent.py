@@ -7,9 +7,10 @@ from typing import Protocol
 
 from dualbrain.memory.embedding.image_features import ImageFeatures
 from dualbrain.memory.embedding.posture_features import Posture
+from dualbrain.memory.ledger.hash_chain import Head
 from dualbrain.memory.memory import StoreReport
 from dualbrain.planner.protocol import Planner
-from dualbrain.records import Episode, Passage
+from dualbrain.records import Episode, Passage, RetrievedContext
 from dualbrain.runtime.planning.planner_request import PassageRetriever, Retriever
 
 
@@ -19,6 +20,30 @@ class EpisodicMemory(Retriever, Protocol):
     def store(self, episode: Episode, state: Posture, *, now: float, image: ImageFeatures | None = None) -> StoreReport:
         """Store the episode and update weights by its outcome; `now` in [s, 1970 UTC]."""
         ...
+
+
+class NoMemory:
+    """A memory that stores nothing and retrieves nothing."""
+
+    def retrieve(
+        self,
+        instruction: str,
+        summary: str,
+        state: Posture | None,
+        robot: str,
+        registry: str,
+        *,
+        k: int,
+        image: ImageFeatures | None = None,
+    ) -> RetrievedContext:
+        """An empty context."""
+        del instruction, summary, state, robot, registry, k, image
+        return RetrievedContext()
+
+    def store(self, episode: Episode, state: Posture, *, now: float, image: ImageFeatures | None = None) -> StoreReport:
+        """Store nothing; no weight changes."""
+        del state, now, image
+        return StoreReport(episode_id=episode.id, seq=0, head=Head(0, ""), weight_updates=())
 
 
 def no_passages(instruction: str, summary: str) -> tuple[Passage, ...]:

@@ -13,14 +13,13 @@ from pathlib import Path
 
 from dualbrain.control.gatekeeper.protocol.client import GatekeeperClient
 from dualbrain.control.gatekeeper.protocol.registration import (
+    REGISTRATIONS,
     Registration,
     process_start_ticks,
     read_registrations,
 )
 from dualbrain.errors import DualbrainError
 
-REGISTRATIONS = "gatekeepers"
-"""Folder of the registrations in the data folder of dualbrain."""
 SPAWNED_MODULE = "dualbrain.control.gatekeeper.process"
 """Module of a gatekeeper that a program started; robot and socket follow it on the command line."""
 STARTED_BY_PERSON = "a person with `dualbrain gatekeeper`"

@@ -15,10 +15,9 @@ def stop_running_robots(home: Path) -> list[str]:
 
     The arm of each of them brakes to rest. Nothing is started, and no planner is asked.
     """
-    from dualbrain.cli.common.running_gatekeepers import REGISTRATIONS
     from dualbrain.control.gatekeeper.protocol.authentication import load_keys
     from dualbrain.control.gatekeeper.protocol.client import GatekeeperClient
-    from dualbrain.control.gatekeeper.protocol.registration import read_registrations
+    from dualbrain.control.gatekeeper.protocol.registration import REGISTRATIONS, read_registrations
     from dualbrain.errors import DualbrainError
 
     lines: list[str] = []

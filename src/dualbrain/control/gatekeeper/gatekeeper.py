@@ -13,6 +13,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import isnan
 
+from msgspec.structs import replace
+
 from dualbrain.contracts.contract import Contract, ContractHeader
 from dualbrain.contracts.verdict import Accepted
 from dualbrain.control.contract_executor import ContractExecutor
@@ -22,6 +24,8 @@ from dualbrain.control.gatekeeper.gate.exchange import ContractGate, GateReply, 
 from dualbrain.control.gatekeeper.operator_commands import OperatorCommands, is_allowed
 from dualbrain.control.gatekeeper.protocol.authentication import Keys, verify_contract_mac, verify_hello_proof
 from dualbrain.control.gatekeeper.protocol.messages import (
+    CheckReport,
+    CheckRequest,
     EventReport,
     Heartbeat,
     Hello,
@@ -122,6 +126,8 @@ class Gatekeeper:
         self._flood_until = self._refused_until = -1.0
         self._next_contract: Contract | None = None
         self._proposer: Connection | None = None
+        self._dry_run = False
+        self._waiting_request: GateRequest | None = None
         self._shutdown_requested, self._busy, self._ticks = False, False, 0
         self._drive_initially_off = settings.drive_initially_off
         self._monotonic, self._on_outcome = monotonic, on_outcome
@@ -175,8 +181,9 @@ class Gatekeeper:
 
     @property
     def busy(self) -> bool:
-        """Whether a contract runs, is next, or is being checked by the gate."""
-        return self._busy or self._next_contract is not None or self._gate.busy
+        """Whether a contract runs, is next, or is being checked by the gate in order to run."""
+        waits = self._next_contract is not None or self._waiting_request is not None
+        return self._busy or waits or (self._gate.busy and not self._dry_run)
 
     def shut_down(self) -> None:
         """End after this tick, or as soon as the robot has braked if a contract runs."""
@@ -269,12 +276,14 @@ class Gatekeeper:
                 self._authenticate(connection, message, now)
             case OperatorCommand():
                 self._apply_operator_command(connection, message)
-            case Heartbeat() | SceneRequest() | Propose() if connection.role == "stranger":
+            case Heartbeat() | SceneRequest() | Propose() | CheckRequest() if connection.role == "stranger":
                 connection.fault = f"{type(message).__name__} before authentication"
             case SceneRequest():
                 connection.send(self._scene_report())
             case Propose():
                 self._submit_contract(connection, sequence, message, now)
+            case CheckRequest():
+                self._check_contract(connection, sequence, message)
             case Heartbeat():
                 pass
             case _:
@@ -339,21 +348,51 @@ class Gatekeeper:
                 principal=connection.principal,
                 scene_version=message.scene_version,
             )
-            request = GateRequest(
-                connection_number=connection.number,
-                sequence=sequence,
-                contract=message.contract,
-                stamp=header,
-                now=self.robot.clock(),
-                scene=self.loop.scene,
-                state=self.loop.state,
-                holding=self.loop.controller.holding,
-            )
-            reason = "" if self._gate.submit(request) else "another contract is being checked"
+            request = self._gate_request(connection, sequence, message.contract, header)
+            if self._gate.busy:  # with a dry run, which must not reject a contract
+                self._waiting_request = request
+            else:
+                self._gate.submit(request)
         if reason:
             self._refused_until = now + FAULT_HOLD_TIME
             self._log.note(self.robot.read().stamp, "verdict", f"not considered: {reason}")
             connection.send(RequestRefused(reason))
+
+    def _check_contract(self, connection: Connection, sequence: int, message: CheckRequest) -> None:
+        """Pass a contract to the gate for a verdict without consequences, also while another contract runs."""
+        reason = ""
+        if connection is not self._commander:
+            reason = "only the commander may have contracts checked"
+        elif self._gate.busy or self._waiting_request is not None:
+            reason = "another contract is being checked"
+        if reason:
+            connection.send(CheckReport(sequence=sequence, refused=reason))
+            return
+        now = self.robot.clock()
+        header = ContractHeader(
+            sequence=sequence,
+            issued=now,
+            expires=now,
+            principal=connection.principal,
+            scene_version=self.loop.scene.version,
+        )
+        request = self._gate_request(connection, sequence, message.contract, header)
+        self._dry_run = self._gate.submit(replace(request, dry_run=True))
+
+    def _gate_request(
+        self, connection: Connection, sequence: int, contract: bytes, header: ContractHeader
+    ) -> GateRequest:
+        """The request to check `contract` against the present state."""
+        return GateRequest(
+            connection_number=connection.number,
+            sequence=sequence,
+            contract=contract,
+            stamp=header,
+            now=self.robot.clock(),
+            scene=self.loop.scene,
+            state=self.loop.state,
+            holding=self.loop.controller.holding,
+        )
 
     def _rejection_reason(self, connection: Connection, sequence: int, message: Propose, now: float) -> str:
         """The reason why a contract is not passed to the gate; "" if it is."""
@@ -384,10 +423,22 @@ class Gatekeeper:
         request, verdict = reply.request, reply.verdict
         proposer = next((one for one in self.server.connections if one.number == request.connection_number), None)
         rejected = None if isinstance(verdict, Accepted) else verdict
+        if request.dry_run:
+            if proposer is not None:
+                proposer.send(CheckReport(sequence=request.sequence, rejected=rejected, gate_s=reply.seconds))
+            self._submit_waiting_request()
+            return
         if proposer is not None:
             proposer.send(VerdictReport(sequence=request.sequence, rejected=rejected, gate_s=reply.seconds))
         if isinstance(verdict, Accepted) and proposer is self._commander and proposer is not None:
             self._next_contract, self._proposer = verdict.contract, proposer
+
+    def _submit_waiting_request(self) -> None:
+        """Pass the contract that waited for the end of a dry run to the gate, with the present state."""
+        self._dry_run, request, self._waiting_request = False, self._waiting_request, None
+        if request is not None:
+            state, scene, holding = self.loop.state, self.loop.scene, self.loop.controller.holding
+            self._gate.submit(replace(request, now=self.robot.clock(), scene=scene, state=state, holding=holding))
 
     # --- reports ------------------------------------------------------------------------------------------------
 

@@ -16,7 +16,7 @@ from dualbrain.control.control_loop import ControlLoopConfig, LoopInputs, LoopOb
 from dualbrain.control.executor import Grants
 from dualbrain.control.recording.trace import Trace
 from dualbrain.evaluation.episodes.wall_time import HOLD_TIME, PLANNER_TIME, UNCONSTRAINED_TIME, Stopwatch
-from dualbrain.evaluation.protocol.baselines import BaselineGate, NoMemory, PassiveFilter
+from dualbrain.evaluation.protocol.baselines import BaselineGate, PassiveFilter
 from dualbrain.evaluation.protocol.case import Case
 from dualbrain.evaluation.protocol.method import GateKind, Method
 from dualbrain.grounding.vocabulary import planner_grants, scene_names
@@ -28,7 +28,7 @@ from dualbrain.records import Episode, Proposal, Scene
 from dualbrain.robots.interface import RobotState
 from dualbrain.robots.loader import load_robot
 from dualbrain.robots.model import RobotModel
-from dualbrain.runtime.agent import Agent, EpisodicMemory
+from dualbrain.runtime.agent import Agent, EpisodicMemory, NoMemory
 from dualbrain.runtime.assembly import CellOptions, SimulatedCell, open_world
 from dualbrain.runtime.episode import GroundTruth, run_episode
 from dualbrain.runtime.planning.episode_request import EpisodeRequest

@@ -24,11 +24,7 @@ from dualbrain.contracts.skill_spec import NumberParameter
 from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
 from dualbrain.evaluation.protocol.method import GateKind
 from dualbrain.grounding.vocabulary import planner_grants
-from dualbrain.memory.embedding.image_features import ImageFeatures
-from dualbrain.memory.embedding.posture_features import Posture
-from dualbrain.memory.ledger.ledger import Head
-from dualbrain.memory.memory import StoreReport
-from dualbrain.records import Episode, Proposal, RetrievedContext
+from dualbrain.records import Proposal
 from dualbrain.robots.interface import RobotState
 from dualbrain.runtime.planning.proposal_checks import proposal_bytes, reject_incomplete
 from dualbrain.safety.cbf.filter import SafetyFilter
@@ -116,27 +112,3 @@ class PassiveFilter(SafetyFilter):
         result = super().filter(state, u_nom, now)
         alarm = result.status > FilterStatus.MODIFIED and not result.flags & REFUSED_REASONS
         return result.unfiltered() if alarm else result
-
-
-class NoMemory:
-    """A memory that stores nothing and retrieves nothing."""
-
-    def retrieve(
-        self,
-        instruction: str,
-        summary: str,
-        state: Posture | None,
-        robot: str,
-        registry: str,
-        *,
-        k: int,
-        image: ImageFeatures | None = None,
-    ) -> RetrievedContext:
-        """An empty context."""
-        del instruction, summary, state, robot, registry, k, image
-        return RetrievedContext()
-
-    def store(self, episode: Episode, state: Posture, *, now: float, image: ImageFeatures | None = None) -> StoreReport:
-        """Store nothing; no weight changes."""
-        del state, now, image
-        return StoreReport(episode_id=episode.id, seq=0, head=Head(0, ""), weight_updates=())

@@ -23,7 +23,8 @@ from dualbrain.skills.skill import HeldObject
 class GateRequest(msgspec.Struct, frozen=True, kw_only=True):
     """A contract to be checked, as received, with `stamp`, its header, and the robot's state and scene at arrival.
 
-    `now` is the robot's time [s]; the reply goes to connection `connection_number` for its frame `sequence`.
+    `now` is the robot's time [s]; the reply goes to connection `connection_number` for its frame `sequence`. A contract
+    with `dry_run` is not executed: its header is not checked, and the gate's state does not change.
     """
 
     connection_number: int
@@ -34,6 +35,7 @@ class GateRequest(msgspec.Struct, frozen=True, kw_only=True):
     scene: Scene
     state: RobotState
     holding: HeldObject | None
+    dry_run: bool = False
 
 
 class GateReply(msgspec.Struct, frozen=True):
@@ -87,6 +89,7 @@ class CheckPacket(msgspec.Struct, frozen=True, kw_only=True, tag=2):
     scene: Scene
     state: StatePacket
     holding: HeldObject | None
+    dry_run: bool = False
 
 
 class VerdictPacket(msgspec.Struct, frozen=True, kw_only=True, tag=3):
@@ -115,6 +118,7 @@ def encode_check(number: int, request: GateRequest) -> bytes:
             scene=request.scene,
             state=StatePacket.from_state(request.state),
             holding=request.holding,
+            dry_run=request.dry_run,
         )
     )
 
@@ -130,6 +134,7 @@ def request_of(packet: CheckPacket) -> GateRequest:
         scene=packet.scene,
         state=packet.state.to_robot_state(),
         holding=packet.holding,
+        dry_run=packet.dry_run,
     )
 
 

@@ -17,6 +17,8 @@ from dualbrain.control.gatekeeper.protocol.authentication import Keys, contract_
 from dualbrain.control.gatekeeper.protocol.frames import BrokenStream, FrameDecoder, encode
 from dualbrain.control.gatekeeper.protocol.messages import (
     Challenge,
+    CheckReport,
+    CheckRequest,
     EventReport,
     Heartbeat,
     Hello,
@@ -85,6 +87,8 @@ class GatekeeperClient:
         self._lock, self._sent = Lock(), 0
         self._replies: Queue[Message] = Queue()
         self._scene_reports: Queue[SceneReport] = Queue()
+        self._check_reports: Queue[CheckReport] = Queue()
+        self._check_lock = Lock()
         self.status: StatusReport | None = None
         self.disconnected = Signal()
         self.disconnect_reason = ""
@@ -154,6 +158,20 @@ class GatekeeperClient:
             message = Propose(contract=contract, issued=issued, expires=expires, scene_version=scene_version, mac=mac)
             self._send_bytes(encode(kind_code(message), self._sent, encode_body(message)))
             return self._sent
+
+    def check(self, contract: bytes) -> CheckReport:
+        """The gate's verdict on `contract` in the present state, without any effect; also while a contract runs.
+
+        Raises `ConnectionLostError`, also if the gatekeeper does not check the contract.
+        """
+        with self._check_lock:
+            sequence, deadline = self.send(CheckRequest(contract=contract)), time.monotonic() + REPLY_TIMEOUT
+            while time.monotonic() < deadline and not self.disconnected.is_set():
+                with suppress(Empty):
+                    report = self._check_reports.get(timeout=0.05)
+                    if report.sequence == sequence:
+                        return _checked(report)
+        raise ConnectionLostError(self.disconnect_reason or f"no CheckReport within {REPLY_TIMEOUT} s")
 
     def operate(self, act: OperatorAction, speed: float = 1.0) -> None:
         """Send an operator command; `speed` (0, 1] belongs to the action "speed". Raises `ConnectionLostError`."""
@@ -262,5 +280,14 @@ class GatekeeperClient:
                     self._on_report(message)
             case SceneReport():
                 self._scene_reports.put(message)
+            case CheckReport():
+                self._check_reports.put(message)
             case _:
                 self._replies.put(message)
+
+
+def _checked(report: CheckReport) -> CheckReport:
+    """`report`, if the contract was checked; raises `ConnectionLostError` otherwise."""
+    if report.refused:
+        raise ConnectionLostError(report.refused)
+    return report

@@ -1,8 +1,9 @@
 """Messages on the socket: strictly typed MessagePack; an unknown field, type or kind is refused.
 
-A client sends `Hello`, `Heartbeat`, `Propose`, `OperatorCommand` and `SceneRequest`. The gatekeeper sends `Challenge`,
-`Welcome`, `StatusReport`, `VerdictReport`, `OutcomeReport`, `SceneReport`, `EventReport`, `TickReport` and
-`RequestRefused`. A contract is sent as raw bytes, which only the gatekeeper's own gate parses.
+A client sends `Hello`, `Heartbeat`, `Propose`, `OperatorCommand`, `SceneRequest` and `CheckRequest`. The gatekeeper
+sends `Challenge`, `Welcome`, `StatusReport`, `VerdictReport`, `OutcomeReport`, `SceneReport`, `EventReport`,
+`TickReport`, `RequestRefused` and `CheckReport`. A contract is sent as raw bytes, which only the gatekeeper's own gate
+parses.
 """
 
 from __future__ import annotations
@@ -63,6 +64,12 @@ class OperatorCommand(Message, frozen=True, kw_only=True):
 
 class SceneRequest(Message, frozen=True):
     """Request for a `SceneReport`."""
+
+
+class CheckRequest(Message, frozen=True):
+    """Request for the gate's verdict on a contract, as raw bytes, that is not executed."""
+
+    contract: bytes
 
 
 class Challenge(Message, frozen=True):
@@ -162,24 +169,43 @@ class RequestRefused(Message, frozen=True):
     reason: str
 
 
-CLIENT_MESSAGES: tuple[type[Message], ...] = (Hello, Heartbeat, Propose, OperatorCommand, SceneRequest)
-SERVER_MESSAGES: tuple[type[Message], ...] = (
-    Challenge,
-    Welcome,
-    StatusReport,
-    VerdictReport,
-    OutcomeReport,
-    SceneReport,
-    EventReport,
-    TickReport,
-    RequestRefused,
-)
+class CheckReport(Message, frozen=True, kw_only=True):
+    """The gate's verdict on the contract of the `CheckRequest` in frame `sequence`, which had no effect.
+
+    `rejected` is None if the gate would accept the contract now; `gate_s` is the time that the gate took [s]. With a
+    reason in `refused`, the contract was not checked.
+    """
+
+    sequence: int
+    rejected: Rejected | None = None
+    gate_s: float = 0.0
+    refused: str = ""
+
+
 _KIND_CODES: dict[type[Message], int] = {
-    kind: code for code, kind in enumerate((*CLIENT_MESSAGES, *SERVER_MESSAGES), start=1)
+    Hello: 1,
+    Heartbeat: 2,
+    Propose: 3,
+    OperatorCommand: 4,
+    SceneRequest: 5,
+    Challenge: 6,
+    Welcome: 7,
+    StatusReport: 8,
+    VerdictReport: 9,
+    OutcomeReport: 10,
+    SceneReport: 11,
+    EventReport: 12,
+    TickReport: 13,
+    RequestRefused: 14,
+    CheckRequest: 15,
+    CheckReport: 16,
 }
+"""Codes on the socket: fixed, so that a new kind changes no other one."""
+CLIENT_MESSAGES: tuple[type[Message], ...] = (Hello, Heartbeat, Propose, OperatorCommand, SceneRequest, CheckRequest)
+SERVER_MESSAGES = tuple(kind for kind in _KIND_CODES if kind not in CLIENT_MESSAGES)
 _DECODERS = {code: msgspec.msgpack.Decoder(kind, strict=True) for kind, code in _KIND_CODES.items()}
 _ENCODER = msgspec.msgpack.Encoder()
-LAST_CLIENT_KIND = len(CLIENT_MESSAGES)
+_CLIENT_CODES = frozenset(_KIND_CODES[kind] for kind in CLIENT_MESSAGES)
 
 
 def kind_code(message: Message) -> int:
@@ -194,7 +220,7 @@ def encode_body(message: Message) -> bytes:
 
 def decode_message(frame: Frame, *, from_client: bool) -> Message | str:
     """The message in `frame`, or the reason why it is invalid; invalid bytes never raise."""
-    if frame.kind not in _DECODERS or (frame.kind <= LAST_CLIENT_KIND) != from_client:
+    if frame.kind not in _DECODERS or (frame.kind in _CLIENT_CODES) != from_client:
         return f"kind {frame.kind} is not known"
     try:
         return _DECODERS[frame.kind].decode(frame.body)

@@ -17,6 +17,8 @@ from dualbrain.core.storage.atomic_files import FileWriteError, write_atomically
 from dualbrain.core.storage.private_files import create_private_folder
 from dualbrain.errors import DECODE_ERRORS
 
+REGISTRATIONS = "gatekeepers"
+"""Folder of the registrations in the data folder of dualbrain."""
 SUFFIX = ".json"
 
 

@@ -1,0 +1,1 @@
+"""A robot as an agent sees it: scene, checked contracts, outcomes, and tools for any agent framework."""

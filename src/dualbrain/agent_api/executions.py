@@ -1,0 +1,207 @@
+"""Execution of the contracts and instructions of an agent, one at a time, as episodes in a thread of their own."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from concurrent.futures import ThreadPoolExecutor
+from datetime import UTC, datetime
+from pathlib import Path
+from secrets import token_hex
+from threading import Lock
+
+from msgspec.structs import replace
+
+from dualbrain.agent_api.agent_resources import AgentResources, open_agent_resources
+from dualbrain.agent_api.connection import Connection
+from dualbrain.agent_api.event_feed import EventFeed
+from dualbrain.agent_api.retries import RetryLog, contract_identity
+from dualbrain.agent_api.submission import State, Submission, SubmissionReport
+from dualbrain.contracts.gate.strict_json import MAX_BYTES, parse
+from dualbrain.contracts.verdict import Rejected
+from dualbrain.control.gatekeeper.remote_executor import RemoteExecutor
+from dualbrain.control.recording.flight_log import FlightLog
+from dualbrain.control.recording.trace import Trace
+from dualbrain.core.text import to_printable
+from dualbrain.errors import ConfigurationError
+from dualbrain.grounding.instruction.review import refuse_hostile
+from dualbrain.grounding.instruction.stop_commands import is_stop_command
+from dualbrain.planner.protocol import Planner
+from dualbrain.planner.scripted import FixedContractPlanner
+from dualbrain.runtime.agent import Agent
+from dualbrain.runtime.episode import GroundTruth, run_episode
+from dualbrain.runtime.planning.episode_request import EpisodeRequest
+from dualbrain.runtime.planning.planning_time import PlanningClock
+
+VERDICT_TIMEOUT = 10.0
+"""Longest wait for the gate's verdict on a contract [s]."""
+DEFAULT_CLIENT = "agent"
+"""The author of contracts that name no client."""
+KEPT_SUBMISSIONS = 100
+"""Number of submissions whose reports are kept."""
+
+
+class Executions:
+    """Runs one submission after another; every method may be called from any thread."""
+
+    def __init__(
+        self,
+        connection: Connection,
+        feed: EventFeed,
+        retries: RetryLog,
+        *,
+        planner: str | Planner | None,
+        ledger: Path | None,
+        runs: Path | None,
+    ) -> None:
+        """Open planner and memory in the thread that uses them; see `open_agent_resources` for its errors."""
+        self._connection, self._feed, self._retries = connection, feed, retries
+        self._lock, self._submissions, self._newest = Lock(), dict[str, Submission](), ""
+        self._worker = ThreadPoolExecutor(1, thread_name_prefix="episode")
+        try:
+            self._resources: AgentResources = self._worker.submit(
+                open_agent_resources, connection.robot_model, planner=planner, ledger=ledger, runs=runs
+            ).result()
+        except BaseException:
+            self._worker.shutdown()
+            raise
+
+    @property
+    def has_planner(self) -> bool:
+        """Whether instructions can be planned."""
+        return self._resources.planner is not None
+
+    def next_id(self) -> str:
+        """An id for a new contract."""
+        with self._lock:
+            return self._retries.next_id(time.time())
+
+    def submit(self, data: bytes, instruction: str, client: str) -> SubmissionReport:
+        """Submit the contract in `data` for `client`, and return the report as soon as there is a verdict."""
+        contract_id, digest = contract_identity(data)
+        if len(data) > MAX_BYTES:
+            rejected = parse(data)
+            assert isinstance(rejected, Rejected)
+            return SubmissionReport(id=contract_id, state="rejected", rejected=rejected)
+        with self._lock:
+            earlier = self._retries.find(contract_id, digest, time.time()) if contract_id else None
+            if isinstance(earlier, Submission):
+                return replace(earlier.report, repeated=True)
+            name = contract_id or f"unread-{token_hex(4)}"
+            if (refused := earlier or _reject_instruction(instruction) or self._busy()) is not None:
+                return SubmissionReport(id=name, state="rejected", rejected=refused)
+            submission = self._begin(name, "checking", digest)
+            if contract_id:
+                self._retries.add(contract_id, submission)
+        agent = Agent(FixedContractPlanner(client, data), self._resources.memory)
+        self._worker.submit(self._run, submission, self._request(instruction, given=True), agent, retried=contract_id)
+        return submission.wait_for_verdict(VERDICT_TIMEOUT)
+
+    def plan_and_run(self, instruction: str) -> SubmissionReport:
+        """Begin to plan `instruction` with the robot's own planner; raises `ConfigurationError` if there is none."""
+        planner = self._resources.planner
+        if planner is None:
+            raise ConfigurationError.stating(
+                "This robot has no planner, so it cannot plan an instruction.", fix="Open it with a planner."
+            )
+        with self._lock:
+            name = f"i-{token_hex(4)}"
+            if (refused := self._busy()) is not None:
+                return SubmissionReport(id=name, state="rejected", rejected=refused)
+            submission = self._begin(name, "planning", "")
+        agent = Agent(planner, self._resources.memory)
+        self._worker.submit(self._run, submission, self._request(instruction, given=False), agent, retried="")
+        return submission.report
+
+    def wait(self, submission_id: str, timeout: float | None) -> SubmissionReport | None:
+        """The report on a submission ("": the newest) after its end, or after `timeout` [s]; None for an unknown id."""
+        with self._lock:
+            found = self._submissions.get(submission_id or self._newest) or self._retries.get(submission_id)
+        return found.wait_for_end(timeout) if found else None
+
+    def interrupt(self) -> None:
+        """Make the robot stop if a submission is in progress, and drop an answer that the planner has not given yet."""
+        with self._lock:
+            newest = self._submissions.get(self._newest)
+        if newest is not None:
+            newest.interrupt()
+
+    def close(self) -> None:
+        """End a submission in progress, and close planner and memory."""
+        self.interrupt()
+        self._connection.client.close()
+        self._worker.submit(self._resources.close).result()
+        self._worker.shutdown()
+
+    def _busy(self) -> Rejected | None:
+        """The rejection while a submission is in progress; None otherwise."""
+        newest = self._submissions.get(self._newest)
+        if newest is None or newest.has_ended:
+            return None
+        return Rejected(
+            stage="authorization",
+            pointer="",
+            got=f"{self._newest} is in progress",
+            allowed="one contract at a time",
+            hint="wait for its outcome, or stop it",
+        )
+
+    def _begin(self, name: str, state: State, digest: str) -> Submission:
+        """A new submission, which is the newest; the oldest one is forgotten."""
+        submission = Submission(SubmissionReport(id=name, state=state), digest, time.time())
+        self._submissions[name], self._newest = submission, name
+        while len(self._submissions) > KEPT_SUBMISSIONS:
+            del self._submissions[next(iter(self._submissions))]
+        return submission
+
+    def _request(self, instruction: str, *, given: bool) -> EpisodeRequest:
+        """The request of an episode: a given contract has one shot, and nothing is retrieved for it."""
+        now = datetime.now(UTC)
+        request = EpisodeRequest(
+            id=f"{now:%Y%m%d-%H%M%S}-{token_hex(3)}",
+            started=now.isoformat(timespec="seconds"),
+            instruction=instruction,
+            seed=0,
+            now=now.timestamp(),
+        )
+        if not given:
+            return request
+        return dataclasses.replace(request, max_shots=1, max_exemplars=0, instruction_check="given_contract")
+
+    def _run(self, submission: Submission, request: EpisodeRequest, agent: Agent, *, retried: str) -> None:
+        """Run one episode to its end; an exception ends the submission as lost."""
+        model = self._connection.robot_model
+        log = FlightLog(
+            Trace(model.n),
+            None,
+            lambda event: self._feed.add(event.t, event.kind, event.text),
+            submission.on_attempt,
+        )
+        truth = GroundTruth(lambda contract: None, lambda: None, self._resources.versions)
+        try:
+            executor = RemoteExecutor(model, self._connection.client, log, lambda: submission.interrupted)
+            episode, _ = run_episode(request, agent, executor, PlanningClock(time.monotonic, measured=True), truth)
+            submission.finish(episode)
+        except Exception as error:  # every failure is reported to the client; the robot stays behind its gatekeeper
+            submission.lose(f"{type(error).__name__}: {error}")
+        finally:
+            if retried:
+                with self._lock:
+                    self._retries.finish(retried, submission)
+
+
+def _reject_instruction(instruction: str) -> Rejected | None:
+    """The rejection of a contract for an instruction that no contract is to fulfil; None for any other one."""
+    if is_stop_command(instruction):
+        hint = "stop the robot instead of submitting a contract"
+    elif (refusal := refuse_hostile(instruction)) is not None:
+        hint = refusal.reason
+    else:
+        return None
+    return Rejected(
+        stage="authorization",
+        pointer="",
+        got=to_printable(instruction),
+        allowed="an instruction that a contract can fulfil",
+        hint=hint,
+    )

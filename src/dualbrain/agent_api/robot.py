@@ -1,0 +1,321 @@
+"""A robot for an agent: it perceives, checks contracts, executes those that the gate accepts, and stops."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import msgspec
+
+from dualbrain.agent_api.connection import Connection, SimulationOptions, connect, start_simulation
+from dualbrain.agent_api.event_feed import EventFeed
+from dualbrain.agent_api.executions import DEFAULT_CLIENT, Executions
+from dualbrain.agent_api.retries import RetryLog
+from dualbrain.agent_api.submission import SubmissionReport
+from dualbrain.agent_api.tools import ToolForm, call_tool, export_tools, robot_tools
+from dualbrain.contracts.contract import Contract
+from dualbrain.contracts.gate.strict_json import MAX_BYTES, parse
+from dualbrain.contracts.registry import SkillRegistry
+from dualbrain.contracts.schema import decoding_schema, describe_skills, validation_schema
+from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
+from dualbrain.control.gatekeeper.protocol.client import ConnectionLostError
+from dualbrain.control.gatekeeper.protocol.emergency_stop import send_emergency_stop
+from dualbrain.control.gatekeeper.protocol.messages import EventReport, Message, SceneReport, StatusReport
+from dualbrain.core.paths import dualbrain_home
+from dualbrain.errors import ConfigurationError
+from dualbrain.grounding.scene_rules import skills_refused_first
+from dualbrain.grounding.scene_summary import summarise_scene
+from dualbrain.grounding.vocabulary import scene_names
+from dualbrain.planner.protocol import Planner
+from dualbrain.skills.registry import skill_registry
+
+STATUS_DELAY = 0.12
+"""Time after a stop until the status report shows it [s]: two periods of the report."""
+RETRY_FILE = "submissions.jsonl"
+"""File of the data folder with the contracts that were submitted to a running gatekeeper."""
+Json = bytes | str | dict[str, Any]
+"""A contract as JSON text, which is checked and executed byte for byte, or as an object, which is encoded once."""
+
+
+class Robot:
+    """One robot behind a gatekeeper, with the rights of a commander: it can propose, abort and stop.
+
+    `Robot.simulated` starts a gatekeeper with a simulated robot in real time; `Robot.connect` commands one that runs.
+    Every contract passes the gatekeeper's own gate, and every motion its safety filter. An emergency stop can be sent
+    but not released: a person does that with `dualbrain operate`. All methods may be called from any thread.
+    """
+
+    def __init__(
+        self,
+        open_connection: Callable[[Callable[[Message], None], ExitStack], Connection],
+        *,
+        planner: str | Planner | None,
+        ledger: Path | None,
+        runs: Path | None,
+        retries: Path | None,
+    ) -> None:
+        """Use `Robot.simulated` or `Robot.connect`."""
+        self._stack, self._feed = ExitStack(), EventFeed()
+        try:
+            self._connection = open_connection(self._receive, self._stack)
+            known = RetryLog(retries, now=time.time())
+            self._executions = Executions(
+                self._connection, self._feed, known, planner=planner, ledger=ledger, runs=runs
+            )
+            self._stack.callback(self._executions.close)
+        except BaseException:
+            self.close()
+            raise
+
+    @classmethod
+    def simulated(
+        cls,
+        robot: str = "panda",
+        scene: str | int = "0",
+        *,
+        seed: int = 0,
+        speed: float = 1.0,
+        site: Path | None = None,
+        recording: Path | None = None,
+        report: Path | None = None,
+        planner: str | Planner | None = None,
+        ledger: Path | None = None,
+        runs: Path | None = None,
+    ) -> Self:
+        """A simulated `robot` in a `scene` (number, FAMILY:SEED or file), in real time behind a gatekeeper process.
+
+        `speed` is the speed scale, (0, 1]. `recording` is an MCAP file for every tick, `report` a file for the ground
+        truth at the end. With a `planner` (a name as for `dualbrain run --planner`, or an object), `do` plans
+        instructions. With a `ledger`, the episodes become memories under the name of their client; with a folder
+        `runs`, each episode is saved in it.
+
+        Raises `ConfigurationError`, `UnknownNameError` and `MissingDependencyError`.
+        """
+        options = SimulationOptions(
+            robot=robot, scene=str(scene), seed=seed, speed=speed, site=site, recording=recording, report=report
+        )
+        return cls(
+            lambda receive, stack: start_simulation(options, receive, "an agent's `Robot.simulated`", stack),
+            planner=planner,
+            ledger=ledger,
+            runs=runs,
+            retries=None,
+        )
+
+    @classmethod
+    def connect(
+        cls,
+        socket: Path | None = None,
+        keys: Path | None = None,
+        *,
+        robot: str = "",
+        site: Path | None = None,
+        planner: str | Planner | None = None,
+        ledger: Path | None = None,
+        runs: Path | None = None,
+    ) -> Self:
+        """The robot of the gatekeeper that listens at `socket`; `keys` is the folder with `planner.key`.
+
+        By default both are in the data folder, as for `dualbrain gatekeeper`. `robot` is needed for an imported robot
+        (its folder), `site` for a gatekeeper with a site file. Otherwise as `Robot.simulated`.
+
+        Raises `ConfigurationError`, and `ConnectionLostError` if the robot has a commander already.
+        """
+        where = socket or dualbrain_home() / "gatekeeper.sock"
+        secrets = keys or dualbrain_home() / "keys"
+        return cls(
+            lambda receive, stack: connect(where, secrets, robot, site, receive, stack),
+            planner=planner,
+            ledger=ledger,
+            runs=runs,
+            retries=dualbrain_home() / RETRY_FILE,
+        )
+
+    # --- perception -------------------------------------------------------------------------------------------------
+
+    @property
+    def name(self) -> str:
+        """Name of the robot."""
+        return self._connection.robot_model.name
+
+    @property
+    def registry(self) -> SkillRegistry:
+        """The skills of the robot, with their units and bounds."""
+        return skill_registry(self._connection.robot_model)
+
+    @property
+    def gatekeeper_process_id(self) -> int:
+        """The process of the gatekeeper, 0 if it was running before."""
+        return self._connection.process_id
+
+    @property
+    def has_planner(self) -> bool:
+        """Whether `do` can plan instructions."""
+        return self._executions.has_planner
+
+    def scene(self) -> dict[str, Any]:
+        """The perceived scene: a summary in symbols, the names that contracts may use, the skills, and a free id.
+
+        Raises `ConnectionLostError`.
+        """
+        report = self._scene_report()
+        names, registry = scene_names(report.scene), self.registry
+        return {
+            "summary": summarise_scene(report.scene, report.holding),
+            "graspable": list(names.graspable),
+            "receptive": list(names.receptive),
+            "holding": report.holding,
+            "robot": registry.robot,
+            "registry": registry.hash,
+            "next_id": self._executions.next_id(),
+            "skills": describe_skills(registry, names),
+        }
+
+    def schema(self, form: str = "decoding") -> dict[str, Any]:
+        """JSON Schema of a contract in the present scene.
+
+        `decoding` is for generation (it leaves out the first actions that the robot's state refuses), `validation` is
+        the whole Draft-07 schema with units and provenance. Raises `ConfigurationError` for another form.
+        """
+        report = self._scene_report()
+        names = scene_names(report.scene)
+        if form == "validation":
+            return validation_schema(self.registry, names)
+        if form != "decoding":
+            raise ConfigurationError("form of the schema", got=form, allowed="decoding or validation")
+        return decoding_schema(self.registry, names, not_first=skills_refused_first(report.holding))
+
+    def events(self, after: int = 0) -> list[dict[str, Any]]:
+        """Events after the one with the number `after`: number, the robot's time t [s], kind, and text for people."""
+        return self._feed.after(after)
+
+    def status(self) -> StatusReport | None:
+        """The gatekeeper's newest status report; None before the first one."""
+        return self._connection.client.status
+
+    # --- contracts --------------------------------------------------------------------------------------------------
+
+    def contract(self, actions: list[dict[str, Any]], contract_id: str = "") -> dict[str, Any]:
+        """A contract for this robot with `actions`, each {"skill": NAME, "params": {...}}, and by default a free id."""
+        registry = self.registry
+        context = {"robot": registry.robot, "registry": registry.hash}
+        return {"id": contract_id or self._executions.next_id(), "context": context, "action_sequence": actions}
+
+    def check(self, contract: Json) -> Verdict:
+        """The verdict of the gatekeeper's own gate on a contract in the present scene; nothing moves.
+
+        Raises `ConnectionLostError`.
+        """
+        data = contract_bytes(contract)
+        if len(data) > MAX_BYTES:
+            rejected = parse(data)
+            assert isinstance(rejected, Rejected)
+            return rejected
+        report = self._connection.client.check(data)
+        return report.rejected or Accepted(msgspec.json.decode(data, type=Contract))
+
+    def submit(self, contract: Json, instruction: str = "", *, client: str = DEFAULT_CLIENT) -> SubmissionReport:
+        """Submit a contract, and wait for the gate's verdict; an accepted contract moves the robot.
+
+        `instruction` is the sentence that it is to fulfil, for the record and the memory; `client` is its author. A
+        contract that is submitted again within 15 minutes gets the report of the first submission. It is rejected
+        while another one runs, and if its instruction is a stop command or asks for harm.
+        """
+        return self._executions.submit(contract_bytes(contract), instruction, client)
+
+    def run(
+        self,
+        contract: Json,
+        instruction: str = "",
+        *,
+        client: str = DEFAULT_CLIENT,
+        timeout: float | None = None,
+    ) -> SubmissionReport:
+        """As `submit`, and wait for the outcome, at most `timeout` [s]; after a timeout the robot goes on."""
+        report = self.submit(contract, instruction, client=client)
+        if not report.accepted:
+            return report
+        ended = self._executions.wait(report.id, timeout) or report
+        return msgspec.structs.replace(ended, repeated=report.repeated)
+
+    def do(self, instruction: str, *, timeout: float | None = None) -> SubmissionReport:
+        """Plan an instruction with the robot's own planner and memory, execute the contract, and wait for the outcome.
+
+        After `timeout` [s] the report shows how far it is, and the robot goes on. While a contract runs, the
+        instruction is rejected. Raises `ConfigurationError` if there is no planner.
+        """
+        report = self._executions.plan_and_run(instruction)
+        return self._executions.wait(report.id, timeout) or report
+
+    def outcome(self, submission_id: str = "", *, timeout: float = 0.0) -> SubmissionReport | None:
+        """The report on a contract or instruction by its id, by default the newest; None for an unknown id.
+
+        With a `timeout` [s], the report follows when the contract has ended, or when this time is over.
+        """
+        return self._executions.wait(submission_id, timeout)
+
+    def stop(self, *, emergency: bool = False) -> StatusReport | None:
+        """Brake to rest and end the contract; with `emergency`, switch the drive off. Returns the status afterwards.
+
+        Raises `ConnectionLostError` if the stop cannot be sent or is not confirmed.
+        """
+        self._executions.interrupt()
+        if not emergency:
+            self._connection.client.operate("abort")
+        elif problem := send_emergency_stop(self._connection.socket):
+            raise ConnectionLostError(problem)
+        time.sleep(STATUS_DELAY)
+        return self.status()
+
+    # --- tools ------------------------------------------------------------------------------------------------------
+
+    def tools(self, form: ToolForm = "openai") -> list[dict[str, Any]]:
+        """Definitions of the robot's tools for an agent framework: openai, anthropic or mcp.
+
+        The schema of a contract holds the names in the present scene. Raises `ConnectionLostError` and `ToolError`.
+        """
+        return export_tools(robot_tools(self), form)
+
+    def call(
+        self, name: str, arguments: bytes | str | dict[str, Any] = b"{}", *, client: str = DEFAULT_CLIENT
+    ) -> dict[str, Any]:
+        """The result of a tool call of a model, as JSON data; {"error": ...} for a call that is not valid.
+
+        `arguments` is the JSON text that the model wrote, or the decoded object.
+        """
+        return call_tool(self, name, arguments, client=client)
+
+    # --- life -------------------------------------------------------------------------------------------------------
+
+    def close(self) -> None:
+        """Disconnect, and end a gatekeeper that was started here; its robot brakes to rest first."""
+        self._stack.close()
+
+    def __enter__(self) -> Self:
+        """The robot itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close the robot."""
+        self.close()
+
+    def _receive(self, message: Message) -> None:
+        """Keep an event of the gatekeeper; called by the thread that reads from it."""
+        if isinstance(message, EventReport):
+            self._feed.add(message.t, message.kind, message.text)
+
+    def _scene_report(self) -> SceneReport:
+        return self._connection.client.request_scene()
+
+
+def contract_bytes(contract: Json) -> bytes:
+    """The bytes of a contract that are checked and executed."""
+    if isinstance(contract, bytes):
+        return contract
+    return contract.encode("utf-8", "surrogatepass") if isinstance(contract, str) else msgspec.json.encode(contract)

@@ -1,0 +1,1 @@
+"""Servers for agents: the Model Context Protocol over stdio and HTTP, and the console."""
