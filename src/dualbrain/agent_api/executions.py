@@ -37,6 +37,8 @@ VERDICT_TIMEOUT = 10.0
 """Longest wait for the gate's verdict on a contract [s]."""
 DEFAULT_CLIENT = "agent"
 """The author of contracts that name no client."""
+RECENT = 20
+"""Number of submissions that `recent` reports."""
 KEPT_SUBMISSIONS = 100
 """Number of submissions whose reports are kept."""
 
@@ -118,6 +120,12 @@ class Executions:
         with self._lock:
             found = self._submissions.get(submission_id or self._newest) or self._retries.get(submission_id)
         return found.wait_for_end(timeout) if found else None
+
+    def recent(self) -> list[SubmissionReport]:
+        """The reports on the newest submissions, the newest first."""
+        with self._lock:
+            found = list(self._submissions.values())
+        return [one.report for one in reversed(found[-RECENT:])]
 
     def interrupt(self) -> None:
         """Make the robot stop if a submission is in progress, and drop an answer that the planner has not given yet."""

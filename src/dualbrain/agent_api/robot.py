@@ -16,7 +16,7 @@ from dualbrain.agent_api.event_feed import EventFeed
 from dualbrain.agent_api.executions import DEFAULT_CLIENT, Executions
 from dualbrain.agent_api.retries import RetryLog
 from dualbrain.agent_api.submission import SubmissionReport
-from dualbrain.agent_api.tools import ToolForm, call_tool, export_tools, robot_tools
+from dualbrain.agent_api.tools import ToolForm, call_tool, export_tools, report_view, robot_tools
 from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.gate.strict_json import MAX_BYTES, parse
 from dualbrain.contracts.registry import SkillRegistry
@@ -257,6 +257,10 @@ class Robot:
         With a `timeout` [s], the report follows when the contract has ended, or when this time is over.
         """
         return self._executions.wait(submission_id, timeout)
+
+    def recent(self) -> list[dict[str, Any]]:
+        """The newest contracts and instructions with their states and outcomes, the newest first."""
+        return [report_view(report) for report in self._executions.recent()]
 
     def stop(self, *, emergency: bool = False) -> StatusReport | None:
         """Brake to rest and end the contract; with `emergency`, switch the drive off. Returns the status afterwards.

@@ -93,6 +93,19 @@ app.command(
     "dualbrain.cli.gatekeeper:gatekeeper", name="gatekeeper", help="Run filter and supervisor as a separate process."
 )
 app.command("dualbrain.cli.gatekeeper:operate", name="operate", help="Send operator commands to a running gatekeeper.")
+app.command(
+    "dualbrain.cli.agent.mcp:mcp",
+    name="mcp",
+    help="""Serve a robot to agents over the Model Context Protocol (MCP), on stdin and stdout or over HTTP.
+
+    The server starts a simulated robot behind a gatekeeper, or commands a running one with --socket. It has the rights
+    of a commander: contracts pass the gatekeeper's gate, motions its filter, and only a person can release an emergency
+    stop. Tools: get_scene, get_schema, check_contract, submit_contract, get_outcome, stop, and do with a --planner. A
+    contract that is submitted again with the same id does not move the robot again.
+
+    Examples: `dualbrain mcp --scene 8` as the command of an MCP client; `dualbrain mcp --http 8765`, then the address
+    http://127.0.0.1:8765/mcp with the header `Authorization: Bearer TOKEN`. See docs/how-to/agents.md.""",
+)
 app.command("dualbrain.cli.run.fault:fault", name="fault", help="Inject one fault into a simulated task.")
 app.command(
     "dualbrain.cli.adapters.adapt:adapt", name="adapt", help="Fine-tune an adapter of the planner on recorded episodes."

@@ -1,0 +1,112 @@
+"""Access to the HTTP server: the only place that decides which requests reach MCP and the console.
+
+A request needs an allowed Host (against DNS rebinding), an allowed Origin if it has one (against other web pages), a
+bounded body, and the bearer token, except for the static files of the console, which contain nothing about the robot.
+"""
+
+from __future__ import annotations
+
+import hmac
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from starlette.datastructures import Headers
+from starlette.responses import JSONResponse, Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from dualbrain.agent_server.contract_text import MAX_MESSAGE_BYTES, contract_as_text
+
+LOOPBACK_HOSTS = ("127.0.0.1", "localhost", "[::1]")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AccessPolicy:
+    """The `token` of clients, the allowed `hosts` (with or without a port), and the `port` of the server.
+
+    `scheme` is http or https. `is_public` decides by the path which files need no token.
+    """
+
+    token: str
+    hosts: tuple[str, ...]
+    port: int
+    scheme: str = "http"
+    is_public: Callable[[str], bool] = lambda path: False
+
+    def refusal(self, method: str, path: str, headers: Headers) -> Response | None:
+        """The response to a request that has no access; None for one that has."""
+        allowed = {f"{host}:{self.port}" for host in self.hosts}
+        if headers.get("host", "") not in allowed | ({*self.hosts} if self.port in (80, 443) else set()):
+            return _refused(421, "This server does not answer for this host.")
+        origin = headers.get("origin", "")
+        if origin and origin not in {f"{self.scheme}://{one}" for one in allowed}:
+            return _refused(403, "Requests from other web pages are refused.")
+        if self.is_public(path) and method in ("GET", "HEAD"):
+            return None
+        given = headers.get("authorization", "")
+        if not hmac.compare_digest(given.encode(), f"Bearer {self.token}".encode()):
+            reply = _refused(401, "Send the header `Authorization: Bearer TOKEN` with the token of this server.")
+            reply.headers["WWW-Authenticate"] = 'Bearer realm="dualbrain"'
+            return reply
+        return None
+
+
+class AccessControl:
+    """ASGI middleware that applies an `AccessPolicy`, and passes contracts on as text."""
+
+    def __init__(self, app: ASGIApp, policy: AccessPolicy) -> None:
+        """Protect `app`."""
+        self._app, self._policy = app, policy
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request that has no access, and pass all others on."""
+        if scope["type"] != "http":
+            if scope["type"] == "lifespan":
+                await self._app(scope, receive, send)
+            return  # no websockets
+        headers = Headers(scope=scope)
+        reply = self._policy.refusal(scope["method"], scope["path"], headers)
+        if reply is None and int(headers.get("content-length", "0") or 0) > MAX_MESSAGE_BYTES:
+            reply = _refused(413, f"A request has at most {MAX_MESSAGE_BYTES} bytes.")
+        body = b"" if reply else await _read_body(receive)
+        if reply is None and body is None:
+            reply = _refused(413, f"A request has at most {MAX_MESSAGE_BYTES} bytes.")
+        if reply is not None:
+            await reply(scope, receive, send)
+            return
+        content = contract_as_text(body or b"") if scope["method"] == "POST" else body or b""
+        await self._app(_with_length(scope, len(content)), _replay(content, receive), send)
+
+
+def _refused(status: int, reason: str) -> Response:
+    return JSONResponse({"error": reason}, status_code=status)
+
+
+async def _read_body(receive: Receive) -> bytes | None:
+    """The body of a request; None if it is too long."""
+    body = bytearray()
+    while True:
+        message = await receive()
+        if message["type"] != "http.request":
+            return bytes(body)
+        body += message.get("body", b"")
+        if len(body) > MAX_MESSAGE_BYTES:
+            return None
+        if not message.get("more_body", False):
+            return bytes(body)
+
+
+def _with_length(scope: Scope, length: int) -> Scope:
+    """The scope with the length of the new body."""
+    kept = [(name, value) for name, value in scope["headers"] if name.lower() != b"content-length"]
+    given = [(b"content-length", str(length).encode())] if len(kept) < len(scope["headers"]) else []
+    return {**scope, "headers": [*kept, *given]}
+
+
+def _replay(body: bytes, receive: Receive) -> Receive:
+    """A `receive` that gives `body` first, and then the messages of the connection, such as its end."""
+    first: list[Message] = [{"type": "http.request", "body": body, "more_body": False}]
+
+    async def replayed() -> Message:
+        return first.pop() if first else await receive()
+
+    return replayed

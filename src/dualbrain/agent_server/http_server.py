@@ -1,0 +1,134 @@
+"""MCP over Streamable HTTP, with further routes such as the console, on loopback or with TLS."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from ipaddress import ip_address
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import uvicorn
+from mcp.server.lowlevel import Server
+from mcp.server.transport_security import TransportSecuritySettings
+from starlette.routing import BaseRoute
+
+from dualbrain.agent_server.access_control import LOOPBACK_HOSTS, AccessControl, AccessPolicy
+from dualbrain.agent_server.contract_text import MAX_MESSAGE_BYTES
+from dualbrain.errors import ConfigurationError
+
+MCP_PATH = "/mcp"
+STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HttpConfig:
+    """Address, `token` and TLS files of the server; without TLS, the host must be this machine."""
+
+    port: int
+    token: str
+    host: str = "127.0.0.1"
+    certificate: Path | None = None
+    private_key: Path | None = None
+
+    @property
+    def url(self) -> str:
+        """Address of the server."""
+        return f"{'https' if self.certificate else 'http'}://{self.host}:{self.port}"
+
+    def __post_init__(self) -> None:
+        """Raise `ConfigurationError` for a host beyond this machine without TLS, and for half a pair of TLS files."""
+        if (self.certificate is None) != (self.private_key is None):
+            raise ConfigurationError.stating(
+                "TLS needs both a certificate and a private key.", fix="Name both --tls-cert and --tls-key."
+            )
+        if self.certificate is None and not is_loopback(self.host):
+            raise ConfigurationError.stating(
+                f"The server would listen on {self.host} without TLS, where others can read the token.",
+                fix="Use 127.0.0.1, or name --tls-cert and --tls-key.",
+            )
+
+
+def is_loopback(host: str) -> bool:
+    """Whether `host` is an address of this machine only."""
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def serve_http(
+    server: Server[Any],
+    config: HttpConfig,
+    routes: Sequence[BaseRoute] = (),
+    *,
+    is_public: Callable[[str], bool] = lambda path: False,
+    on_ready: Callable[[], None] = lambda: None,
+) -> None:
+    """Serve MCP at `/mcp` and the further `routes` until SIGTERM, SIGINT or SIGHUP.
+
+    Paths that `is_public` accepts need no token. uvicorn's own handler of signals raises them again at its end, which
+    would skip the clean-up of the caller; so the signals are handled here.
+    """
+    hosts = (*LOOPBACK_HOSTS, config.host) if is_loopback(config.host) else (config.host,)
+    policy = AccessPolicy(
+        token=config.token,
+        hosts=tuple(dict.fromkeys(hosts)),
+        port=config.port,
+        scheme="https" if config.certificate else "http",
+        is_public=is_public,
+    )
+    app = server.streamable_http_app(
+        streamable_http_path=MCP_PATH,
+        host=config.host,
+        max_request_body_size=MAX_MESSAGE_BYTES + 1,
+        transport_security=TransportSecuritySettings(enable_dns_rebinding_protection=False),  # `AccessControl` does it
+        custom_starlette_routes=list(routes),  # pyright: ignore[reportArgumentType]
+    )
+    running = _Server(
+        uvicorn.Config(
+            AccessControl(app, policy),
+            host=config.host,
+            port=config.port,
+            log_level="warning",
+            access_log=False,
+            server_header=False,
+            ssl_certfile=config.certificate,
+            ssl_keyfile=config.private_key,
+            timeout_graceful_shutdown=1,
+        ),
+        on_ready,
+    )
+    running.run()
+
+
+class _Server(uvicorn.Server):
+    """A server that ends at once at a signal, and calls `on_ready` when it listens."""
+
+    def __init__(self, config: uvicorn.Config, on_ready: Callable[[], None]) -> None:
+        super().__init__(config)
+        self._on_ready = on_ready
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Any:
+        """Handle the signals without raising them again."""
+
+        def stop(number: int, frame: FrameType | None) -> None:
+            del number, frame
+            self.should_exit = self.force_exit = True
+
+        before = {number: signal.signal(number, stop) for number in STOP_SIGNALS}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+    async def startup(self, sockets: Any = None) -> None:
+        """Listen, then report that the server is ready."""
+        await super().startup(sockets)
+        if self.started:
+            self._on_ready()

@@ -1,0 +1,1 @@
+"""dualbrain mcp and dualbrain console: a robot for agents, over stdio and HTTP."""
