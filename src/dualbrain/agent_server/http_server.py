@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from ipaddress import ip_address
 from pathlib import Path
+from threading import Thread
 from types import FrameType
 from typing import Any
 
@@ -67,11 +68,13 @@ def serve_http(
     *,
     is_public: Callable[[str], bool] = lambda path: False,
     on_ready: Callable[[], None] = lambda: None,
+    on_stop: Callable[[], None] = lambda: None,
 ) -> None:
     """Serve MCP at `/mcp` and the further `routes` until SIGTERM, SIGINT or SIGHUP.
 
-    Paths that `is_public` accepts need no token. uvicorn's own handler of signals raises them again at its end, which
-    would skip the clean-up of the caller; so the signals are handled here.
+    Paths that `is_public` accepts need no token. At a signal, `on_stop` is called at once in a thread of its own, while
+    open connections end. uvicorn's own handler of signals raises them again at its end, which would skip the clean-up
+    of the caller; so the signals are handled here.
     """
     hosts = (*LOOPBACK_HOSTS, config.host) if is_loopback(config.host) else (config.host,)
     policy = AccessPolicy(
@@ -101,16 +104,17 @@ def serve_http(
             timeout_graceful_shutdown=1,
         ),
         on_ready,
+        on_stop,
     )
     running.run()
 
 
 class _Server(uvicorn.Server):
-    """A server that ends at once at a signal, and calls `on_ready` when it listens."""
+    """A server that calls `on_ready` when it listens, and `on_stop` at a signal, which ends it."""
 
-    def __init__(self, config: uvicorn.Config, on_ready: Callable[[], None]) -> None:
+    def __init__(self, config: uvicorn.Config, on_ready: Callable[[], None], on_stop: Callable[[], None]) -> None:
         super().__init__(config)
-        self._on_ready = on_ready
+        self._on_ready, self._on_stop = on_ready, on_stop
 
     @contextlib.contextmanager
     def capture_signals(self) -> Any:
@@ -118,7 +122,9 @@ class _Server(uvicorn.Server):
 
         def stop(number: int, frame: FrameType | None) -> None:
             del number, frame
-            self.should_exit = self.force_exit = True
+            if not self.should_exit:
+                self.should_exit = True
+                Thread(target=self._on_stop, name="stop").start()
 
         before = {number: signal.signal(number, stop) for number in STOP_SIGNALS}
         try:

@@ -41,6 +41,13 @@ class HttpOptions:
         """The file with the token."""
         return self.token_file or dualbrain_home() / TOKEN_FILE
 
+    @property
+    def token_place(self) -> str:
+        """Where a person finds the token."""
+        from dualbrain.agent_server.token import TOKEN_VARIABLE
+
+        return TOKEN_VARIABLE if os.environ.get(TOKEN_VARIABLE) else str(self.token_path)
+
 
 DEFAULT_HTTP = HttpOptions()
 

@@ -37,6 +37,11 @@ def _serve_http(port: int, robot: RobotOptions, server: HttpOptions) -> int:
     config = http_config(server, port)
     with open_robot(robot) as opened:
         ready = f"dualbrain mcp: the robot {opened.name} is ready at {config.url}{MCP_PATH}; the token is in "
-        ready += f"{server.token_path}. Ctrl-C ends it."
-        serve_http(make_mcp_server(opened), config, on_ready=lambda: print(ready, file=sys.stderr))
+        ready += f"{server.token_place}. Ctrl-C ends it."
+        serve_http(
+            make_mcp_server(opened),
+            config,
+            on_ready=lambda: print(ready, file=sys.stderr),
+            on_stop=opened.close,
+        )
     return ExitCode.SUCCESS
