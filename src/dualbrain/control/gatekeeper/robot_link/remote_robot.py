@@ -123,12 +123,12 @@ class RemoteRobot:
         """Switch the drive off and end the robot process; kill it if it does not end."""
         self.stop()
         self._packet_socket.send(packets.ShutdownPacket())
-        self._packet_socket.close()
         try:
             self.process.wait(timeout=5.0)
         except subprocess.TimeoutExpired:
             self.process.kill()
             self.process.wait()
+        self._packet_socket.close()  # not earlier: unread states would make the robot lose the shutdown packet
         if self.process.stdin:
             self.process.stdin.close()
 

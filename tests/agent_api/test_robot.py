@@ -1,0 +1,112 @@
+"""A robot for agents: checks without effects, contracts and instructions with outcomes, repetition, and stops."""
+
+import os
+import signal
+import time
+
+import pytest
+
+from dualbrain import Robot
+from dualbrain.contracts.verdict import Accepted
+from dualbrain.control.gatekeeper.protocol.client import ConnectionLostError
+from dualbrain.errors import ConfigurationError
+from dualbrain.memory.embedding.hashing_encoder import HashingEncoder
+from dualbrain.memory.embedding.text_encoder import MiniLmEncoder
+from dualbrain.memory.ledger.ledger import LedgerReader
+from dualbrain.memory.state.episode_record import decode_event_header, decode_stored_episode
+from dualbrain.planner.scripted import ScriptedPlanner
+
+pytestmark = pytest.mark.realtime
+
+
+def hold(robot, seconds, contract_id=""):
+    return robot.contract([{"skill": "hold", "params": {"duration": seconds}}], contract_id)
+
+
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    monkeypatch.setenv("DUALBRAIN_HOME", str(tmp_path / "home"))
+    monkeypatch.setattr(MiniLmEncoder, "from_cache", classmethod(lambda cls, cache: HashingEncoder()))
+    return tmp_path
+
+
+def test_contracts_are_checked_executed_once_and_remembered_under_their_client(home):
+    ledger, runs = home / "ledger.sqlite", home / "runs"
+    planner = ScriptedPlanner(["no contract"])
+    with Robot.simulated("panda", scene="bare:0", ledger=ledger, runs=runs, planner=planner) as robot:
+        check_checks(robot)
+        first = robot.run(hold(robot, 0.5, "c-0001"), "pause briefly", client="desk agent")
+        assert (first.state, first.accepted, first.succeeded) == ("finished", True, True)
+        again = robot.run(hold(robot, 0.5, "c-0001"))
+        assert (again.repeated, again.episode) == (True, first.episode)
+        assert robot.run(hold(robot, 0.6, "c-0001")).rejected.pointer == "/id"
+        assert robot.contract([])["id"] == "c-0002"
+        refused = robot.run(hold(robot, 0.5, "c-0002"), "stop")
+        assert refused.rejected.hint == "stop the robot instead of submitting a contract"
+        planned = robot.do("put the red cube in the bowl", timeout=20.0)
+        assert (planned.state, planned.accepted) == ("rejected", False)
+        assert planned.rejected.stage == "syntax"
+        assert [one["state"] for one in robot.recent()][:2] == ["rejected", "finished"]
+        assert robot.call("get_outcome", {"id": "c-0001"})["outcome"]["succeeded"]
+    check_memory(ledger, runs, first)
+
+
+def check_checks(robot):
+    """A check has the verdict of the gate, and nothing moves."""
+    before = robot._scene_report().q
+    assert isinstance(robot.check(hold(robot, 0.5)), Accepted)
+    assert robot.check(hold(robot, 500.0)).stage == "envelope"
+    assert robot.check(b"\xff").stage == "syntax"
+    assert robot.check(b"x" * 70_000).allowed == "at most 65536 bytes"
+    assert robot.submit(b"x" * 70_000).state == "rejected"
+    assert robot.submit(b"no json").rejected.stage == "syntax"
+    assert robot._scene_report().q == pytest.approx(before, abs=1e-3)
+
+
+def check_memory(ledger, runs, first):
+    """The ledger holds every episode that reached the gate, and each one is saved in its folder."""
+    with LedgerReader(ledger) as reader:
+        events = list(reader.events("kind = 'episode'"))
+        headers = [decode_event_header(event.payload) for event in events]
+        episodes = [decode_stored_episode(event.payload).episode for event in events]
+    sources = {episode.id: header.provenance.source for episode, header in zip(episodes, headers, strict=True)}
+    assert sources[first.episode] == "desk agent"
+    assert sorted(sources) == sorted(folder.name for folder in runs.iterdir())
+    assert all((folder / "episode.json").is_file() for folder in runs.iterdir())
+
+
+def test_a_running_contract_excludes_others_and_can_be_checked_against_and_stopped(home):
+    with Robot.simulated("panda", scene="bare:0") as robot:
+        running = robot.submit(hold(robot, 9.0, "c-0001"))
+        assert running.state == "running"
+        assert isinstance(robot.check(hold(robot, 0.5, "c-0002")), Accepted)
+        busy = robot.submit(hold(robot, 0.5, "c-0002"))
+        assert (busy.state, busy.rejected.got) == ("rejected", "c-0001 is in progress")
+        assert robot.submit(hold(robot, 9.0, "c-0001")).repeated
+        assert robot.outcome("c-0009") is None
+        started = time.monotonic()
+        assert robot.stop().action in ("HOLD", "NONE")
+        ended = robot.outcome(timeout=5.0)
+        assert (ended.state, ended.outcome.kind) == ("finished", "aborted")
+        assert time.monotonic() - started < 2.0
+        with pytest.raises(ConfigurationError, match="planner"):
+            robot.do("go home")
+        assert robot.stop(emergency=True).action == "ESTOP"
+        after = robot.run(hold(robot, 0.5, "c-0003"), timeout=5.0)
+        assert not after.succeeded
+        kinds = {event["kind"] for event in robot.events()}
+        assert {"verdict", "action", "operator"} <= kinds
+        assert next(event["number"] for event in robot.events(after=2)) == 3
+
+
+@pytest.mark.slow
+def test_a_gatekeeper_that_ends_during_a_contract_is_a_lost_submission(home):
+    with Robot.simulated("panda", scene="bare:0") as robot:
+        robot.submit(hold(robot, 9.0, "c-0001"))
+        os.kill(robot.gatekeeper_process_id, signal.SIGKILL)
+        ended = robot.outcome(timeout=10.0)
+        assert ended.outcome.kind == "stopped"
+        with pytest.raises(ConnectionLostError):
+            robot.check(hold(robot, 0.5))
+        assert "cannot be reached" in robot.call("get_scene")["error"]
+        assert robot.run(hold(robot, 0.5, "c-0002")).state == "lost"

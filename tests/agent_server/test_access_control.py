@@ -1,0 +1,83 @@
+"""Requests without access: each has a declared status, and none reaches the application."""
+
+import pytest
+from starlette.applications import Starlette
+from starlette.responses import PlainTextResponse
+from starlette.routing import Route
+from starlette.testclient import TestClient
+
+from dualbrain.agent_server.access_control import AccessControl, AccessPolicy
+from dualbrain.agent_server.contract_text import MAX_MESSAGE_BYTES
+
+TOKEN = "t" * 32
+PORT = 8765
+GOOD = {"Authorization": f"Bearer {TOKEN}", "Host": f"127.0.0.1:{PORT}"}
+
+
+@pytest.fixture
+def received():
+    return []
+
+
+@pytest.fixture
+def client(received):
+    async def endpoint(request):
+        received.append(await request.body())
+        return PlainTextResponse("reached")
+
+    app = Starlette(routes=[Route("/{path:path}", endpoint, methods=["GET", "POST"])])
+    policy = AccessPolicy(
+        token=TOKEN, hosts=("127.0.0.1", "localhost"), port=PORT, is_public=lambda path: path.startswith("/static/")
+    )
+    return TestClient(AccessControl(app, policy), base_url=f"http://127.0.0.1:{PORT}")
+
+
+@pytest.mark.parametrize(
+    ("status", "headers"),
+    [
+        (401, {"Authorization": ""}),
+        (401, {"Authorization": f"Bearer {TOKEN}x"}),
+        (401, {"Authorization": f"bearer {TOKEN}"}),
+        (401, {"Authorization": TOKEN}),
+        (421, {"Host": "example.org"}),
+        (421, {"Host": "127.0.0.1:80"}),
+        (421, {"Host": "127.0.0.1"}),
+        (421, {"Host": f"127.0.0.1.example.org:{PORT}"}),
+        (403, {"Origin": "http://example.org"}),
+        (403, {"Origin": f"https://127.0.0.1:{PORT}"}),
+        (403, {"Origin": "http://127.0.0.1:9"}),
+        (403, {"Origin": "null"}),
+    ],
+)
+def test_a_request_without_access_is_refused(status, headers, client, received):
+    reply = client.post("/mcp", headers=GOOD | headers, content=b"{}")
+    assert (reply.status_code, received) == (status, [])
+    assert "error" in reply.json()
+    if status == 401:
+        assert reply.headers["WWW-Authenticate"].startswith("Bearer")
+
+
+@pytest.mark.parametrize("headers", [{}, {"Origin": f"http://127.0.0.1:{PORT}"}, {"Host": f"localhost:{PORT}"}])
+def test_a_request_with_access_passes(headers, client, received):
+    assert client.post("/mcp", headers=GOOD | headers, content=b'{"a": 1}').text == "reached"
+    assert received == [b'{"a": 1}']
+
+
+def test_a_body_that_is_too_long_is_refused_with_and_without_its_length(client, received):
+    body = b"x" * (MAX_MESSAGE_BYTES + 1)
+    assert client.post("/mcp", headers=GOOD, content=body).status_code == 413
+    assert client.post("/mcp", headers=GOOD, content=iter([body[:9], body[9:]])).status_code == 413
+    assert received == []
+
+
+def test_a_public_file_needs_no_token_but_the_right_host(client, received):
+    host = {"Host": f"127.0.0.1:{PORT}"}
+    assert client.get("/static/page.html", headers=host).status_code == 200
+    assert client.post("/static/page.html", headers=host).status_code == 401
+    assert client.get("/static/page.html", headers={"Host": "example.org"}).status_code == 421
+    assert len(received) == 1
+
+
+def test_a_contract_in_a_body_is_passed_on_as_text(client, received):
+    client.post("/mcp", headers=GOOD, content=b'{"params": {"arguments": {"contract": {"a": 1, "a": 2}}}}')
+    assert received == [b'{"params":{"arguments":{"contract":"{\\"a\\": 1, \\"a\\": 2}"}}}']
