@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 
 from dualbrain.agent_api.submission import SubmissionReport
+from dualbrain.agent_api.tools import call_tool, export_tools, robot_tools
 from dualbrain.contracts.verdict import Accepted
 from dualbrain.runtime.assembly import SimulatedCell
 
@@ -51,5 +52,8 @@ class StubRobot:
     def recent(self):
         return []
 
+    def tools(self, form="openai"):
+        return export_tools(robot_tools(self), form)
+
     def call(self, name, arguments=b"{}", *, client="agent"):
-        raise AssertionError("no submission of this robot runs")
+        return call_tool(self, name, arguments, client=client)

@@ -1,5 +1,6 @@
 """One scenario with every client: Python over stdio and HTTP in both generations of the protocol, and the npm SDK."""
 
+import importlib.util
 import json
 import os
 import socket
@@ -60,7 +61,7 @@ async def scenario(client):
         check_results(await run_steps(connected))
 
 
-def test_all_clients_pass_the_scenario_over_http(environment):
+def test_all_clients_pass_the_scenario_over_http(environment, capsys):
     async def python_clients(url):
         for mode in ("auto", "legacy"):
             headers = {"Authorization": f"Bearer {environment['DUALBRAIN_TOKEN']}"}
@@ -69,6 +70,8 @@ def test_all_clients_pass_the_scenario_over_http(environment):
 
     with http_server(environment) as url:
         anyio.run(python_clients, url)
+        example_without_sdk().main(url, TOKEN)
+        assert "'succeeded': True" in capsys.readouterr().out
         if has_npm_client():
             check_npm_client(environment | {"DUALBRAIN_URL": url})
 
@@ -89,6 +92,13 @@ def test_the_npm_client_passes_the_scenario_over_stdio(environment):
     if not has_npm_client():
         pytest.skip("the npm SDK is not installed in build/npm: run `make setup`")
     check_npm_client(environment | {"DUALBRAIN_COMMAND": json.dumps(COMMAND)})
+
+
+def example_without_sdk():
+    spec = importlib.util.spec_from_file_location("over_http", REPOSITORY / "examples/agents/over_http.py")
+    example = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(example)
+    return example
 
 
 def has_npm_client():

@@ -24,9 +24,9 @@ class SubmissionReport(msgspec.Struct, frozen=True, kw_only=True):
 
     `id` is that of the contract, or of the instruction. `rejected` is the reason of a rejection, `outcome` the robot's
     own verdict after the end, `senses` the check of that verdict by independent senses ("agrees", "disagrees", "none"),
-    and `changes` the perceived changes of the scene in words. `contract` is the contract that the gate accepted. `reason` explains a
-    lost submission. `repeated`: a contract with this id and these actions was submitted before, and this is its report;
-    the robot did not move again.
+    and `changes` the perceived changes of the scene in words. `contract` is the contract that the gate accepted.
+    `reason` explains a lost submission. `repeated`: a contract with this id and these actions was submitted before, and
+    this is its report; the robot did not move again.
     """
 
     id: str
