@@ -17,6 +17,7 @@ from experiments.evaluation.failure_examples import FailureExamples
 from experiments.evaluation.free_instructions import FreeInstructionsExperiment
 from experiments.evaluation.gentle_force import GentleForce
 from experiments.evaluation.outcome_confusion import OutcomeConfusion
+from experiments.gatekeeper.adversary_over_mcp import AdversaryOverMcp
 from experiments.gatekeeper.commander_failure import CommanderFailure
 from experiments.gatekeeper.faults import Faults
 from experiments.gatekeeper.tick import TickTiming
@@ -70,6 +71,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         Learning(),
         Faults(),
         CommanderFailure(),
+        AdversaryOverMcp(),
         FuzzSocket(),
         FuzzObservations(),
         FuzzDocuments(),
