@@ -18,6 +18,7 @@ from experiments.evaluation.free_instructions import FreeInstructionsExperiment
 from experiments.evaluation.gentle_force import GentleForce
 from experiments.evaluation.outcome_confusion import OutcomeConfusion
 from experiments.gatekeeper.adversary_over_mcp import AdversaryOverMcp
+from experiments.gatekeeper.check_cost import CheckCost
 from experiments.gatekeeper.commander_failure import CommanderFailure
 from experiments.gatekeeper.faults import Faults
 from experiments.gatekeeper.tick import TickTiming
@@ -72,6 +73,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         Faults(),
         CommanderFailure(),
         AdversaryOverMcp(),
+        CheckCost(),
         FuzzSocket(),
         FuzzObservations(),
         FuzzDocuments(),

@@ -15,6 +15,7 @@ from dualbrain.core.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
     from dualbrain.agent_api.robot import Robot
+    from dualbrain.agent_api.submission import SubmissionReport
     from dualbrain.api import open_planner, run
     from dualbrain.contracts.contract import Contract
     from dualbrain.contracts.gate.gate import Gate
@@ -53,6 +54,7 @@ __version__ = "0.2.0"
 
 _MODULES = {
     "agent_api.robot": ("Robot",),
+    "agent_api.submission": ("SubmissionReport",),
     "api": ("open_planner", "run"),
     "contracts.contract": ("Contract",),
     "contracts.gate.gate": ("Gate",),
@@ -134,6 +136,7 @@ __all__ = [
     "SkillRegistry",
     "SkillSpec",
     "Sphere",
+    "SubmissionReport",
     "UnknownNameError",
     "__version__",
     "load_robot",

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-EXAMPLES = sorted((ROOT / "examples").glob("[0-9]*.py"))
+EXAMPLES = sorted([*(ROOT / "examples").glob("[0-9]*.py"), *(ROOT / "examples/control_affine").glob("*.py")])
 
 
 def run_example(name, timeout=120):
@@ -59,7 +59,7 @@ def test_the_filter_alone_keeps_a_controller_away_from_crate_and_ball():
 
 
 def test_cruise_control_keeps_its_headway_only_with_a_barrier_for_the_braking_distance():
-    free, plain, braking = run_example("05_cruise_control").splitlines()
+    free, plain, braking = run_example("control_affine/cruise_control").splitlines()
     least = [float(line.split("1.8 v")[1].split("m")[0]) for line in (free, plain, braking)]
     assert least[0] < -100.0
     assert least[1] < -1.0
@@ -68,7 +68,7 @@ def test_cruise_control_keeps_its_headway_only_with_a_barrier_for_the_braking_di
 
 
 def test_a_unicycle_passes_the_disc_with_both_barriers():
-    free, force, point = run_example("06_unicycle").splitlines()
+    free, force, point = run_example("control_affine/unicycle").splitlines()
     gaps = [float(line.split("gap")[1].split("m")[0]) for line in (free, force, point)]
     assert gaps[0] < 0.0 <= min(gaps[1:])
     assert all(float(line.split("distance")[1].split("m")[0]) > 8.0 for line in (force, point))
@@ -77,7 +77,7 @@ def test_a_unicycle_passes_the_disc_with_both_barriers():
 
 
 def test_a_double_integrator_follows_the_closed_form():
-    first, *seconds, last = run_example("07_double_integrator").splitlines()
+    first, *seconds, last = run_example("control_affine/double_integrator").splitlines()
     assert first == "relative degree 2"
     assert float(last.split()[-2]) < 1e-9
     assert len(seconds) == 5
@@ -88,14 +88,14 @@ def test_a_double_integrator_follows_the_closed_form():
 
 
 def test_a_pendulum_stays_within_its_maximum_angle():
-    first, filtered, free = run_example("08_inverted_pendulum").splitlines()
+    first, filtered, free = run_example("control_affine/inverted_pendulum").splitlines()
     assert first.startswith("relative degrees (2, 2)")
     assert 0.25 < float(filtered.split("angle")[1].split("rad")[0]) <= 0.3
     assert free == "without the filter: falls"
 
 
 def test_the_active_filter_prevents_the_violations_seen_in_shadow_mode():
-    text = run_example("09_shadow_mode")
+    text = run_example("05_shadow_mode")
     assert "2 intervals" in text
     assert text.count("vs 'post', ") == 2
     assert float(text.split("Smallest h:")[1].split("mm")[0]) < 0.0
@@ -103,14 +103,14 @@ def test_the_active_filter_prevents_the_violations_seen_in_shadow_mode():
 
 
 def test_a_filtered_policy_avoids_the_shelf():
-    observed, filtered = run_example("10_gym_policy").splitlines()
+    observed, filtered = run_example("06_gym_policy").splitlines()
     assert float(observed.split("minimum h")[1].split("mm")[0]) < -10.0
     assert float(filtered.split("minimum h")[1].split("mm")[0]) >= 0.0
     assert "'shelf'" in filtered
 
 
 def test_the_arm_avoids_the_objects_in_a_depth_image_and_stops_without_new_images():
-    lines = run_example("11_depth_image").splitlines()
+    lines = run_example("07_depth_image").splitlines()
     assert int(lines[0].split()[0]) >= 4
     assert lines[1].startswith("refused: frame 'lense'")
     assert "exceeds the limit of 0.2 s" in lines[2]
@@ -120,7 +120,7 @@ def test_the_arm_avoids_the_objects_in_a_depth_image_and_stops_without_new_image
 
 
 def test_a_robot_is_imported_with_four_commands_in_two_minutes():
-    text = run_example("12_your_robot", timeout=600)
+    text = run_example("08_your_robot", timeout=600)
     assert text.count("$ dualbrain") == 4
     assert "missing: --acceleration, --period, --tool-speed" in text
     assert "100.00% of the surface of every link" in text
@@ -135,4 +135,5 @@ def test_a_robot_is_imported_with_four_commands_in_two_minutes():
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_an_example_is_short(path):
     assert len(path.read_text("utf-8").splitlines()) < 100
-    assert f'run_example("{path.stem}"' in Path(__file__).read_text("utf-8"), "an example without a test"
+    name = path.relative_to(ROOT / "examples").with_suffix("")
+    assert f'run_example("{name}"' in Path(__file__).read_text("utf-8"), "an example without a test"

@@ -28,7 +28,7 @@ SUB_NAMESPACES = (
     "dualbrain.simulation.environments",
 )
 NAMESPACES = ("dualbrain", *SUB_NAMESPACES)
-SOURCES = [*sorted((ROOT / "examples").glob("*.py")), ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+SOURCES = [*sorted((ROOT / "examples").rglob("*.py")), ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 DEVELOPER_PAGES = (
     "docs/reference/migration.md",
     "docs/results/",

@@ -11,7 +11,7 @@ from threading import Lock
 from dualbrain.core.text import to_printable
 
 MAX_NAMES = 8
-"""Number of names that are told apart; further clients share one name."""
+"""Number of names that are distinguished; further clients share one name."""
 MAX_LENGTH = 40
 """Longest name of a client [characters]."""
 PREFIX = "mcp:"

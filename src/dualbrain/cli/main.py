@@ -90,11 +90,15 @@ app.command(
     "dualbrain.cli.run.replay:replay", name="replay", help="Recompute a recorded run and compare it bit for bit."
 )
 app.command(
-    "dualbrain.cli.gatekeeper:gatekeeper", name="gatekeeper", help="Run filter and supervisor as a separate process."
+    "dualbrain.cli.servers.gatekeeper:gatekeeper",
+    name="gatekeeper",
+    help="Run filter and supervisor as a separate process.",
 )
-app.command("dualbrain.cli.gatekeeper:operate", name="operate", help="Send operator commands to a running gatekeeper.")
 app.command(
-    "dualbrain.cli.agent.mcp:mcp",
+    "dualbrain.cli.servers.gatekeeper:operate", name="operate", help="Send operator commands to a running gatekeeper."
+)
+app.command(
+    "dualbrain.cli.servers.mcp:mcp",
     name="mcp",
     help="""Serve a robot to agents over the Model Context Protocol (MCP), on stdin and stdout or over HTTP.
 
@@ -104,7 +108,7 @@ app.command(
     contract that is submitted again with the same id does not move the robot again.
 
     Examples: `dualbrain mcp --scene 8` as the command of an MCP client; `dualbrain mcp --http 8765`, then the address
-    http://127.0.0.1:8765/mcp with the header `Authorization: Bearer TOKEN`. See docs/how-to/agents.md.""",
+    http://127.0.0.1:8765/mcp with the header `Authorization: Bearer TOKEN`. See docs/how-to/agents/connect.md.""",
 )
 app.command("dualbrain.cli.run.fault:fault", name="fault", help="Inject one fault into a simulated task.")
 app.command(

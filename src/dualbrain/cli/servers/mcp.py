@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import sys
 
-from dualbrain.cli.agent.http_options import DEFAULT_HTTP, HttpOptions, http_config
-from dualbrain.cli.agent.robot_options import DEFAULT_ROBOT, RobotOptions, open_robot
 from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.cli.servers.http_options import DEFAULT_HTTP, HttpOptions, http_config
+from dualbrain.cli.servers.robot_options import DEFAULT_ROBOT, RobotOptions, open_robot
 
 
 def mcp(*, http: int = 0, robot: RobotOptions = DEFAULT_ROBOT, server: HttpOptions = DEFAULT_HTTP) -> int:

@@ -1,6 +1,6 @@
 """From a depth image to obstacles of the filter: back-projection, removal of the table, clusters, covering spheres.
 
-Run: `python examples/11_depth_image.py`. Needs scipy (`pip install 'dualbrain[simulation]'`). The camera is mounted
+Run: `python examples/07_depth_image.py`. Needs scipy (`pip install 'dualbrain[simulation]'`). The camera is mounted
 beside the robot. Its uncertainties are passed on as bounds: depth noise, calibration error, age.
 """
 

@@ -1,6 +1,6 @@
 """From a URDF file to a robot behind the filter, in four commands.
 
-    python examples/12_your_robot.py [FILE.urdf]
+    python examples/08_your_robot.py [FILE.urdf]
 
 The default is the UR5 of `example-robot-data`. Needs `pip install 'dualbrain[all]'`.
 """

@@ -1,6 +1,6 @@
 """A policy behind the filter, in a gymnasium environment whose actions are joint velocities.
 
-Run: `python examples/10_gym_policy.py`. Needs gymnasium (`pip install 'dualbrain[gym]'`).
+Run: `python examples/06_gym_policy.py`. Needs gymnasium (`pip install 'dualbrain[gym]'`).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """An inverted pendulum with limited torque whose angle must stay below 0.3 rad while a nominal torque pushes it over.
 
-Run: `python examples/08_inverted_pendulum.py`. Needs `pip install 'dualbrain[symbolic]'`.
+Run: `python examples/control_affine/inverted_pendulum.py`. Needs `pip install 'dualbrain[symbolic]'`.
 
 |θ| ≤ θ_max is expressed as two barriers of relative degree two. The nominal torque pushes to alternating sides: with
 the filter the angle stays within the limit on both sides, without it the pendulum falls.

@@ -1,6 +1,6 @@
 """Shadow mode first, then the active filter, with the same controller.
 
-Run: `python examples/09_shadow_mode.py`. In shadow mode the filter changes nothing; it logs every interval in which it
+Run: `python examples/05_shadow_mode.py`. In shadow mode the filter changes nothing; it logs every interval in which it
 would have intervened, and summarises them. Then the same controller runs behind the active filter.
 """
 

@@ -1,6 +1,6 @@
 """Adaptive cruise control: keep 1.8 s of headway behind a slower car (Ames et al., CDC 2014), with limited brakes.
 
-Run: `python examples/05_cruise_control.py`. Needs `pip install 'dualbrain[symbolic]'`.
+Run: `python examples/control_affine/cruise_control.py`. Needs `pip install 'dualbrain[symbolic]'`.
 
 Without a filter the headway is lost. The plain barrier D − 1.8 v becomes infeasible when the brakes are too weak for it
 (RELAXED). With the braking distance in the barrier, the headway is kept.

@@ -1,6 +1,6 @@
 """A double integrator in front of a wall: the barrier of order two compared with its closed form.
 
-Run: `python examples/07_double_integrator.py`. Needs `pip install 'dualbrain[symbolic]'`.
+Run: `python examples/control_affine/double_integrator.py`. Needs `pip install 'dualbrain[symbolic]'`.
 
 p̈ = u, h = p ≥ 0. The filter returns u = max(u_nom, −(α₁+α₂) ṗ − α₁α₂ p) up to rounding. Under a constant push at the
 wall, p follows a sum of two exponentials and never passes the wall; without the filter it does.

@@ -1,6 +1,6 @@
 """A unicycle and a disc: a barrier of relative degree two (Xiao and Belta, CDC 2019), and one on a point ahead.
 
-Run: `python examples/06_unicycle.py`. Needs `pip install 'dualbrain[symbolic]'`.
+Run: `python examples/control_affine/unicycle.py`. Needs `pip install 'dualbrain[symbolic]'`.
 
 The turn rate does not enter the first derivative of the distance, so that a barrier of order one can only brake. The
 barrier of order two avoids a disc near the path by turn rate and acceleration. The distance of a point ahead of the
