@@ -8,6 +8,7 @@ from importlib import import_module
 from typing import Any
 
 EXTRAS = {
+    "PIL": "planner",
     "accelerate": "adapt",
     "arro3": "evaluation",
     "bitsandbytes": "qlora",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from dualbrain.errors import ConfigurationError
 from dualbrain.planner.prompt.full_prompt import ChatMessage, render, template_hash
 from dualbrain.planner.prompt.short_prompt import short_template_hash
 from dualbrain.planner.protocol import Planner
@@ -36,6 +37,20 @@ def planner_languages(planner: Planner) -> tuple[str, ...]:
     """The languages that `planner` declares, as ISO 639-1 codes ("*": all); English if it declares none."""
     own: tuple[str, ...] | None = getattr(planner, "languages", None)
     return own or DEFAULT_LANGUAGES
+
+
+def takes_images(planner: Planner) -> bool:
+    """Whether `planner` sends the image of a request to its model."""
+    return bool(getattr(planner, "takes_images", False))
+
+
+def require_image_input(planner: Planner) -> None:
+    """Raise `ConfigurationError` for a planner that would ignore the image of a request."""
+    if not takes_images(planner):
+        raise ConfigurationError.stating(
+            f"The planner {planner.name} takes no image.",
+            fix="Leave out the image, or name a server with a vision-language model: --planner http://HOST/v1#MODEL",
+        )
 
 
 def no_documents_reason(planner: Planner) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from dualbrain.contracts.verdict import Rejected
+from dualbrain.planner.camera_image import CameraImage
 from dualbrain.records import FailureFeedback, Record, RetrievedContext
 
 
@@ -15,7 +16,8 @@ class PlanRequest(Record, frozen=True, kw_only=True, rename={"rejection": "refus
     short form and `schema` its decoding schema for the names in this scene. `rejection` is the gate's rejection of the
     first proposal if this is the second attempt; `failure_feedback` describes the failure of an earlier contract for
     the same instruction, which the new contract is to complete. `contract_id` is the required id of the contract.
-    `scene_with_values` is the summary with fitting parameter values, for adapters that were trained with it.
+    `scene_with_values` is the summary with fitting parameter values, for adapters that were trained with it. `image` is
+    the camera image of the scene, for a planner that takes one (`introspection.takes_images`); it is untrusted, too.
     """
 
     instruction: str
@@ -29,3 +31,4 @@ class PlanRequest(Record, frozen=True, kw_only=True, rename={"rejection": "refus
     rejection: Rejected | None = None
     failure_feedback: FailureFeedback | None = None
     scene_with_values: str = ""
+    image: CameraImage | None = None

@@ -16,7 +16,7 @@ import msgspec
 from dualbrain.adaptation.adapters.card import TORCH_SUFFIX, AdapterCard
 from dualbrain.core.storage.private_files import create_private_folder, open_private
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError
-from dualbrain.planner.introspection import planner_messages, planner_template
+from dualbrain.planner.introspection import planner_messages, planner_template, takes_images
 from dualbrain.planner.prompt.full_prompt import ChatMessage
 from dualbrain.planner.protocol import ERROR, STOP, Planner
 from dualbrain.planner.request import PlanRequest
@@ -71,6 +71,11 @@ class ShadowedPlanner:
     def template(self) -> str:
         """Hash of the prompt template of the serving planner."""
         return planner_template(self.serving)
+
+    @property
+    def takes_images(self) -> bool:
+        """Whether the serving planner takes images; the candidate never sees them."""
+        return takes_images(self.serving)
 
     @property
     def card(self) -> AdapterCard | None:

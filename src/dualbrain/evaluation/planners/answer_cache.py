@@ -87,7 +87,10 @@ def _read(path: Path) -> CachedAnswer | None:
 
 def request_hash(planner: str, request: PlanRequest) -> str:
     """32 hex digits of the SHA-256 over the planner's id and the complete request."""
-    content = json.dumps([planner, msgspec.to_builtins(request)], sort_keys=True)
+    fields = msgspec.to_builtins(request)
+    if request.image is None:  # requests of earlier versions keep their hashes
+        del fields["image"]
+    content = json.dumps([planner, fields], sort_keys=True)
     return hashlib.sha256(content.encode()).hexdigest()[:32]
 
 

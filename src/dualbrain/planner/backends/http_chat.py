@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
@@ -44,15 +44,24 @@ class ChatResponse:
 
 
 def request_completion(
-    url: str, body: dict[str, Any], *, key: str, timeout_s: float, parse: Callable[[bytes], ChatResponse] | None = None
+    url: str,
+    body: dict[str, Any],
+    *,
+    key: str,
+    timeout_s: float,
+    parse: Callable[[bytes], ChatResponse] | None = None,
+    remedies: Mapping[int, str] = {},
 ) -> ChatResponse:
-    """POST `body` to `url` and `parse` the response (default: `parse_completion`), all within `timeout_s` [s]."""
+    """POST `body` to `url` and `parse` the response (default: `parse_completion`), all within `timeout_s` [s].
+
+    `remedies` replace the usual ones for HTTP statuses.
+    """
     reply = post(url, json.dumps(body).encode(), key=key, timeout_s=timeout_s)
     if isinstance(reply, ChatResponse):
         return reply
     status, data = reply
     if status != 200:
-        return _error(_describe_status(status, excerpt(data)))
+        return _error(_describe_status(status, excerpt(data), remedies))
     return (parse or parse_completion)(data)
 
 
@@ -161,13 +170,14 @@ def _error(detail: str) -> ChatResponse:
     return ChatResponse(text="", finish_reason=protocol.ERROR, detail=detail)
 
 
-def _describe_status(status: int, body: str) -> str:
+def _describe_status(status: int, body: str, special: Mapping[int, str]) -> str:
     """Detail of a response whose status is not 200, with the usual remedy."""
     remedies = {
         401: "The server requires a valid key: set OPENAI_API_KEY.",
         403: "The server refuses this key: check OPENAI_API_KEY.",
         404: "Check the address, which often ends in /v1, and the model after #.",
         429: "The server limits requests: try again later.",
+        **special,
     }
     remedy = remedies.get(status, "The server failed: see its log." if status >= 500 else "")
     return " ".join(filter(None, (f"status {status}.", remedy, body)))

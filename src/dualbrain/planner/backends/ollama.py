@@ -7,11 +7,11 @@ native API allows requests to set the context size.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from dualbrain.planner import protocol
 from dualbrain.planner.backends.http_chat import ChatResponse, excerpt_value, parse_count
-from dualbrain.planner.prompt.full_prompt import ChatMessage
 
 N_CTX = 8192
 """Size of the context [tokens], enough for the full prompt with exemplars and the longest answer."""
@@ -23,7 +23,9 @@ def chat_url(url: str) -> str:
     return url.rstrip("/").removesuffix("/v1") + "/api/chat"
 
 
-def chat_body(model: str, messages: list[ChatMessage], max_tokens: int, schema: dict[str, Any]) -> dict[str, Any]:
+def chat_body(
+    model: str, messages: Sequence[Mapping[str, Any]], max_tokens: int, schema: dict[str, Any]
+) -> dict[str, Any]:
     """Body of a request whose answer must satisfy `schema`."""
     options = {"temperature": 0.0, "seed": 0, "num_predict": max_tokens, "num_ctx": N_CTX}
     return {"model": model, "messages": messages, "stream": False, "format": schema, "options": options}

@@ -16,20 +16,29 @@ from urllib.parse import urlsplit
 from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.planner import protocol
 from dualbrain.planner.backends.http_chat import ChatResponse, parse_completion, request_completion, strip_fence
+from dualbrain.planner.backends.image_message import (
+    IMAGE_REMEDY,
+    IMAGE_STATUSES,
+    announce_image,
+    attach_image,
+    attach_image_to_message,
+)
 from dualbrain.planner.backends.ollama import chat_body, chat_url, parse_chat
+from dualbrain.planner.camera_image import CameraImage
 from dualbrain.planner.decoding.gbnf_schema import replace_text_patterns
 from dualbrain.planner.decoding.llguidance_grammar import contract_grammar, strip_annotations
-from dualbrain.planner.prompt.full_prompt import render
+from dualbrain.planner.prompt.full_prompt import ChatMessage, render
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
 
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
-    """How one kind of server receives the schema, and the name of its constraint in records (`constrained_by`)."""
+    """How one kind of server receives schema and image, and the name of its constraint in records."""
 
     constrained_by: str
     constraint: Callable[[dict[str, Any]], dict[str, Any]]
+    attach: Callable[[list[ChatMessage], CameraImage], list[dict[str, Any]]] = attach_image
 
 
 def _response_format(schema: dict[str, Any]) -> dict[str, Any]:
@@ -55,7 +64,9 @@ DIALECTS = {
         lambda schema: {"grammar": contract_grammar(schema), "cache_prompt": True},
     ),
     OLLAMA: Dialect(
-        "format (Ollama, numeric bounds not enforced)", lambda schema: {"format": replace_text_patterns(schema)}
+        "format (Ollama, numeric bounds not enforced)",
+        lambda schema: {"format": replace_text_patterns(schema)},
+        attach_image_to_message,
     ),
     "free": Dialect("nothing (free decoding)", lambda schema: {}),
 }
@@ -104,6 +115,11 @@ class ServerPlanner:
         return self._config.languages
 
     @property
+    def takes_images(self) -> bool:
+        """True: the image of a request is sent. A server whose model takes none answers with an error."""
+        return True
+
+    @property
     def dialect(self) -> str:
         """The dialect, which names the expected kind of server."""
         return self._config.dialect
@@ -122,6 +138,7 @@ class ServerPlanner:
             key=self._config.key,
             timeout_s=self._config.timeout_s,
             parse=parse_chat if is_ollama else parse_completion,
+            remedies=dict.fromkeys(IMAGE_STATUSES, IMAGE_REMEDY) if request.image else {},
         )
         proposal = self._proposal(response, self._clock() - start)
         if self._clock() - start <= self._config.timeout_s:
@@ -131,13 +148,19 @@ class ServerPlanner:
     def close(self) -> None:
         """Do nothing: no resource is open."""
 
+    def messages(self, request: PlanRequest) -> list[ChatMessage]:
+        """The text of the messages for `request`; the last one announces the image, if there is one."""
+        messages = render(request)
+        return announce_image(messages) if request.image else messages
+
     def _body(self, request: PlanRequest) -> dict[str, Any]:
         constraint = self._dialect.constraint(request.schema)
+        messages = self.messages(request)
+        sent = self._dialect.attach(messages, request.image) if request.image else messages
         if self._config.dialect == OLLAMA:
-            return chat_body(self._config.model, render(request), self._config.max_tokens, constraint["format"])
+            return chat_body(self._config.model, sent, self._config.max_tokens, constraint["format"])
         limits = {"max_tokens": self._config.max_tokens, "temperature": 0.0, "seed": 0, "stream": False}
-        messages = {"model": self._config.model, "messages": render(request)}
-        return messages | limits | constraint
+        return {"model": self._config.model, "messages": sent} | limits | constraint
 
     def _proposal(self, response: ChatResponse, total: float) -> Proposal:
         text, fenced = strip_fence(response.text)
