@@ -185,7 +185,7 @@ class Executions:
             lambda event: self._feed.add(event.t, event.kind, event.text),
             submission.on_attempt,
         )
-        truth = GroundTruth(lambda contract: None, lambda: None, self._resources.versions)
+        truth = GroundTruth(start_contract=lambda contract: None, judge=lambda: None, versions=self._resources.versions)
         try:
             executor = RemoteExecutor(model, self._connection.client, log, lambda: submission.interrupted)
             episode, _ = run_episode(request, agent, executor, PlanningClock(time.monotonic, measured=True), truth)

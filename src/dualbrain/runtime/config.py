@@ -57,6 +57,8 @@ class RunConfig:
     """Intervention threshold ε: a successful episode with Δ > ε lowers the weights of the memories it used."""
     unrecorded: bool = False
     """Whether the arm may move on if the recording cannot be written."""
+    image: bool = False
+    """Whether the planner gets the image of the simulated camera; it must take images."""
     after: Path | None = None
     """Run folder whose end is the beginning of this run, instead of `scene`."""
     adapters: Path | None = None
@@ -67,6 +69,8 @@ class RunConfig:
         fields = msgspec.to_builtins(self, enc_hook=str)
         if not self.unrecorded:
             del fields["unrecorded"]
+        if not self.image:
+            del fields["image"]
         if self.after is None:
             del fields["after"]
         stored = {STORED_NAMES.get(name, name): value for name, value in fields.items()}

@@ -20,6 +20,7 @@ from dualbrain.grounding.outcome.outcome_check import check_outcome, collect_evi
 from dualbrain.memory.embedding.image_features import ImageFeatures
 from dualbrain.memory.embedding.posture_features import Posture
 from dualbrain.memory.memory import StoreReport
+from dualbrain.planner.camera_image import CameraImage
 from dualbrain.planner.protocol import describe_failure, has_answer
 from dualbrain.records import Attempt, Episode, Judgement, Outcome, RetrievedContext
 from dualbrain.runtime.agent import Agent
@@ -38,18 +39,20 @@ from dualbrain.runtime.planning.replanning import should_retry
 from dualbrain.runtime.planning.verdict_text import format_verdict
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class GroundTruth:
     """The part of an episode that only a simulation has.
 
     `start_contract` gets the accepted contract, `judge` returns the judgement on ground truth at the end, `versions`
-    are the versions in use, `image_features` returns the features of the camera image before planning, if there is one.
+    are the versions in use. Before planning, `image_features` returns the features of the camera image for the memory,
+    and `camera_image` the image for the planner, if they are requested.
     """
 
     start_contract: Callable[[Contract], None]
     judge: Callable[[], Judgement | None]
     versions: dict[str, str]
     image_features: Callable[[], ImageFeatures | None] = lambda: None
+    camera_image: Callable[[], CameraImage | None] = lambda: None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,6 +125,7 @@ def _planning_context(executor: Executor, ground_truth: GroundTruth) -> Planning
         holding=executor.held_object,
         posture=Posture(tuple(executor.state.q.tolist()), executor.state.opening),
         image=ground_truth.image_features(),
+        camera_image=ground_truth.camera_image(),
     )
 
 

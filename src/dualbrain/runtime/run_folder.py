@@ -17,6 +17,7 @@ from dualbrain.memory.embedding.image_features import ImageFeatures
 from dualbrain.memory.embedding.posture_features import Posture
 from dualbrain.memory.ledger.anchors import RUN_ANCHOR_FILE
 from dualbrain.memory.memory import StoreReport
+from dualbrain.planner.camera_image import CameraImage
 from dualbrain.records import Episode
 from dualbrain.runtime.agent import EpisodicMemory
 from dualbrain.runtime.config import RunConfig
@@ -60,6 +61,7 @@ class RunFolder:
         """
         self.path = config.out
         self._saved_ids: list[str] = []
+        self._n_images = 0
         self._reserves: list[ReservedSpace] = []
         self._recording_reserve: ReservedSpace | None = None
         ledger = config.ledger.parent
@@ -103,6 +105,11 @@ class RunFolder:
         """Save configuration and scene, before the run begins."""
         write_atomically(self.path / "config.json", config.encode())
         save_scene(spec, self.path / "scene.json")
+
+    def save_image(self, image: CameraImage) -> None:
+        """Save an image that the planner gets as `planner_image-N`; N counts the images of the run."""
+        self._n_images += 1
+        write_atomically(self.path / f"planner_image-{self._n_images}{image.suffix}", image.data)
 
     def save_episode(self, episode: Episode) -> None:
         """Save an episode as `episode.json`; the file of the try before is renamed to `episode-N.json`."""

@@ -27,6 +27,8 @@ from dualbrain.memory.embedding.text_encoder import MiniLmEncoder
 from dualbrain.memory.ledger.ledger import Ledger
 from dualbrain.memory.memory import Memory
 from dualbrain.memory.plasticity.hebbian_update import Plasticity
+from dualbrain.planner.camera_image import CameraImage
+from dualbrain.planner.introspection import require_image_input
 from dualbrain.planner.protocol import Planner
 from dualbrain.planner.scripted import FixedContractPlanner
 from dualbrain.records import Passage
@@ -34,6 +36,7 @@ from dualbrain.robots.loader import load_robot
 from dualbrain.robots.model import RobotModel
 from dualbrain.robots.site_config import read_site
 from dualbrain.runtime.config import Clocks, RunConfig
+from dualbrain.runtime.planning.camera import capture_camera_image
 from dualbrain.runtime.run_folder import END_STATE_FILE, RunFolder, refuse_used_folder
 from dualbrain.safety.cbf.obstacles import Obstacle, PersonLimits
 from dualbrain.safety.integration.site import site_obstacles, site_persons, site_robot, site_skill_grants
@@ -61,7 +64,7 @@ class RunResources:
     """Open resources of a run.
 
     `start` is the end of the run that this one continues. `library` is None if no passages, `image_encoder` if no image
-    features are requested.
+    features are requested. `sends_image`: the planner gets the camera image.
     """
 
     site: RobotAtSite
@@ -74,12 +77,22 @@ class RunResources:
     ledger: Ledger
     memory: Memory
     world: SimulatedWorld
+    sends_image: bool = False
 
     def retrieve_passages(self, instruction: str, summary: str) -> tuple[Passage, ...]:
         """Passages of the documents that bear on the instruction; none without documents."""
         if self.library is None:
             return ()
         return retrieve_passages(self.library, instruction, summary, skill_registry(self.site.robot_model))
+
+    def camera_image(self) -> CameraImage | None:
+        """The front camera's current image for the planner, if it gets one; the image is saved in the run folder."""
+        if not self.sends_image:
+            return None
+        image = capture_camera_image(self.world.plant)
+        with self.folder.lent_space():
+            self.folder.save_image(image)
+        return image
 
     def image_features(self) -> ImageFeatures | None:
         """Features of the front camera's current image, if memory compares images."""
@@ -108,6 +121,9 @@ def open_resources(
     if planner is None:
         planner = open_configured_planner(config, site.robot_model, environ)
         stack.callback(planner.close)
+    sends_image = config.image and not is_stop_command(config.instruction)
+    if sends_image:
+        require_image_input(planner)
     folder = RunFolder(config)
     stack.callback(folder.release)
     ledger = _open_ledger(config, clocks)
@@ -133,6 +149,7 @@ def open_resources(
         ledger=ledger,
         memory=_make_memory(config, site.robot_model, ledger, encoder),
         world=world,
+        sends_image=sends_image,
     )
 
 

@@ -156,6 +156,7 @@ class Session:
             start=self._resources.start,
             versions=self._versions(),
             image_features=self._resources.image_features,
+            camera_image=self._resources.camera_image,
             interrupted=lambda: self._stop_requested,
         )
 

@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Generator, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -14,6 +15,7 @@ from cyclopts import Parameter
 
 from dualbrain.cli.common.console import StderrConsole, print_result, print_table, sanitize_line
 from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.cli.common.graphics import choose_graphics
 from dualbrain.cli.common.planner_choice import choose_planner
 from dualbrain.cli.common.spinner import Spinner
 from dualbrain.core.paths import cache_folder, dualbrain_home
@@ -21,10 +23,12 @@ from dualbrain.core.storage.private_files import create_private_folder, open_pri
 from dualbrain.errors import UsageError
 
 if TYPE_CHECKING:
+    from dualbrain.planner.camera_image import CameraImage
     from dualbrain.planner.protocol import Planner
     from dualbrain.records import Attempt
     from dualbrain.runtime.inspection.dry_run import DryRunResult
     from dualbrain.runtime.planning.planner_request import PassageRetriever, PlanningContext, Retriever
+    from dualbrain.simulation.scenes.scene_spec import SceneSpec
 
 MAX_SHOTS = 5
 
@@ -39,10 +43,12 @@ def plan(
     memory: Literal["on", "off"] = "on",
     knowledge: Literal["on", "off"] = "on",
     ledger: Path | None = None,
+    image: Annotated[bool, Parameter(negative="")] = False,
+    image_file: Path | None = None,
     shots: int = 2,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Plan one instruction and print every step; no robot, no simulation, and memory is only read.
+    """Plan one instruction and print every step; no robot moves, and memory is only read.
 
     Parameters
     ----------
@@ -61,6 +67,11 @@ def plan(
         "off" retrieves no documents (the default of `dualbrain run`). An adapter reads no documents.
     ledger
         Memory ledger, read only. Default: ledger.sqlite in the data folder of dualbrain.
+    image
+        Send the image of the robot's simulated camera to the planner, which must be a server with a vision-language
+        model (--planner URL).
+    image_file
+        Send this image instead: a PNG or JPEG file of at most 320x240 pixels and 40 kB.
     shots
         Number of attempts of the planner, 1 to 5; after a rejection the prompt states the reason.
     json
@@ -72,21 +83,30 @@ def plan(
         )
     if not 1 <= shots <= MAX_SHOTS:
         raise UsageError("--shots", got=shots, allowed=f"1 to {MAX_SHOTS}")
+    if image and image_file is not None:
+        raise UsageError.stating("--image and --image-file name two images.", fix="Leave out one of them.")
     console = StderrConsole()
     loading = Spinner(console, "loading")
     with ExitStack() as stack:
         stack.enter_context(loading)
+        if image:
+            choose_graphics(os.environ)  # before MuJoCo is imported
         from dualbrain.grounding.offline_gate import scene_from_spec
-        from dualbrain.planner.introspection import no_documents_reason
+        from dualbrain.planner.introspection import no_documents_reason, require_image_input
         from dualbrain.runtime.inspection.dry_run import context_at_home
         from dualbrain.runtime.inspection.dry_run import plan as ask
         from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
-        here = context_at_home(robot, scene_from_spec(open_scene(scene, robot)))
+        spec = open_scene(scene, robot)
+        here = context_at_home(robot, scene_from_spec(spec))
+        if image or image_file is not None:
+            here = replace(here, camera_image=_read_image(image_file, spec, here))
         recall = stack.enter_context(_open_memory(ledger, here)) if memory == "on" else None
         look_up = stack.enter_context(_open_documents(here)) if knowledge == "on" else _no_documents
         chosen, notice = choose_planner(planner, here.robot_model.name, cache_folder())
         opened = stack.enter_context(_open_planner(chosen, here))
+        if here.camera_image is not None:
+            require_image_input(opened)
         loading.stop()
         documents = no_documents_reason(opened) if knowledge == "on" else ""
         for line in filter(None, (notice, documents)):
@@ -98,9 +118,10 @@ def plan(
         finally:
             waiting.stop()
     if json:
-        print_result(msgspec.json.encode(plan_summary(instruction, planned)).decode())
+        about = {"image": _describe_image(here.camera_image)} if here.camera_image else {}
+        print_result(msgspec.json.encode(plan_summary(instruction, planned) | about).decode())
     else:
-        _print_plan(planned)
+        _print_plan(planned, here.camera_image)
     if not planned.has_answer:
         return ExitCode.FAILED_SAFELY
     return ExitCode.REJECTED if planned.is_declined or not _is_accepted(planned) else ExitCode.SUCCESS
@@ -138,6 +159,10 @@ def _encode_attempt(attempt: Attempt) -> dict[str, Any]:
     }
 
 
+def _describe_image(image: CameraImage) -> dict[str, Any]:
+    return {"type": image.media_type, "bytes": len(image.data), "sha256": image.sha256}
+
+
 def _is_accepted(planned: DryRunResult) -> bool:
     from dualbrain.contracts.verdict import Accepted
 
@@ -151,7 +176,7 @@ def _accepted_contract(planned: DryRunResult) -> dict[str, Any] | None:
     return msgspec.to_builtins(verdict.contract) if isinstance(verdict, Accepted) else None
 
 
-def _print_plan(planned: DryRunResult) -> None:
+def _print_plan(planned: DryRunResult, image: CameraImage | None) -> None:
     """Print prompt, answer, verdict, retrieved items and times; control characters are removed."""
     from dualbrain.runtime.planning.planning_time import format_timings
 
@@ -169,6 +194,10 @@ def _print_plan(planned: DryRunResult) -> None:
         print_result(sanitize_line(shot.attempt.proposal.text) or "no text")
         for line in _verdict_lines(shot.attempt):
             print_result(line)
+    if image is not None:
+        about = _describe_image(image)
+        print_result("── image " + "─" * 60)
+        print_result(f"{about['type']}, {about['bytes']} bytes, SHA-256 {about['sha256']}, sent with every request")
     print_result("── retrieved " + "─" * 60)
     _print_retrieved(planned)
     if words := format_timings(planned.timings):
@@ -219,7 +248,19 @@ def _verdict_lines(attempt: Attempt) -> Iterator[str]:
     yield sanitize_line(f"got {verdict.got!r}, allowed {verdict.allowed!r}: {verdict.hint}")
 
 
-# --- memory, documents and planner ------------------------------------------------------------------------------------
+# --- image, memory, documents and planner -----------------------------------------------------------------------------
+
+
+def _read_image(path: Path | None, spec: SceneSpec, here: PlanningContext) -> CameraImage:
+    """The image in the file `path`; without one, that of the simulated camera before the robot moves."""
+    from dualbrain.planner.camera_image import read_camera_image
+
+    if path is not None:
+        return read_camera_image(path)
+    from dualbrain.runtime.planning.camera import capture_camera_image
+    from dualbrain.simulation.plant.factory import make_plant
+
+    return capture_camera_image(make_plant(spec, here.robot_model, visuals=True))
 
 
 @contextmanager

@@ -40,6 +40,7 @@ def run(
     port: int = 8080,
     knowledge: Literal["on", "off"] = "off",
     image_memory: Annotated[bool, Parameter(negative="")] = False,
+    image: Annotated[bool, Parameter(negative="")] = False,
     utility: Annotated[bool, Parameter(negative="")] = False,
     epsilon: float = EPSILON,
     map: str = "",
@@ -100,6 +101,9 @@ def run(
         adapter reads no documents.
     image_memory
         Compare memories by image features of the scene too (needs `efficientnet-lite0`).
+    image
+        Send the image of the simulated camera to the planner, which must be a server with a vision-language model
+        (--planner URL). The run folder keeps every image that was sent. Not with --live, --contract or --utility.
     utility
         After the run, ask the planner again without each retrieved memory, to measure which memory changed its answer;
         the answers are cached.
@@ -132,6 +136,8 @@ def run(
         raise UsageError("--epsilon", got=epsilon, allowed="a finite number, at least 0")
     if live and filter == "off":
         raise UsageError("--filter", got="off", allowed="on (a gatekeeper always filters)")
+    if image:
+        _require_image_conditions({"--live": live, "--contract": contract is not None, "--utility": utility})
     speed_scale = parse_fraction(speed)
     if speed_scale != 1.0 and not live:
         raise UsageError.stating(
@@ -159,6 +165,7 @@ def run(
             map=map,
             site=site,
             image_memory=image_memory,
+            image=image,
             utility=utility,
             epsilon=epsilon,
             unrecorded=unrecorded,
@@ -172,6 +179,19 @@ def run(
             speed_scale=speed_scale,
         )
         return execute_run(config, view, loading)
+
+
+def _require_image_conditions(excluded: dict[str, bool]) -> None:
+    """Raise `UsageError` if an option of `excluded` is given together with --image."""
+    reasons = {
+        "--live": "the robot of a gatekeeper has no camera for the planner",
+        "--contract": "no planner is asked",
+        "--utility": "the answers that it compares would be given without the image",
+    }
+    for option in (name for name, given in excluded.items() if given):
+        raise UsageError.stating(
+            f"--image is impossible with {option}: {reasons[option]}.", fix=f"Leave out --image or {option}."
+        )
 
 
 def _stop_running_robots(instruction: str) -> int | None:

@@ -158,7 +158,12 @@ def run_case(case: Case, method: Method, resources: EpisodeResources) -> Episode
     memory = NoMemory() if resources.memory is None else resources.memory  # an empty memory is falsy
     agent = Agent(_TimedPlanner(resources.planner, stopwatch, before_propose), memory)
     clock = PlanningClock(resources.clock, planning_time=resources.planning_time)
-    truth = GroundTruth(start_contract, cell.judgement, {}, lambda: resources.image_features(cell.plant))
+    truth = GroundTruth(
+        start_contract=start_contract,
+        judge=cell.judgement,
+        versions={},
+        image_features=lambda: resources.image_features(cell.plant),
+    )
     try:
         episode, _ = run_episode(request, agent, executor, clock, truth)
         gate = executor.baseline_gate

@@ -10,6 +10,7 @@ from typing import Protocol
 from dualbrain.control.executor import Executor
 from dualbrain.control.recording.trace import Trace
 from dualbrain.memory.embedding.image_features import ImageFeatures
+from dualbrain.planner.camera_image import CameraImage
 from dualbrain.robots.model import RobotModel
 from dualbrain.runtime.config import Clocks, RunConfig, RunObserver
 from dualbrain.runtime.episode import GroundTruth
@@ -25,8 +26,8 @@ class RunContext:
     """The parts of a session that a backend needs.
 
     `world` is the simulated world of this process; a backend that moves another robot uses it for camera images only.
-    `start` is the end of the run that this one continues. `versions` are recorded with the run, `image_features` are
-    those of the camera, `interrupted`: a person wants the robot to stop.
+    `start` is the end of the run that this one continues. `versions` are recorded with the run, `image_features` and
+    `camera_image` return features and image of the camera, `interrupted`: a person wants the robot to stop.
     """
 
     config: RunConfig
@@ -39,6 +40,7 @@ class RunContext:
     start: EndState | None
     versions: dict[str, str]
     image_features: Callable[[], ImageFeatures | None]
+    camera_image: Callable[[], CameraImage | None]
     interrupted: Callable[[], bool]
 
 

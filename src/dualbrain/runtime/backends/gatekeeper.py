@@ -24,6 +24,7 @@ from dualbrain.control.recording.channels import OWN_RECORDING_LIMITS, read_trac
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.trace import Event, Trace
 from dualbrain.core.storage.atomic_files import write_atomically
+from dualbrain.errors import ConfigurationError
 from dualbrain.records import Judgement
 from dualbrain.runtime.backends.backend import RunContext, RunningRobot
 from dualbrain.runtime.config import RunObserver
@@ -71,8 +72,12 @@ class GatekeeperBackend:
 
     @contextmanager
     def start(self, context: RunContext, observer: RunObserver) -> Generator[RunningRobot]:
-        """The robot behind a new gatekeeper process."""
+        """The robot behind a new gatekeeper process; raises `ConfigurationError` for a run with camera images."""
         out = context.config.out
+        if context.config.image:
+            raise ConfigurationError.stating(
+                "A robot behind a gatekeeper has no camera for the planner.", fix="Leave out --live or --image."
+            )
         with ExitStack() as stack:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="dualbrain-")))
             config = _gatekeeper_config(context, folder, self.speed_scale, self.registrations)
@@ -109,7 +114,12 @@ class GatekeeperBackend:
         self._operator = operator = GatekeeperClient(where, load_keys(keys, (OPERATOR,)), OPERATOR)
         log = FlightLog(Trace(model.n), None, observer.on_event, observer.on_attempt)
         executor = RemoteExecutor(model, client, log, context.interrupted)
-        truth = GroundTruth(lambda contract: None, judge, context.versions, context.image_features)
+        truth = GroundTruth(
+            start_contract=lambda contract: None,
+            judge=judge,
+            versions=context.versions,
+            image_features=context.image_features,
+        )
         clock = PlanningClock(time.monotonic, measured=True)
         return RunningRobot(executor=executor, clock=clock, ground_truth=truth)
 

@@ -52,7 +52,13 @@ class SimulatedBackend:
                 grip = context.start.robot
                 cell.loop.resume_grasp(context.start.held, grip.target_opening, grip.grip_force)
             planning_time = 0.0 if config.contract else PLANNING_TIME
-            truth = GroundTruth(world.start_contract, world.judgement, context.versions, context.image_features)
+            truth = GroundTruth(
+                start_contract=world.start_contract,
+                judge=world.judgement,
+                versions=context.versions,
+                image_features=context.image_features,
+                camera_image=context.camera_image,
+            )
             clock = PlanningClock(context.clocks.clock, config.measured, planning_time)
             try:
                 yield RunningRobot(executor=cell.executor, clock=clock, ground_truth=truth)

@@ -19,6 +19,7 @@ from dualbrain.grounding.scene_summary import summarise_scene
 from dualbrain.grounding.vocabulary import scene_names
 from dualbrain.memory.embedding.image_features import ImageFeatures
 from dualbrain.memory.embedding.posture_features import Posture
+from dualbrain.planner.camera_image import CameraImage
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Exemplar, FailureFeedback, Passage, RetrievedContext, Scene
 from dualbrain.robots.model import RobotModel
@@ -48,13 +49,17 @@ class Retriever(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanningContext:
-    """The situation in which a plan is requested: robot, perceived scene, held object, posture, image features."""
+    """The situation in which a plan is requested: robot, perceived scene, held object, posture.
+
+    `image` are the features for the memory, `camera_image` is the image for the planner; each is None if not requested.
+    """
 
     robot_model: RobotModel
     scene: Scene
     holding: str | None
     posture: Posture
     image: ImageFeatures | None = None
+    camera_image: CameraImage | None = None
 
     @property
     def registry(self) -> SkillRegistry:
@@ -119,6 +124,7 @@ def build_request(
         contract_id="c-0001",
         failure_feedback=failure_feedback,
         scene_with_values=context.summary_with_values,
+        image=context.camera_image,
     )
 
 
