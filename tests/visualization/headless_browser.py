@@ -71,6 +71,10 @@ class Browser:
         """Result of the script."""
         return self._call("POST", "/execute/sync", {"script": script, "args": []})
 
+    def send(self, path: str, body: object) -> Any:
+        """Another command of the protocol, such as key strokes."""
+        return self._call("POST", path, body)
+
     def enter_frame(self, index: int) -> None:
         """Run scripts in a frame of the page from now on."""
         self._call("POST", "/frame", {"id": index})
