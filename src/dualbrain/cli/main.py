@@ -110,6 +110,17 @@ app.command(
     Examples: `dualbrain mcp --scene 8` as the command of an MCP client; `dualbrain mcp --http 8765`, then the address
     http://127.0.0.1:8765/mcp with the header `Authorization: Bearer TOKEN`. See docs/how-to/agents/connect.md.""",
 )
+app.command(
+    "dualbrain.cli.servers.console:console",
+    name="console",
+    help="""Show a robot in the browser: live events, a contract editor with the gate's verdict, runs, memory, stops.
+
+    The command starts a simulated robot behind a gatekeeper, or connects to a running one with --socket, and serves the
+    page on the loopback interface. The page cannot submit a contract, reset, resume or change the speed: agents submit
+    contracts over MCP at the same port, and a person uses `dualbrain operate`.
+
+    Example: `dualbrain console --scene 8`, then open the printed address. See docs/how-to/console.md.""",
+)
 app.command("dualbrain.cli.run.fault:fault", name="fault", help="Inject one fault into a simulated task.")
 app.command(
     "dualbrain.cli.adapters.adapt:adapt", name="adapt", help="Fine-tune an adapter of the planner on recorded episodes."

@@ -4,7 +4,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from threading import Thread
+from threading import Event, Thread
 from typing import Any
 
 import uvicorn
@@ -85,7 +85,8 @@ class ConsoleServer:
 
     def __init__(self, folder: Path) -> None:
         self.robot, self.runs, self.ledger = FakeRobot(), folder / "runs", folder / "ledger.sqlite"
-        routes = console_routes(self.robot, runs=self.runs, ledger=self.ledger)
+        self.ended = Event()
+        routes = console_routes(self.robot, runs=self.runs, ledger=self.ledger, has_ended=self.ended.is_set)
         self.policy = AccessPolicy(token=TOKEN, hosts=LOOPBACK_HOSTS, port=0, is_public=is_public)
         self.app = AccessControl(Starlette(routes=routes), self.policy)
         self.url = ""

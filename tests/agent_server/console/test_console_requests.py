@@ -168,6 +168,13 @@ def test_the_stream_continues_after_an_event_and_restarts_on_another_server(afte
     assert states[0] == {"state": "NONE", "reason": "", "busy": False, "reporting": True}
 
 
+def test_a_stream_ends_with_the_server(tmp_path) -> None:
+    with serve_console(tmp_path) as console:
+        console.ended.set()
+        with httpx.Client(base_url=console.url, headers={"Authorization": f"Bearer {TOKEN}"}) as client:
+            assert client.get("/console/api/events").text == ""
+
+
 # --- runs and reports -------------------------------------------------------------------------------------------------
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from typing import Any
 
 import anyio
@@ -38,17 +38,17 @@ class StatusAge:
         return {"state": status.action, "reason": status.check, "busy": status.busy, "reporting": reporting}
 
 
-def event_response(robot: ConsoleRobot, after: int) -> StreamingResponse:
-    """The events after the number `after` and every change of the status, until the client disconnects."""
+def event_response(robot: ConsoleRobot, after: int, has_ended: Callable[[], bool]) -> StreamingResponse:
+    """The events after the number `after` and every change of the status, until the client or the server ends it."""
     headers = {**COMMON_HEADERS, "X-Accel-Buffering": "no"}
-    return StreamingResponse(_messages(robot, after), media_type="text/event-stream", headers=headers)
+    return StreamingResponse(_messages(robot, after, has_ended), media_type="text/event-stream", headers=headers)
 
 
-async def _messages(robot: ConsoleRobot, after: int) -> AsyncIterator[bytes]:
+async def _messages(robot: ConsoleRobot, after: int, has_ended: Callable[[], bool]) -> AsyncIterator[bytes]:
     if not robot.events(after) and (kept := robot.events()) and kept[-1]["number"] < after:
         after = 0  # the numbers of an earlier server
     age, shown, shown_at = StatusAge(), None, 0.0
-    while True:
+    while not has_ended():
         for event in robot.events(after):
             after = event["number"]
             yield _message("event", event)

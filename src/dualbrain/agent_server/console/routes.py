@@ -40,12 +40,15 @@ def is_public(path: str) -> bool:
     return path == CONSOLE_PATH or path.startswith(PUBLIC_FOLDERS)
 
 
-def console_routes(robot: ConsoleRobot, *, runs: Path, ledger: Path | None) -> list[Route]:
+def console_routes(
+    robot: ConsoleRobot, *, runs: Path, ledger: Path | None, has_ended: Callable[[], bool] = lambda: False
+) -> list[Route]:
     """The page of the console for `robot`, with the run folders in `runs` and the memory `ledger`, and its requests.
 
-    The routes check neither host nor token: `AccessControl` does, with `is_public`.
+    Event streams end when `has_ended` returns True. The routes check neither host nor token: `AccessControl` does, with
+    `is_public`.
     """
-    console = Console(robot, runs, ledger)
+    console = Console(robot, runs, ledger, has_ended)
     files = [_static(one.name, one.read_bytes()) for one in _static_folder().iterdir() if one.name != "page.html"]
     page = _static_folder().joinpath("page.html").read_bytes()
     return [
@@ -68,9 +71,9 @@ def console_routes(robot: ConsoleRobot, *, runs: Path, ledger: Path | None) -> l
 class Console:
     """The requests of the page."""
 
-    def __init__(self, robot: ConsoleRobot, runs: Path, ledger: Path | None) -> None:
+    def __init__(self, robot: ConsoleRobot, runs: Path, ledger: Path | None, has_ended: Callable[[], bool]) -> None:
         """Answer for `robot`, `runs` and `ledger`."""
-        self._robot, self._runs, self._ledger = robot, runs, ledger
+        self._robot, self._runs, self._ledger, self._has_ended = robot, runs, ledger, has_ended
         self._tickets = ReportTickets(time.monotonic)
         self._stops = anyio.CapacityLimiter(STOP_THREADS)
 
@@ -92,7 +95,8 @@ class Console:
     async def events(self, request: Request) -> Response:
         """The events after the number in the query, as a stream."""
         after = request.query_params.get("after", "0")
-        return event_response(self._robot, int(after) if after.isdecimal() and len(after) < 16 else 0)
+        number = int(after) if after.isdecimal() and len(after) < 16 else 0
+        return event_response(self._robot, number, self._has_ended)
 
     async def list_runs(self, request: Request) -> Response:
         """The runs in the run folder."""

@@ -1,1 +1,1 @@
-"""Commands that serve a robot until they are ended: gatekeeper, mcp."""
+"""Commands that serve a robot until they are ended: gatekeeper, mcp, console."""

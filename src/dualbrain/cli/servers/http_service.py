@@ -1,0 +1,42 @@
+"""One HTTP server for a robot: MCP for agents and the console for people."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from threading import Event
+
+from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.cli.servers.http_options import HttpOptions, http_config
+from dualbrain.cli.servers.robot_options import RobotOptions, open_robot
+from dualbrain.core.paths import dualbrain_home
+
+RUNS_FOLDER = Path("runs")
+"""Folder whose runs the console shows, if none is named: that of `dualbrain run`."""
+
+
+def serve_robot(command: str, port: int, robot: RobotOptions, server: HttpOptions) -> int:
+    """Open the robot and serve it at `port` until a signal; `command` is the name in messages."""
+    from dualbrain.agent_server.console.routes import CONSOLE_PATH, console_routes, is_public
+    from dualbrain.agent_server.http_server import MCP_PATH, serve_http
+    from dualbrain.agent_server.mcp_server import make_mcp_server
+
+    config = http_config(server, port)
+    with open_robot(robot) as opened:
+        ledger = robot.ledger or dualbrain_home() / "ledger.sqlite"
+        ended = Event()
+        routes = console_routes(opened, runs=robot.runs or RUNS_FOLDER, ledger=ledger, has_ended=ended.is_set)
+
+        def report() -> None:
+            where = f"{config.url}{MCP_PATH}; the token is in {server.token_place}"
+            print(f"{command}: the robot {opened.name} is ready at {where}. Ctrl-C ends it.", file=sys.stderr)
+            secret = f"#token={config.token}" if sys.stderr.isatty() else ""  # a log keeps no token
+            print(f"Console: {config.url}{CONSOLE_PATH}{secret}", file=sys.stderr)
+
+        def stop() -> None:
+            ended.set()
+            opened.close()
+
+        mcp_server = make_mcp_server(opened)
+        serve_http(mcp_server, config, routes, is_public=is_public, on_ready=report, on_stop=stop)
+    return ExitCode.SUCCESS
