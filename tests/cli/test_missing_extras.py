@@ -54,6 +54,7 @@ def test_help_and_doctor_work(tmp_path):
         ("export", "lerobot", "x.mcap", "--out", "y"),
         ("fault", "state", "off"),
         ("gatekeeper",),
+        ("console",),
         ("evaluate", "--dry-run"),
         ("report", "x"),
         ("compare", "x", "y"),

@@ -24,6 +24,7 @@ export function table(columns, rows, order = { column: -1, down: true }) {
   const sorted = value ? [...rows].sort((a, b) => (order.down ? -1 : 1) * compare(value(a), value(b))) : rows;
   columns.forEach((column, k) => {
     const cell = element("th", column.value ? "" : column.name, { scope: "col" });
+    if (column.number) cell.className = "number";
     if (column.value) {
       const mark = order.column === k ? (order.down ? " ▾" : " ▴") : "";
       const button = cell.appendChild(element("button", column.name + mark, { type: "button" }));

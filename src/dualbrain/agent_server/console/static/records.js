@@ -59,7 +59,7 @@ export const loadMemory = () => load("memory", "memory", ({ memories, total, rea
     { name: "changes", cell: (row) => `+${row.reinforced} −${row.suppressed}` },
     { name: "cited", number: true, cell: (row) => String(row.cited), value: (row) => row.cited },
     { name: "status", cell: (row) => badge(row.status), value: (row) => row.status },
-    { name: "source", cell: (row) => row.source },
+    { name: "source", cell: (row) => row.source.replace(/(\+[0-9a-f]{8})[0-9a-f]+$/, "$1…") },
   ];
   byId("memory-table").replaceChildren(table(columns, memories));
   return reason || `${memories.length} of ${count(total, "memory", "memories")}; "cited" counts the prompts in which a memory was`;
