@@ -48,8 +48,11 @@ def test_an_escaped_name_of_the_argument_is_found(key):
 
 
 def test_equal_keys_of_a_message_have_one_meaning():
-    message = call("[1]").replace(b'"id":7,', b'"id":7,"params":{"arguments":{"contract":[2]}},')
-    assert contract_as_text(message).count(b"arguments") == 1
+    both = call("[1]").replace(b'"id":7,', b'"id":7,"params":{"arguments":{"contract":[2]}},')
+    first = call("[1]")[:-1] + b',"params":{"arguments":{}}}'
+    assert contract_as_text(both).count(b"arguments") == 1
+    assert json.loads(contract_as_text(both))["params"]["arguments"]["contract"] == "[1]"
+    assert b"contract" not in contract_as_text(first).replace(b"check_contract", b"")
 
 
 @pytest.mark.parametrize("message", [b"", b"{}", b'{"method":"ping"}', b"[]", b"nonsense", b"\xff"])
