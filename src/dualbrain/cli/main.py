@@ -119,7 +119,7 @@ app.command(
     page on the loopback interface. The page cannot submit a contract, reset, resume or change the speed: agents submit
     contracts over MCP at the same port, and a person uses `dualbrain operate`.
 
-    Example: `dualbrain console --scene 8`, then open the printed address. See docs/how-to/console.md.""",
+    Example: `dualbrain console --scene 8`, then open the printed address. See docs/how-to/agents/console.md.""",
 )
 app.command("dualbrain.cli.run.fault:fault", name="fault", help="Inject one fault into a simulated task.")
 app.command(

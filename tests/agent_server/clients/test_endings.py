@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.agent_server.test_clients import COMMAND, environment  # noqa: F401  (a fixture)
+from tests.agent_server.clients.test_clients import COMMAND, environment  # noqa: F401  (a fixture)
 
 pytestmark = pytest.mark.realtime
 

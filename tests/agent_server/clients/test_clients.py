@@ -17,11 +17,11 @@ from mcp.client.client import Client
 from mcp.client.stdio import StdioServerParameters
 from mcp.client.streamable_http import streamable_http_client
 
-from tests.agent_server.scenario import FILE, check_results, run_steps, steps
+from tests.agent_server.clients.scenario import FILE, check_results, run_steps, steps
 
 pytestmark = pytest.mark.realtime
 
-REPOSITORY = Path(__file__).parents[2]
+REPOSITORY = Path(__file__).parents[3]
 NPM = REPOSITORY / "build/npm"
 COMMAND = [sys.executable, "-m", "dualbrain", "mcp", "--scene", "8"]
 TOKEN = "token-of-the-test-" + "x" * 20

@@ -3,9 +3,9 @@
 from contextlib import nullcontext
 
 import pytest
+from dualbrain.cli.agent import http_service
 
 from dualbrain.agent_server import http_server
-from dualbrain.cli.agent import http_service
 from dualbrain.cli.common.exit_codes import ExitCode
 from tests.agent_server.console.console_server import TOKEN, FakeRobot
 
