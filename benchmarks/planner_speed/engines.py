@@ -1,6 +1,6 @@
 """Time of a plan of an adapted planner: llama.cpp, torch token by token, and torch with speculative decoding.
 
-    python -m benchmarks.planner_speed [--count 12] [--threads 1]
+    python -m benchmarks.planner_speed.engines [--count 12] [--threads 1]
 
 All three engines answer the same held-out requests with base-135m and the same grammar, without and with exemplars in
 the prompt. They alternate on each request, so that other load affects all of them. The table holds seconds per plan,

@@ -1,0 +1,156 @@
+"""Time and correctness of plans with and without fixed examples and jump-forward decoding, in one run.
+
+    python -m benchmarks.planner_speed.before_after PLANNER [--count 50] [--threads 1] [--log FILE]
+
+Both variants answer the same questions, one after the other in alternating order, so that other load affects both.
+`before`: examples chosen for each question (models without an adapter), every token generated. `after`: as planners
+serve. The first question of each process is not measured, because it reads the constant part of the prompt. The
+questions are the 60 held-out instructions of the experiment `starter` and 40 others of the same generator, mixed, so
+that any prefix is a sample of both. With `--log`, answers are appended to a JSONL file, and a later call continues.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import sys
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dualbrain.adaptation.adapters.packaged import packaged_names
+from dualbrain.adaptation.curation.sample import Sample
+from dualbrain.adaptation.serving.open_planner import N_CTX, open_adapter
+from dualbrain.core.paths import cache_folder, dualbrain_home
+from dualbrain.core.storage.jsonl_log import JsonlLog
+from dualbrain.core.weights import locate_weights
+from dualbrain.planner.backends.llama_cpp import LlamaConfig, LlamaPlanner
+from dualbrain.planner.prompt.full_prompt import ChatMessage, render_with_examples, selected_examples
+from dualbrain.planner.prompt.prompt_format import FULL_PROMPT
+from dualbrain.planner.protocol import Planner
+from dualbrain.planner.request import PlanRequest
+from dualbrain.runtime.data_collection.rollouts import ROBOT, build_request
+from dualbrain.runtime.data_collection.synthetic_scenes import generate_examples
+from experiments.adaptation import starter
+from experiments.figures.tables import format_proportion, markdown_table
+from experiments.planning.language import is_right, score_question
+
+BEFORE, AFTER = "before", "after"
+N_NEW, NEW_SEED = 40, 2026
+BOOTSTRAPS = 2000
+
+
+def main() -> int:
+    """Answer the questions, and print one table."""
+    options = parse(sys.argv[1:])
+    log = JsonlLog(Path(options.log)) if options.log else None
+    rows = log.read() if log else []
+    answered = {row["key"] for row in rows}
+    missing = [
+        (n, one) for n, one in enumerate(questions()[: options.count]) if f"{options.planner} {n}" not in answered
+    ]
+    with ExitStack() as stack:
+        planners = {kind: open_variant(options.planner, kind, options.threads) for kind in (BEFORE, AFTER) if missing}
+        for planner in planners.values():
+            stack.callback(planner.close)
+            planner.propose(
+                build_request(generate_examples(1, "test", NEW_SEED + 1, {ROBOT: 1.0}, exemplar_share=0.0)[0])
+            )
+        for n, question in missing:
+            order = (BEFORE, AFTER) if n % 2 else (AFTER, BEFORE)
+            answers = {kind: answer(planners[kind], question) for kind in order}
+            row = {"key": f"{options.planner} {n}", "planner": options.planner, "number": n, **answers}
+            rows.append(row)
+            if log:
+                log.append(row)
+    print("\n".join(report([row for row in rows if row["planner"] == options.planner])))
+    return 0
+
+
+def parse(arguments: list[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("planner")
+    parser.add_argument("--count", type=int, default=50)
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--log", default="")
+    return parser.parse_args(arguments)
+
+
+def questions() -> list[Sample]:
+    """The held-out questions with the new ones: of five consecutive questions two are new."""
+    new = generate_examples(N_NEW, "test", NEW_SEED, {ROBOT: 1.0}, exemplar_share=0.0)
+    held_out = starter.questions()
+    groups = zip(*(iter(held_out),) * 3, *(iter(new),) * 2, strict=True)
+    return [one for group in groups for one in group]
+
+
+def unmeasured_question() -> Sample:
+    """A question that is not among those that are measured."""
+    return generate_examples(1, "test", NEW_SEED + 1, {ROBOT: 1.0}, exemplar_share=0.0)[0]
+
+
+def open_variant(name: str, kind: str, threads: int) -> Planner:
+    """The planner called `name`, without (`before`) or with (`after`) what is measured."""
+    config = LlamaConfig(threads=threads, n_ctx=N_CTX, jump_forward=kind == AFTER)
+    if name in packaged_names():
+        return open_adapter(name, cache_folder(), adapters=dualbrain_home() / "adapters", config=config)
+    prompt_format = FULL_PROMPT if kind == AFTER else replace(FULL_PROMPT, messages=render_with_selected)
+    return LlamaPlanner(name, locate_weights(name, cache_folder()), config, prompt_format=prompt_format)
+
+
+def render_with_selected(request: PlanRequest) -> list[ChatMessage]:
+    """The full prompt with examples that are chosen for the question."""
+    return render_with_examples(request, selected_examples(request))
+
+
+def answer(planner: Planner, question: Sample) -> dict[str, Any]:
+    """The answer to a question: its text, whether it is right, and its times [s]."""
+    request, start = build_request(question), time.monotonic()
+    proposal = planner.propose(request)
+    seconds = time.monotonic() - start
+    right = bool(is_right(score_question(question, proposal.text))) if proposal.text else False
+    finish = proposal.finish_reason
+    return {"text": proposal.text, "finish": finish, "right": right, "s": seconds, "timings": proposal.timings}
+
+
+def report(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """One line per variant: median time with parts, median ratio with its bootstrap interval, right answers."""
+    if not rows:
+        return ["no answers"]
+    ratios = np.array([row[AFTER]["s"] / row[BEFORE]["s"] for row in rows])
+    draws = np.random.default_rng(0).choice(ratios, (BOOTSTRAPS, len(ratios)))
+    low, high = np.percentile(np.median(draws, axis=1), (2.5, 97.5))
+    total = sum(row[AFTER]["s"] for row in rows) / sum(row[BEFORE]["s"] for row in rows)
+    head = ("variant", "median s", "prefill", "decode", "new tokens of the prompt", "tokens of the answer", "right")
+    lines = markdown_table(head, [table_row(kind, [row[kind] for row in rows]) for kind in (BEFORE, AFTER)])
+    equal = sum(row[AFTER]["text"] == row[BEFORE]["text"] for row in rows)
+    lines.append(
+        f"{len(rows)} questions; median ratio {np.median(ratios):.2f} (95 % interval {low:.2f} to {high:.2f}), ratio "
+        f"of the sums {total:.2f}; {equal} equal answers"
+    )
+    return lines
+
+
+def table_row(kind: str, answers: Sequence[dict[str, Any]]) -> tuple[str, ...]:
+    def middle(value: str) -> float:
+        return statistics.median(one["timings"].get(value, float("nan")) for one in answers)
+
+    new = statistics.median(one["timings"]["prompt_tokens"] - one["timings"]["cached_tokens"] for one in answers)
+    return (
+        kind,
+        f"{statistics.median(one['s'] for one in answers):.1f}",
+        f"{middle('prefill'):.1f}",
+        f"{middle('decode'):.1f}",
+        f"{new:.0f}",
+        f"{middle('output_tokens'):.0f}",
+        format_proportion(sum(one["right"] for one in answers), len(answers)),
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())
