@@ -20,7 +20,15 @@ from dualbrain.planner.prompt.arm_examples import (
     WorkedExample,
     select_examples,
 )
-from dualbrain.planner.prompt.full_prompt import MAX_EXEMPLARS, ChatMessage, answer_header, render, template_hash
+from dualbrain.planner.prompt.full_prompt import (
+    ARM_EXAMPLES,
+    MAX_EXEMPLARS,
+    ChatMessage,
+    answer_header,
+    render,
+    template_hash,
+    worked_examples,
+)
 from dualbrain.records import Passage, RetrievedContext
 from dualbrain.robots.loader import load_robot
 from dualbrain.skills.registry import arm_skill_registry
@@ -36,7 +44,7 @@ def text_of(messages: list[ChatMessage]) -> str:
 def test_the_constant_part_comes_first() -> None:
     one = render(plan_request("put the red cube in the bowl"))
     two = render(plan_request("go home", scene="robot panda; holding red_cube", contract_id="c-0099"))
-    assert one[:3] == two[:3]  # the system message and the first example
+    assert one[:-1] == two[:-1]
     assert one[-1] != two[-1]
 
 
@@ -48,20 +56,20 @@ def test_names_of_one_scene_do_not_change_the_system_message() -> None:
 
 def test_turns_alternate_and_end_with_the_request() -> None:
     roles = [message["role"] for message in render(plan_request())]
-    assert roles == ["system", *("user", "assistant") * MAX_EXEMPLARS, "user"]
+    assert roles == ["system", *("user", "assistant") * len(ARM_EXAMPLES), "user"]
 
 
 def test_retrieved_memories_follow_the_builtin_examples_best_last() -> None:
     recall = RetrievedContext(
         exemplars=(exemplar("best", rank=1), exemplar("second", rank=2), exemplar("third", rank=3))
     )
-    messages = render(plan_request(recall=recall))
-    assert len(messages) == 2 + 2 * MAX_EXEMPLARS
-    assert DECLINE_EXAMPLE.instruction in messages[1]["content"]
-    assert "second" in messages[3]["content"]
-    assert "best" in messages[5]["content"]
+    messages, without = render(plan_request(recall=recall)), render(plan_request())
+    assert messages[: len(without) - 1] == without[:-1]  # a server has read this part before
+    second, _, best, answer = messages[len(without) - 1 : -1]
+    assert "second" in second["content"]
+    assert "best" in best["content"]
     assert "third" not in text_of(messages)
-    assert json.loads(messages[6]["content"])["context"] == {"robot": "panda", "registry": REGISTRY.hash}
+    assert json.loads(answer["content"])["context"] == {"robot": "panda", "registry": REGISTRY.hash}
 
 
 @pytest.mark.parametrize(
@@ -69,8 +77,7 @@ def test_retrieved_memories_follow_the_builtin_examples_best_last() -> None:
 )
 def test_a_memory_without_a_usable_contract_is_left_out(contract: dict[str, object]) -> None:
     messages = render(plan_request(recall=RetrievedContext(exemplars=(exemplar("broken", contract=contract),))))
-    assert "broken" not in text_of(messages)
-    assert len(messages) == 2 + 2 * MAX_EXEMPLARS
+    assert messages == render(plan_request())
 
 
 def test_a_warning_is_shown_as_data_and_never_as_an_answer() -> None:
@@ -130,11 +137,18 @@ def test_the_builtin_examples_are_contracts_of_the_arm() -> None:
             assert list(action["params"]) == [p.name for p in registry.skill(action["skill"]).parameters]
 
 
-def test_the_template_hash_changes_with_the_text(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("part", "change"), [("SYSTEM", "x"), ("ARM_EXAMPLES", (DECLINE_EXAMPLE,))])
+def test_the_template_hash_changes_with_the_text(part: str, change: object, monkeypatch: pytest.MonkeyPatch) -> None:
     before = template_hash()
     assert len(before) == 16
-    monkeypatch.setattr(full_prompt, "SYSTEM", full_prompt.SYSTEM + " ")
+    monkeypatch.setattr(full_prompt, part, change)
     assert template_hash() != before
+
+
+def test_examples_for_one_request_are_the_selected_ones_best_first() -> None:
+    request = plan_request()
+    selected = select_examples(request.scene, request.instruction, MAX_EXEMPLARS)
+    assert [one.instruction for one in worked_examples(request, 2)] == [one.instruction for one in selected[:0:-1]]
 
 
 hostile = st.sampled_from(
@@ -189,8 +203,8 @@ def test_prompts_of_single_goals_have_their_recorded_bytes():
         driving,
     ]
     prompts = json.dumps([render(one) for one in requests])
-    assert hashlib.sha256(prompts.encode()).hexdigest()[:16] == "e61f277c4e5df0b5"
-    assert template_hash() == "870990135cb47e7c"
+    assert hashlib.sha256(prompts.encode()).hexdigest()[:16] == "726b24af83a7da27"
+    assert template_hash() == "3176d6486c4a8502"
 
 
 DRIVES = "drive_to(place: receptive name)"

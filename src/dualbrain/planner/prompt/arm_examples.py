@@ -1,8 +1,8 @@
-"""Worked examples for an arm, used while memory is empty: the form of a contract, and parameters that suit a scene.
+"""Worked examples for an arm: the form of a contract, and parameters that suit a scene.
 
-A small model copies the parameters of the last example, so the example with the most similar scene comes last.
-Similarity counts the common symbols of the object that the instruction names. The objects in the examples are in no
-scene of the simulation.
+`full_prompt.ARM_EXAMPLES` are in every prompt. `select_examples` chooses for one request: a small model copies the
+parameters of the last example, so the example with the most similar scene comes last. Similarity counts the common
+symbols of the object that the instruction names. The objects in the examples are in no scene of the simulation.
 """
 
 from __future__ import annotations
@@ -43,17 +43,30 @@ DECLINE_EXAMPLE = WorkedExample(
     ({"skill": "decline", "params": {"reason": "there is no purple cup in the scene"}},),
 )
 
+LOW_EXAMPLE = WorkedExample(
+    table_scene("brown_jar: object, free_finger_axis across, neighbour_along low 3-6cm, path_max_height low"),
+    "the brown jar should go on the tray, can you move it there?",
+    (grasp_action("brown_jar", finger_axis="across"), place_action("white_tray")),
+)
+"""Low neighbours along the object: the fingers close across it."""
+
+TIGHT_EXAMPLE = WorkedExample(
+    table_scene("brown_jar: object, free_finger_axis across, tight, neighbour_along tall >6cm, path_max_height tall"),
+    "could you move that brown jar over to the tray?",
+    (
+        grasp_action("brown_jar", clearance=0.3, finger_axis="across", approach="tilted"),
+        place_action("white_tray", clearance=0.3),
+    ),
+)
+"""A tight object beside a tall one: tilted approach, much clearance."""
+
 FETCH_EXAMPLES = (
     WorkedExample(
         table_scene("grey_bag: object, free_finger_axis along, path_max_height none"),
         "could you move the grey bag over to the tray, please?",
         (grasp_action("grey_bag"), place_action("white_tray")),
     ),
-    WorkedExample(
-        table_scene("brown_jar: object, free_finger_axis across, neighbour_along low 3-6cm, path_max_height low"),
-        "the brown jar should go on the tray, can you move it there?",
-        (grasp_action("brown_jar", finger_axis="across"), place_action("white_tray")),
-    ),
+    LOW_EXAMPLE,
     WorkedExample(
         table_scene(
             "beige_mug: object, free_finger_axis along, neighbour_across hand_high 3-6cm, path_max_height hand_high"
@@ -61,16 +74,7 @@ FETCH_EXAMPLES = (
         "please move the beige mug over onto the tray",
         (grasp_action("beige_mug", clearance=0.2), place_action("white_tray", clearance=0.2)),
     ),
-    WorkedExample(
-        table_scene(
-            "brown_jar: object, free_finger_axis across, tight, neighbour_along tall >6cm, path_max_height tall"
-        ),
-        "could you move that brown jar over to the tray?",
-        (
-            grasp_action("brown_jar", clearance=0.3, finger_axis="across", approach="tilted"),
-            place_action("white_tray", clearance=0.3),
-        ),
-    ),
+    TIGHT_EXAMPLE,
     WorkedExample(
         table_scene("grey_bag: object, free_finger_axis along, neighbour_across tall >6cm, path_max_height tall"),
         "move the grey bag onto the tray",

@@ -1,21 +1,27 @@
 """The full prompt of a planner, with its constant part first.
 
-Training and inference render the same messages from the same request. Order: role, rules and skills (constant for each
-robot, so that a server keeps them in its prefix cache), exemplars, then the last message: passages from documents with
-their citations, warnings, the feedback on an earlier contract, the gate's rejection in a second attempt, scene and
-instruction.
+Training and inference render the same messages from the same request. Order: role, rules, skills and worked examples
+(constant for an arm or a base, so that a server keeps their state), retrieved exemplars, then the last message:
+passages from documents with their citations, warnings, the feedback on an earlier contract, the gate's rejection in a
+second attempt, scene and instruction.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterable
 from typing import Any, TypedDict
 
-import msgspec
-
 from dualbrain.planner.prompt import mobile_base_examples, mobile_manipulator_examples, multi_goal
-from dualbrain.planner.prompt.arm_examples import DECLINE_EXAMPLE, WORKED_EXAMPLES, WorkedExample, select_examples
+from dualbrain.planner.prompt.arm_examples import (
+    DECLINE_EXAMPLE,
+    LOW_EXAMPLE,
+    TIGHT_EXAMPLE,
+    WORKED_EXAMPLES,
+    WorkedExample,
+    select_examples,
+)
 from dualbrain.planner.prompt.failure_feedback import (
     FAILURE_FEEDBACK_VERSION,
     FEEDBACK_INTRO,
@@ -24,9 +30,9 @@ from dualbrain.planner.prompt.failure_feedback import (
 )
 from dualbrain.planner.prompt.sanitize import compact_json, format_block, sanitize
 from dualbrain.planner.request import PlanRequest
-from dualbrain.records import Exemplar, RetrievedContext
+from dualbrain.records import Exemplar
 
-TEMPLATE_VERSION = 3
+TEMPLATE_VERSION = 4
 """Increases with every change of text or order; an adapter is valid for one version only (see `template_hash`)."""
 
 INSTRUCTION_LIMIT = 400
@@ -34,6 +40,7 @@ SCENE_LIMIT = 2400
 SCENE_LINES = 40
 CONTRACT_LIMIT = 1200
 MAX_EXEMPLARS = 3
+"""Largest number of examples for a mobile robot, and for an arm of those that a caller requests (`worked_examples`)."""
 MAX_RECALLED = 2
 MAX_WARNINGS = 2
 MAX_PASSAGES = 3
@@ -78,13 +85,22 @@ ANSWER_FORMAT = (
 )
 
 
+ARM_EXAMPLES = (DECLINE_EXAMPLE, TIGHT_EXAMPLE, *multi_goal.EXAMPLES["order"], LOW_EXAMPLE)
+"""The worked examples for an arm, the same in every request: a server reads them once."""
+
+
 def render(request: PlanRequest) -> list[ChatMessage]:
     """The messages for `request`: system message, exemplars as pairs of user and assistant messages, last message."""
+    return render_with_examples(request, _examples(request))
+
+
+def render_with_examples(request: PlanRequest, examples: Iterable[WorkedExample]) -> list[ChatMessage]:
+    """The messages for `request` with these `examples` instead of the usual ones, the best one last."""
     names, skills = _split_names(request.skills_text)
     form = ANSWER_FORMAT.format(robot=request.robot, registry=request.registry_hash)
     system = _system(request).format(robot=request.robot, skills=skills, form=form)
     messages: list[ChatMessage] = [{"role": "system", "content": system}]
-    for number, example in enumerate(_examples(request), start=1):
+    for number, example in enumerate(examples, start=1):
         contract_id = f"c-{number:04d}"
         messages.append({"role": "user", "content": _question(example.scene, example.instruction, contract_id)})
         messages.append({"role": "assistant", "content": _answer(request, contract_id, list(example.actions))})
@@ -94,8 +110,7 @@ def render(request: PlanRequest) -> list[ChatMessage]:
 
 def worked_examples(request: PlanRequest, count: int) -> tuple[Exemplar, ...]:
     """Up to `count` built-in examples that fit `request`, best first, in the form of retrieved memories."""
-    without_recall = msgspec.structs.replace(request, recall=RetrievedContext())
-    chosen = _examples(without_recall)[::-1][:count]
+    chosen = selected_examples(request)[::-1][:count]
     return tuple(
         Exemplar(
             episode_id=f"worked example {rank}",
@@ -113,6 +128,15 @@ def worked_examples(request: PlanRequest, count: int) -> tuple[Exemplar, ...]:
     )
 
 
+def selected_examples(request: PlanRequest) -> list[WorkedExample]:
+    """Up to `MAX_EXEMPLARS` built-in examples that fit scene and instruction, the best one last, without memories."""
+    if _is_mobile_base(request):
+        return _mobile_examples(request, MAX_EXEMPLARS)
+    if needs := multi_goal.detect_needs(request):
+        return [DECLINE_EXAMPLE, *multi_goal.select_examples(needs, MAX_EXEMPLARS - 1)]
+    return select_examples(request.scene, request.instruction, MAX_EXEMPLARS)
+
+
 def answer_header(request: PlanRequest) -> str:
     """The beginning of every valid answer to `request`: the text before the action sequence."""
     empty = _answer(request, request.contract_id, [])
@@ -121,7 +145,7 @@ def answer_header(request: PlanRequest) -> str:
 
 def template_hash() -> str:
     """First 16 hex digits of the SHA-256 of the fixed text of the prompt."""
-    fixed = [TEMPLATE_VERSION, SYSTEM, ANSWER_FORMAT, [list(example) for example in WORKED_EXAMPLES]]
+    fixed = [TEMPLATE_VERSION, SYSTEM, ANSWER_FORMAT, [list(example) for example in (*WORKED_EXAMPLES, *ARM_EXAMPLES)]]
     fixed += [mobile_base_examples.SYSTEM, [list(example) for example in mobile_base_examples.EXAMPLES]]
     return hashlib.sha256(json.dumps(fixed, sort_keys=True).encode()).hexdigest()[:16]
 
@@ -160,21 +184,25 @@ def _split_names(skills_text: str) -> tuple[str, str]:
 
 
 def _examples(request: PlanRequest) -> list[WorkedExample]:
-    """Retrieved memories, the best one last, after built-in examples that fit the scene, up to `MAX_EXEMPLARS`."""
+    """Built-in examples, then retrieved memories, the best one last.
+
+    Those of an arm are the same for every scene and instruction, because a model reads them more slowly than it writes
+    its answer; only "all of a kind" and conditions add an example. Those of a mobile robot, with the memories, are at
+    most `MAX_EXEMPLARS`.
+    """
     retrieved = [_to_example(exemplar) for exemplar in request.recall.exemplars[:MAX_RECALLED]]
-    usable = [example for example in retrieved if example is not None]
-    n_missing = MAX_EXEMPLARS - len(usable)
-    if _is_mobile_manipulator(request):
-        return [
-            *mobile_manipulator_examples.select_examples(request.instruction, request.scene, n_missing),
-            *usable[::-1],
-        ]
+    usable = [example for example in retrieved if example is not None][::-1]
     if _is_mobile_base(request):
-        return [*mobile_base_examples.EXAMPLES[-n_missing:], *usable[::-1]] if n_missing else usable[::-1]
-    if needs := multi_goal.detect_needs(request):
-        fitting = multi_goal.select_examples(needs, max(1, n_missing - 1))
-        return [DECLINE_EXAMPLE, *fitting, *usable[::-1]][-MAX_EXEMPLARS:]
-    return [*select_examples(request.scene, request.instruction, n_missing), *usable[::-1]]
+        return [*_mobile_examples(request, MAX_EXEMPLARS - len(usable)), *usable]
+    unshown: list[multi_goal.PromptNeed] = [need for need in multi_goal.detect_needs(request) if need != "order"]
+    return [*ARM_EXAMPLES, *multi_goal.select_examples(unshown, 1), *usable]
+
+
+def _mobile_examples(request: PlanRequest, count: int) -> list[WorkedExample]:
+    """At most `count` built-in examples for a mobile base or a mobile manipulator, the best one last."""
+    if _is_mobile_manipulator(request):
+        return mobile_manipulator_examples.select_examples(request.instruction, request.scene, count)
+    return list(mobile_base_examples.EXAMPLES[-count:]) if count else []
 
 
 def _is_mobile_base(request: PlanRequest) -> bool:
