@@ -20,7 +20,7 @@ EXTRAS = {
     "gguf": "planner",
     "gymnasium": "gym",
     "httpx": "planner",
-    "llguidance": "adapt",
+    "llguidance": "planner",
     "lxml": "import",
     "matplotlib": "view",
     "mcap": "view",

@@ -32,7 +32,7 @@ def short_prompt() -> Iterator[None]:
     """A shorter system message, because the small model does not plan usefully with the full one either."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(full_prompt, "SYSTEM", "You plan for {robot}. Skills:\n{skills}\nAnswer: {form}")
-        patch.setattr(full_prompt, "WORKED_EXAMPLES", full_prompt.WORKED_EXAMPLES[:1])
+        patch.setattr(full_prompt, "ARM_EXAMPLES", full_prompt.ARM_EXAMPLES[:1])
         yield
 
 
@@ -66,6 +66,21 @@ def test_a_second_request_reuses_the_prefix_and_has_the_same_answer(planner: Lla
     assert again.text == first.text
     assert again.timings["cached_tokens"] > 0.7 * again.timings["prompt_tokens"]
     assert again.timings["total"] >= again.timings["prefill"] + again.timings["decode"]
+
+
+def test_forced_text_is_read_in_batches_with_the_same_contract(planner: LlamaPlanner, weights: Path) -> None:
+    shown: list[str] = []
+    planner.show_answers(shown.append)
+    jumped = planner.propose(plan_request())
+    planner.show_answers(lambda text: None)
+    config = LlamaConfig(n_ctx=2048, max_tokens=80, timeout_s=120.0, jump_forward=False)
+    by_token = LlamaPlanner(SMALL_PLANNER, weights, config)
+    try:
+        assert by_token.propose(plan_request()).text == jumped.text
+    finally:
+        by_token.close()
+    assert len(shown) < 0.7 * jumped.timings["output_tokens"]  # one text for each question to the model
+    assert all(jumped.text.startswith(one) for one in shown)
 
 
 def test_control_tokens_in_the_instruction_are_ordinary_text(planner: LlamaPlanner) -> None:

@@ -16,6 +16,8 @@ from dualbrain.planner import protocol
 from dualbrain.planner.backends.http_chat import ChatResponse, post, request_completion
 from dualbrain.planner.backends.llama_process import DEFAULT_CONFIG, LlamaConfig, LlamaProcess, LoadedAdapter
 from dualbrain.planner.backends.prompt_cache import PromptCache
+from dualbrain.planner.backends.token_server import TokenServer
+from dualbrain.planner.decoding.jump_forward import JumpForwardDecoder, JumpForwardError
 from dualbrain.planner.prompt.full_prompt import ChatMessage
 from dualbrain.planner.prompt.prompt_format import CONSTRAINED_BY, FULL_PROMPT, UNCONSTRAINED_BY, PromptFormat
 from dualbrain.planner.request import PlanRequest
@@ -60,6 +62,7 @@ class LlamaPlanner:
                 )
         self._name, self._model, self._config, self._clock = name, model, config, clock
         self._prompt_format, self._adapters = prompt_format, adapters
+        self._show: Callable[[str], None] = lambda text: None
         self._process: LlamaProcess | None = self._start()
 
     @property
@@ -82,6 +85,13 @@ class LlamaPlanner:
         """Hash of the fixed text of the prompt."""
         return self._prompt_format.template_hash()
 
+    def show_answers(self, show: Callable[[str], None]) -> None:
+        """Call `show` with the text of an answer while it is generated.
+
+        The text is for display only: it is incomplete, unchecked, and may be replaced by another one.
+        """
+        self._show = show
+
     def propose(self, request: PlanRequest) -> Proposal:
         """Answer `request`; a worker that dies, hangs or cannot start becomes the finish reason.
 
@@ -96,9 +106,11 @@ class LlamaPlanner:
         if not failure and worker.cached_rules != rules:
             cache.restore(request)
         loaded = self._clock()
-        remaining_s = self._config.timeout_s - (loaded - start)
-        url = f"{address}/v1/chat/completions"
-        response = failure or request_completion(url, body, key=worker.key, timeout_s=remaining_s)
+        deadline = start + self._config.timeout_s
+        response = failure or self._jump_forward(worker, address, body, deadline - loaded)
+        if response is None:
+            url, remaining_s = f"{address}/v1/chat/completions", deadline - self._clock()
+            response = request_completion(url, body, key=worker.key, timeout_s=remaining_s)
         response = self._check_response(worker, request, response)
         if response.finish_reason == protocol.STOP and worker.cached_rules != rules:
             worker.cached_rules = rules
@@ -144,6 +156,36 @@ class LlamaPlanner:
 
     def _start(self) -> LlamaProcess:
         return LlamaProcess(self._model, self._config, self._adapters)
+
+    def _jump_forward(
+        self, worker: LlamaProcess, address: str, body: dict[str, Any], timeout_s: float
+    ) -> ChatResponse | None:
+        """The response to `body` by jump-forward decoding; None if it must be decoded token by token."""
+        if not self._config.jump_forward or "grammar" not in body or body["temperature"] > 0.0:
+            return None
+        server = TokenServer(
+            address, worker.key, self._adapter_options(), reuse_prompt=body["cache_prompt"], timeout_s=timeout_s
+        )
+        given = body["messages"][-1]["content"]
+        decoder = JumpForwardDecoder(
+            grammar=body["grammar"],
+            tokenize=server.tokenize,
+            candidates=server.candidates,
+            max_tokens=body["max_tokens"],
+            show=lambda text: self._show(given + text),
+        )
+        try:
+            server.read_prompt(body["messages"])
+            text = given + decoder.decode()
+        except TimeoutError:
+            return ChatResponse(text="", finish_reason=protocol.TIMEOUT)
+        except JumpForwardError:
+            return None
+        finally:
+            server.close()
+        finish_reason = protocol.STOP if decoder.is_complete else protocol.LENGTH
+        metrics = server.metrics | {"output_tokens": float(len(decoder.tokens))}
+        return ChatResponse(text=text, finish_reason=finish_reason, metrics=metrics)
 
     def _post(self, worker: LlamaProcess, path: str, body: dict[str, Any]) -> dict[str, Any] | ChatResponse:
         address, failure = worker.wait_for_address(self._config.timeout_s)

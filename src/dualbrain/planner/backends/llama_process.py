@@ -35,6 +35,7 @@ class LlamaConfig:
     `threads`: 1 beside a control loop, more only on idle cores. `n_ctx` and `max_tokens` are in tokens (eight actions
     fit). `timeout_s` [s] limits one proposal, including loading the model. `prompt_cache` is an existing folder for the
     state after the constant part of the prompt, so that the next process need not read this part again.
+    `jump_forward`: read text that the grammar forces in batches (`decoding/jump_forward.py`).
     """
 
     threads: int = 1
@@ -42,6 +43,7 @@ class LlamaConfig:
     max_tokens: int = 640
     timeout_s: float = 600.0
     prompt_cache: Path | None = None
+    jump_forward: bool = True
 
 
 DEFAULT_CONFIG = LlamaConfig()
