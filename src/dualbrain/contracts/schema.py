@@ -7,6 +7,7 @@ from typing import Any
 
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.scene_names import SceneNames
+from dualbrain.contracts.skill_order import SkillOrder
 from dualbrain.contracts.skill_spec import (
     ChoiceParameter,
     NameParameter,
@@ -23,6 +24,9 @@ DECLINE = "decline"
 ID_PATTERN = "^c-[0-9]{4}$"
 ID_LENGTH = 6
 """Maximum length of an id; in some engines the `$` of the pattern alone would accept a trailing line feed."""
+
+ORDER_KEYWORD = "x-order"
+"""Keyword of the action sequence in a decoding schema: the automaton of a `SkillOrder`."""
 
 DRAFT_07 = "http://json-schema.org/draft-07/schema#"
 Schema = dict[str, Any]
@@ -70,16 +74,17 @@ def decoding_schema(
     registry: SkillRegistry,
     names: SceneNames,
     *,
-    not_first: Collection[str] = (),
+    order: SkillOrder | None = None,
     skills: Collection[str] | None = None,
     length: tuple[int, int] | None = None,
 ) -> Schema:
     """Schema for constrained decoders: one `anyOf` branch per skill, properties in the order of generation.
 
     The schema uses only keywords that LLGuidance and xgrammar enforce. A skill that needs an object or place of which
-    the scene has none is left out. If every skill is left out, the schema admits no contract. The skills `not_first`
-    are left out of the first action (`prefixItems`), because the state of the robot refuses them there. With `skills`
-    only these are admitted. `length` is the least and largest number of actions, except for a contract that declines.
+    the scene has none is left out. If every skill is left out, the schema admits no contract. Skills that `order`
+    refuses first are left out of the first action (`prefixItems`); engines that enforce more read the whole order from
+    the keyword `x-order`, which validators ignore. With `skills` only these are admitted. `length` is the least and
+    largest number of actions, except for a contract that declines.
     """
     steps = {
         skill.name: _decoding_step(skill, names)
@@ -90,9 +95,9 @@ def decoding_schema(
     schema = _contract_schema(closed_object(context), _any_step(list(steps.values())))
     schema["properties"]["id"] = {"type": "string", "pattern": ID_PATTERN}
     alone = steps.pop(DECLINE, None) if length is not None else None
-    actions = _sequence_schema(steps, not_first, length or (1, MAX_ACTIONS))
+    actions = _sequence_schema(steps, order, length or (1, MAX_ACTIONS))
     if alone is not None:
-        actions = {"anyOf": [actions, _sequence_schema({DECLINE: alone}, (), (1, 1))]}
+        actions = {"anyOf": [actions, _sequence_schema({DECLINE: alone}, None, (1, 1))]}
     schema["properties"]["action_sequence"] = actions
     return schema
 
@@ -114,8 +119,8 @@ def _sequences(schema: Schema) -> list[Schema]:
     return list(actions.get("anyOf", [actions]))
 
 
-def _sequence_schema(steps: dict[str, Schema], not_first: Collection[str], length: tuple[int, int]) -> Schema:
-    """Schema of an action sequence of `steps` (by skill), without the skills `not_first` in the first action."""
+def _sequence_schema(steps: dict[str, Schema], order: SkillOrder | None, length: tuple[int, int]) -> Schema:
+    """Schema of an action sequence of `steps` (by skill) in an `order` that is admitted."""
     least, most = length
     actions: Schema = {
         "type": "array",
@@ -123,7 +128,10 @@ def _sequence_schema(steps: dict[str, Schema], not_first: Collection[str], lengt
         "maxItems": most,
         "items": _any_step(list(steps.values())),
     }
-    first = [step for name, step in steps.items() if name not in not_first]
+    if order is None:
+        return actions
+    actions[ORDER_KEYWORD] = order.as_json()
+    first = [step for name, step in steps.items() if order.admits([name])]
     return actions if len(first) == len(steps) else actions | {"prefixItems": [_any_step(first)]}
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any
 
 import msgspec
@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.contracts.contract import Contract
+from dualbrain.contracts.schema import DECLINE
+from dualbrain.contracts.skill_order import SkillOrder
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.records import Scene, SceneObject
 from dualbrain.robots.model import RobotModel
@@ -61,19 +63,41 @@ def scene_rules(
     )
 
 
-def skills_refused_first(holding: str | None) -> tuple[str, ...]:
-    """The skills that no contract may begin with while the hand holds the object `holding`, None for nothing."""
-    return NEED_EMPTY_HAND if holding else NEED_LOAD
+def hand_after(skill: str, *, full: bool) -> bool | None:
+    """Whether the hand is full after `skill`, if it was (not) `full` before; None if the skill is refused then."""
+    if skill in NEED_EMPTY_HAND:
+        return None if full else skill == "grasp"
+    if skill in NEED_LOAD:
+        return False if full else None
+    return full and skill != "release"
+
+
+def skill_order(skills: Collection[str], holding: str | None) -> SkillOrder:
+    """The orders of `skills` that the rules about hand and decline accept while the hand holds `holding` (or nothing).
+
+    A decoder that follows this order generates no contract that these rules reject, and every contract that they accept
+    remains possible.
+    """
+    motions = [skill for skill in skills if skill != DECLINE]
+    following = {state: _states_after(motions, full=state == "full") for state in ("empty", "full")}
+    first = following["full" if holding else "empty"] | ({DECLINE: "declined"} if DECLINE in skills else {})
+    return SkillOrder("first", {"first": first, **following, "declined": {}})
+
+
+def _states_after(skills: Iterable[str], *, full: bool) -> dict[str, str]:
+    """The state of the hand after each of `skills` that is accepted while the hand is (not) `full`."""
+    after = {skill: hand_after(skill, full=full) for skill in skills}
+    return {skill: "full" if is_full else "empty" for skill, is_full in after.items() if is_full is not None}
 
 
 def _check_decline(contract: Contract) -> Rejected | None:
     skills = [action.skill for action in contract.action_sequence]
-    if "decline" in skills and len(skills) > 1:
+    if DECLINE in skills and len(skills) > 1:
         return Rejected(
             stage="envelope",
             pointer="/action_sequence",
             got=skills,
-            allowed=["decline"],
+            allowed=[DECLINE],
             hint="decline stands alone: it refuses the whole instruction",
         )
     return None
@@ -101,29 +125,16 @@ def _check_gripper_sequence(contract: Contract, arm: ArmController) -> Rejected 
     """Skills grasp and push need an empty gripper, skill place needs a held object."""
     full = arm.holding is not None
     for index, action in enumerate(contract.action_sequence):
-        pointer = f"/action_sequence/{index}/skill"
-        if action.skill in NEED_EMPTY_HAND:
-            if full:
-                return Rejected(
-                    stage="envelope",
-                    pointer=pointer,
-                    got=action.skill,
-                    allowed=["place", "release"],
-                    hint=FULL_HAND_HINT,
-                )
-            full = action.skill == "grasp"
-        elif action.skill in NEED_LOAD:
-            if not full:
-                return Rejected(
-                    stage="envelope",
-                    pointer=pointer,
-                    got=action.skill,
-                    allowed=["grasp"],
-                    hint=EMPTY_HAND_HINT,
-                )
-            full = False
-        elif action.skill == "release":
-            full = False
+        after = hand_after(action.skill, full=full)
+        if after is None:
+            return Rejected(
+                stage="envelope",
+                pointer=f"/action_sequence/{index}/skill",
+                got=action.skill,
+                allowed=["place", "release"] if full else ["grasp"],
+                hint=FULL_HAND_HINT if full else EMPTY_HAND_HINT,
+            )
+        full = after
     return None
 
 

@@ -9,7 +9,7 @@ from dualbrain.contracts.schema import DECLINE, decoding_schema, first_skills, s
 from dualbrain.evaluation.planners.random_contract import sample_params
 from dualbrain.grounding.instruction.goals.goal_reading import read_goal
 from dualbrain.grounding.instruction.goals.goal_scope import goal_scope
-from dualbrain.grounding.scene_rules import skills_refused_first
+from dualbrain.grounding.scene_rules import skill_order
 from dualbrain.grounding.vocabulary import load_skill_registry, scene_names
 from dualbrain.records import Scene
 from tests.grounding.outcome.tabletop_cases import BEFORE
@@ -103,8 +103,8 @@ def parameters(step):
 
 def two_blocks():
     scope = scope_of("put all blocks in the bowl")
-    refused = skills_refused_first(None)
-    return decoding_schema(REGISTRY, scope.names, not_first=refused, skills=scope.skills, length=scope.length)
+    order = skill_order([skill.name for skill in REGISTRY.skills], None)
+    return decoding_schema(REGISTRY, scope.names, order=order, skills=scope.skills, length=scope.length)
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ from functools import cache
 import pytest
 
 from dualbrain.contracts.schema import decoding_schema
+from dualbrain.contracts.skill_order import SkillOrder
 from dualbrain.planner.decoding.llguidance_grammar import (
     NO_FORCING,
     actions_grammar,
@@ -82,19 +83,26 @@ def test_each_grammar_accepts_its_part_of_a_contract_and_enforces_the_bounds() -
         assert not accepts(make(plan_request().schema), rest + " ")
 
 
-def test_the_first_action_is_restricted_where_the_engine_permits_it() -> None:
-    schema = decoding_schema(REGISTRY, NAMES, not_first=("grasp",))
+def test_the_order_of_actions_is_restricted_where_the_engine_permits_it() -> None:
+    hand = {"empty": {"grasp": "full"}, "full": {"place": "empty"}, "declined": {}}
+    first = {"first": hand["full"] | {"decline": "declined"}}
+    schema = decoding_schema(REGISTRY, NAMES, order=SkillOrder("first", first | hand))
     place = '{"skill":"place","params":{"destination":"blue_bowl","speed":0.2,"wait":"none"}}'
     grasp = '{"skill":"grasp","params":{"object":"red_cube","speed":0.2}}'
-    grammar = actions_grammar(schema)
-    assert accepts(grammar, f"[{place}]}}")
-    assert accepts(grammar, f"[{place},{grasp},{place}]}}")
-    assert not accepts(grammar, f"[{grasp},{place}]}}")
-    assert accepts(actions_grammar(plan_request().schema), f"[{grasp},{place}]}}")
-    bounded = actions_grammar(decoding_schema(REGISTRY, NAMES, not_first=("place",), length=(2, 2)))
     decline = '{"skill":"decline","params":{"reason":"no"}}'
-    assert [accepts(bounded, f"[{one}]}}") for one in (f"{grasp},{place}", decline)] == [True, True]
-    wrong = (grasp, place, f"{grasp},{place},{grasp}", f"{place},{grasp}", f"{grasp},{decline}", f"{decline},{place}")
-    assert not any(accepts(bounded, f"[{one}]}}") for one in wrong)
+    right = (place, f"{place},{grasp}", f"{place},{grasp},{place}", decline)
+    wrong = (grasp, f"{place},{place}", f"{place},{grasp},{grasp}", f"{decline},{place}", f"{place},{decline}")
+    grammar = actions_grammar(schema)
+    assert [accepts(grammar, f"[{one}]}}") for one in (*right, *wrong)] == [True] * len(right) + [False] * len(wrong)
+    assert accepts(actions_grammar(plan_request().schema), f"[{grasp},{place}]}}")
+    bounded = actions_grammar(decoding_schema(REGISTRY, NAMES, order=SkillOrder("first", first | hand), length=(2, 2)))
+    right = (f"{place},{grasp}", decline)
+    wrong = (place, f"{place},{grasp},{place}", f"{grasp},{place}", f"{place},{decline}", f"{decline},{place}")
+    assert [accepts(bounded, f"[{one}]}}") for one in (*right, *wrong)] == [True] * len(right) + [False] * len(wrong)
     assert "prefixItems" in strip_annotations(schema, prefix_items=True)["properties"]["action_sequence"]
-    assert "prefixItems" not in strip_annotations(schema)["properties"]["action_sequence"]
+    assert "x-order" not in str(strip_annotations(schema))
+
+
+def test_an_order_that_admits_nothing_is_left_out_and_the_gate_decides() -> None:
+    schema = decoding_schema(REGISTRY, NAMES, order=SkillOrder("first", {"first": {}}))
+    assert actions_grammar(schema).count("%json") == 1

@@ -17,6 +17,9 @@ import json
 from decimal import Decimal
 from typing import Any
 
+from dualbrain.contracts.schema import ORDER_KEYWORD
+from dualbrain.planner.decoding.ordered_sequence import OrderedSequence
+
 _KEYWORDS = frozenset(
     {
         "type",
@@ -62,9 +65,41 @@ def contract_grammar(schema: dict[str, Any]) -> str:
 
 
 def _grammar(schema: dict[str, Any], prefix: str) -> str:
-    actions = strip_annotations(schema["properties"]["action_sequence"], prefix_items=True)
-    actions |= {key: _strip_each(schema[key]) for key in _DEFINITIONS if key in schema}
-    return f'{NO_FORCING}start: {prefix}actions "}}"\nactions: %json {_encode_schema(actions)}'
+    definitions = {key: _strip_each(schema[key]) for key in _DEFINITIONS if key in schema}
+    rules = _sequence_rules("actions", schema["properties"]["action_sequence"], definitions)
+    return f'{NO_FORCING}start: {prefix}actions "}}"\n{rules}'
+
+
+def _sequence_rules(name: str, sequence: dict[str, Any], definitions: dict[str, Any]) -> str:
+    """Rules for an action sequence called `name`; with an order of skills if `sequence` or an alternative has one."""
+    alternatives = sequence.get("anyOf", ())
+    if any(ORDER_KEYWORD in one for one in alternatives):
+        names = [f"{name}_{number}" for number in range(len(alternatives))]
+        parts = [_sequence_rules(part, one, definitions) for part, one in zip(names, alternatives, strict=True)]
+        return "\n".join([f"{name}: {' | '.join(names)}", *parts])
+    return _ordered_rules(name, sequence, definitions) or _json_rule(
+        name, strip_annotations(sequence, prefix_items=True) | definitions
+    )
+
+
+def _ordered_rules(name: str, sequence: dict[str, Any], definitions: dict[str, Any]) -> str:
+    """Rules for a `sequence` with an order of skills; "" without one, and if it admits no action."""
+    steps = {step["properties"]["skill"]["const"]: step for step in sequence.get("items", {}).get("anyOf", ())}
+    if ORDER_KEYWORD not in sequence or not steps:
+        return ""
+    ordered = OrderedSequence(
+        name=name,
+        steps={skill: f"{name}_{skill}" for skill in steps},
+        order=sequence[ORDER_KEYWORD],
+        least=sequence["minItems"],
+        most=sequence["maxItems"],
+    )
+    actions = [_json_rule(ordered.steps[skill], strip_annotations(step) | definitions) for skill, step in steps.items()]
+    return "\n".join([grammar, *actions]) if (grammar := ordered.grammar()) else ""
+
+
+def _json_rule(name: str, schema: dict[str, Any]) -> str:
+    return f"{name}: %json {_encode_schema(schema)}"
 
 
 def _encode_schema(schema: dict[str, Any]) -> str:

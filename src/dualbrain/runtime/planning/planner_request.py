@@ -14,7 +14,7 @@ from dualbrain.contracts.schema import decoding_schema, describe_skills
 from dualbrain.grounding.instruction.goals.goal import Unread
 from dualbrain.grounding.instruction.goals.goal_reading import corrected_instruction, read_goal
 from dualbrain.grounding.instruction.goals.goal_scope import goal_scope
-from dualbrain.grounding.scene_rules import skills_refused_first
+from dualbrain.grounding.scene_rules import skill_order
 from dualbrain.grounding.scene_summary import summarise_scene
 from dualbrain.grounding.vocabulary import scene_names
 from dualbrain.memory.embedding.image_features import ImageFeatures
@@ -134,9 +134,8 @@ def answer_schema(
     """The decoding schema of the first answer to `instruction`; `restrict`: only what its goal may need."""
     goal = read_goal(instruction, scene) if restrict else Unread("")
     scope = goal_scope(goal, scene, holding)
-    return decoding_schema(
-        registry, scope.names, not_first=skills_refused_first(holding), skills=scope.skills, length=scope.length
-    )
+    order = skill_order([skill.name for skill in registry.skills], holding)
+    return decoding_schema(registry, scope.names, order=order, skills=scope.skills, length=scope.length)
 
 
 def in_prompt_order(recall: RetrievedContext, registry: SkillRegistry) -> RetrievedContext:
