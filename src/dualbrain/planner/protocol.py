@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol, runtime_checkable
 
 from dualbrain.planner.request import PlanRequest
@@ -64,6 +64,21 @@ class BatchPlanner(Protocol):
     def propose_all(self, requests: Sequence[PlanRequest]) -> list[Proposal]:
         """Answer each of `requests` as if it were the only one."""
         ...
+
+
+@runtime_checkable
+class StreamingPlanner(Protocol):
+    """A planner that reports its answer while it is generated."""
+
+    def show_answers(self, show: Callable[[str], None]) -> None:
+        """Call `show` with the text of each answer while it grows; the text is incomplete and for display only."""
+        ...
+
+
+def show_answers(planner: Planner, show: Callable[[str], None]) -> None:
+    """Let `planner` call `show` while it answers, if it can; see `StreamingPlanner`."""
+    if isinstance(planner, StreamingPlanner):
+        planner.show_answers(show)
 
 
 def propose_all(planner: Planner, requests: Sequence[PlanRequest]) -> list[Proposal]:

@@ -63,6 +63,8 @@ class RunConfig:
     """Run folder whose end is the beginning of this run, instead of `scene`."""
     adapters: Path | None = None
     """Folder of the adapter registry; None: the folder `adapters` beside the ledger."""
+    planner_threads: int = 1
+    """Processor threads of a model that runs in llama.cpp or torch; 1 beside a control loop in real time."""
 
     def encode(self) -> bytes:
         """The content of `config.json`, with the field names of earlier versions; newer fields only if they are set."""
@@ -73,6 +75,8 @@ class RunConfig:
             del fields["image"]
         if self.after is None:
             del fields["after"]
+        if self.planner_threads == 1:
+            del fields["planner_threads"]
         stored = {STORED_NAMES.get(name, name): value for name, value in fields.items()}
         return msgspec.json.format(msgspec.json.encode(stored), indent=2)
 

@@ -207,6 +207,7 @@ def open_configured_planner(config: RunConfig, robot_model: RobotModel, environ:
         robot=robot_model.name,
         registry=registry.hash,
         key=environ.get("OPENAI_API_KEY", ""),
+        threads=config.planner_threads,
         prompt_cache=prefixes,
         narrowed_registries={registry.hash: own.hash} if is_narrower(registry, own) else {},
     )

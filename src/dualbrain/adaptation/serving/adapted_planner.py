@@ -83,6 +83,10 @@ class AdaptedPlanner:
         """The messages that the model receives for `request`."""
         return self._inner.messages(request)
 
+    def show_answers(self, show: Callable[[str], None]) -> None:
+        """Call `show` with the text of an answer while it is generated, for display only."""
+        self._inner.show_answers(show)
+
     def close(self) -> None:
         """End the process."""
         self._inner.close()

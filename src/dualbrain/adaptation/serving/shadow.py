@@ -18,7 +18,7 @@ from dualbrain.core.storage.private_files import create_private_folder, open_pri
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError
 from dualbrain.planner.introspection import planner_messages, planner_template, takes_images
 from dualbrain.planner.prompt.full_prompt import ChatMessage
-from dualbrain.planner.protocol import ERROR, STOP, Planner
+from dualbrain.planner.protocol import ERROR, STOP, Planner, show_answers
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
 
@@ -93,6 +93,10 @@ class ShadowedPlanner:
             self._thread = Thread(target=self._ask_candidate, args=(request, proposal), name="shadow", daemon=True)
             self._thread.start()
         return proposal
+
+    def show_answers(self, show: Callable[[str], None]) -> None:
+        """Let the serving planner call `show` while it answers."""
+        show_answers(self.serving, show)
 
     def close(self) -> None:
         """Close both planners; a pending answer of the candidate has `JOIN_TIMEOUT_S` left."""

@@ -6,7 +6,7 @@ from typing import Self
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.progress import Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
 
 class Spinner:
@@ -20,6 +20,7 @@ class Spinner:
         self._console, self._text = console, text
         self._announced = False
         self._progress: Progress | None = None
+        self._task = TaskID(0)
 
     def __enter__(self) -> Self:
         """Show the spinner."""
@@ -39,7 +40,7 @@ class Spinner:
         elif self._progress is None:
             columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
             self._progress = Progress(*columns, console=self._console, transient=True)
-            self._progress.add_task(self._text, total=None)
+            self._task = self._progress.add_task(escape(self._text), total=None)
             self._progress.start()
 
     def stop(self) -> None:
@@ -47,3 +48,14 @@ class Spinner:
         if self._progress is not None:
             self._progress.stop()
             self._progress = None
+
+    def add(self, text: str) -> None:
+        """Show `text` after the text of the spinner, instead of an earlier addition; without a terminal as a line.
+
+        May be called from any thread; has no effect on a terminal while the spinner is not visible.
+        """
+        words = f"{self._text}: {text}" if text else self._text
+        if not self._console.is_terminal:
+            self._console.print(f"[dim]{escape(words)}[/]")
+        elif (progress := self._progress) is not None:
+            progress.update(self._task, description=escape(words))

@@ -16,10 +16,12 @@ import msgspec
 from rich.console import Console
 from rich.markup import escape
 
+from dualbrain.cli.common.answer_display import AnswerDisplay
 from dualbrain.cli.common.console import StderrConsole, print_result
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.common.graphics import choose_graphics
 from dualbrain.cli.common.planner_choice import choose_planner
+from dualbrain.cli.common.planner_threads import planner_threads
 
 NO_GRAPHICS_REASON = choose_graphics(os.environ)  # before MuJoCo is imported
 
@@ -38,6 +40,7 @@ from dualbrain.grounding.outcome.outcome_check import COMPLETED
 from dualbrain.memory.maintenance.projection import project_memories
 from dualbrain.memory.plasticity.retrieval_utility import summarize_uses
 from dualbrain.planner.introspection import no_documents_reason
+from dualbrain.planner.protocol import show_answers
 from dualbrain.records import Episode
 from dualbrain.runtime.backends.gatekeeper import GatekeeperBackend
 from dualbrain.runtime.planning.planning_time import format_timings
@@ -86,9 +89,9 @@ def execute_run(config: RunConfig, view: RunView, loading: Spinner | None = None
     with ExitStack() as stack:
         with loading or Spinner(console, "loading"):
             name, notice = choose_planner(config.planner, config.robot, config.cache)
-            session = stack.enter_context(
-                Session(replace(config, planner=name), make_clocks(view), os.environ, backend=backend)
-            )
+            threads = planner_threads(control_loop=view.real_time or view.live_view)
+            config = replace(config, planner=name, planner_threads=threads)
+            session = stack.enter_context(Session(config, make_clocks(view), os.environ, backend=backend))
         if notice and config.contract is None:
             console.print(f"[yellow]{escape(notice)}[/]")
         print_title(console, session)
@@ -144,6 +147,7 @@ def run_session(
         backend.on_tick_report = feed.on_tick_report if feed else None
     camera = PhaseCamera(session.plant, console, NO_GRAPHICS_REASON)
     with Spinner(console, f"planning ({session.planner.name})") as spinner:
+        show_answers(session.planner, AnswerDisplay(spinner))
         result = session.run(_make_observer(console, camera, feed, spinner))
     for notice in (*session.ledger.notices, *session.interrupted_runs):
         console.print(f"[yellow]{escape(str(notice))}[/]")

@@ -13,10 +13,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import msgspec
 from cyclopts import Parameter
 
+from dualbrain.cli.common.answer_display import AnswerDisplay
 from dualbrain.cli.common.console import StderrConsole, print_result, print_table, sanitize_line
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.common.graphics import choose_graphics
 from dualbrain.cli.common.planner_choice import choose_planner
+from dualbrain.cli.common.planner_threads import planner_threads
 from dualbrain.cli.common.spinner import Spinner
 from dualbrain.core.paths import cache_folder, dualbrain_home
 from dualbrain.core.storage.private_files import create_private_folder, open_private_folder
@@ -93,6 +95,7 @@ def plan(
             choose_graphics(os.environ)  # before MuJoCo is imported
         from dualbrain.grounding.offline_gate import scene_from_spec
         from dualbrain.planner.introspection import no_documents_reason, require_image_input
+        from dualbrain.planner.protocol import show_answers
         from dualbrain.runtime.inspection.dry_run import context_at_home
         from dualbrain.runtime.inspection.dry_run import plan as ask
         from dualbrain.simulation.scenes.generators.catalogue import open_scene
@@ -113,6 +116,7 @@ def plan(
             console.print(line, markup=False)
         waiting = Spinner(console, f"planning ({opened.name})")
         waiting.start()
+        show_answers(opened, AnswerDisplay(waiting))
         try:
             planned = ask(instruction, here, opened, recall, look_up, shots=shots, clock=time.perf_counter)
         finally:
@@ -308,6 +312,7 @@ def _open_planner(name: str, here: PlanningContext) -> Generator[Planner]:
         robot=here.robot_model.name,
         registry=here.registry.hash,
         key=os.environ.get("OPENAI_API_KEY", ""),
+        threads=planner_threads(control_loop=False),
         prompt_cache=prefixes,
     )
     try:

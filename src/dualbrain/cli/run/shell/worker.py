@@ -20,6 +20,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.cli.common.planner_threads import planner_threads
 from dualbrain.cli.common.spinner import Spinner
 from dualbrain.cli.run.shell.options import HistoryEntry, ShellOptions
 from dualbrain.errors import DualbrainError
@@ -136,7 +137,9 @@ class InstructionWorker:
         if self._options.live_view:
             self._feed = self._open_feed(config)
             stack.callback(self._feed.close)
-        self._planner = open_configured_planner(replace(config, planner=self._planner_name), model, os.environ)
+        threads = planner_threads(control_loop=self._options.real_time or self._options.live_view)
+        config = replace(config, planner=self._planner_name, planner_threads=threads)
+        self._planner = open_configured_planner(config, model, os.environ)
         stack.callback(self._planner.close)
         if notice:
             self._console.print(f"[yellow]{escape(notice)}[/]")
