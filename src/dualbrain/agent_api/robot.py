@@ -20,14 +20,14 @@ from dualbrain.agent_api.tools import ToolForm, call_tool, export_tools, report_
 from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.gate.strict_json import MAX_BYTES, parse
 from dualbrain.contracts.registry import SkillRegistry
-from dualbrain.contracts.schema import decoding_schema, describe_skills, validation_schema
+from dualbrain.contracts.schema import ORDER_KEYWORD, decoding_schema, describe_skills, validation_schema
 from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
 from dualbrain.control.gatekeeper.protocol.client import ConnectionLostError
 from dualbrain.control.gatekeeper.protocol.emergency_stop import send_emergency_stop
 from dualbrain.control.gatekeeper.protocol.messages import EventReport, Message, SceneReport, StatusReport
 from dualbrain.core.paths import dualbrain_home
 from dualbrain.errors import ConfigurationError
-from dualbrain.grounding.scene_rules import skills_refused_first
+from dualbrain.grounding.scene_rules import skill_order
 from dualbrain.grounding.scene_summary import summarise_scene
 from dualbrain.grounding.vocabulary import scene_names
 from dualbrain.planner.protocol import Planner
@@ -187,7 +187,10 @@ class Robot:
             return validation_schema(self.registry, names)
         if form != "decoding":
             raise ConfigurationError("form of the schema", got=form, allowed="decoding or validation")
-        return decoding_schema(self.registry, names, not_first=skills_refused_first(report.holding))
+        order = skill_order([skill.name for skill in self.registry.skills], report.holding)
+        schema = decoding_schema(self.registry, names, order=order)
+        del schema["properties"]["action_sequence"][ORDER_KEYWORD]  # frameworks refuse keywords that they do not know
+        return schema
 
     def events(self, after: int = 0) -> list[dict[str, Any]]:
         """Events after the one with the number `after`: number, the robot's time t [s], kind, and text for people."""
