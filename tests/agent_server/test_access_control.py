@@ -78,6 +78,8 @@ def test_a_public_file_needs_no_token_but_the_right_host(client, received):
     assert len(received) == 1
 
 
-def test_a_contract_in_a_body_is_passed_on_as_text(client, received):
-    client.post("/mcp", headers=GOOD, content=b'{"params": {"arguments": {"contract": {"a": 1, "a": 2}}}}')
-    assert received == [b'{"params":{"arguments":{"contract":"{\\"a\\": 1, \\"a\\": 2}"}}}']
+def test_a_contract_in_a_message_of_mcp_is_passed_on_as_text_and_other_bodies_unchanged(client, received):
+    body = b'{"params": {"arguments": {"contract": {"a": 1, "a": 2}}}}'
+    client.post("/mcp", headers=GOOD, content=body)
+    client.post("/console/api/check", headers=GOOD, content=body)
+    assert received == [b'{"params":{"arguments":{"contract":"{\\"a\\": 1, \\"a\\": 2}"}}}', body]

@@ -16,6 +16,8 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from dualbrain.agent_server.contract_text import MAX_MESSAGE_BYTES, contract_as_text
 
+MCP_PATH = "/mcp"
+"""Path of the Model Context Protocol: in its messages, contracts become text."""
 LOOPBACK_HOSTS = ("127.0.0.1", "localhost", "[::1]")
 
 
@@ -51,7 +53,7 @@ class AccessPolicy:
 
 
 class AccessControl:
-    """ASGI middleware that applies an `AccessPolicy`, and passes contracts on as text."""
+    """ASGI middleware that applies an `AccessPolicy`, and passes the contracts of MCP on as text."""
 
     def __init__(self, app: ASGIApp, policy: AccessPolicy) -> None:
         """Protect `app`."""
@@ -73,7 +75,7 @@ class AccessControl:
         if reply is not None:
             await reply(scope, receive, send)
             return
-        content = contract_as_text(body or b"") if scope["method"] == "POST" else body or b""
+        content = contract_as_text(body or b"") if scope["path"] == MCP_PATH else body or b""
         await self._app(_with_length(scope, len(content)), _replay(content, receive), send)
 
 

@@ -17,11 +17,10 @@ from mcp.server.lowlevel import Server
 from mcp.server.transport_security import TransportSecuritySettings
 from starlette.routing import BaseRoute
 
-from dualbrain.agent_server.access_control import LOOPBACK_HOSTS, AccessControl, AccessPolicy
+from dualbrain.agent_server.access_control import LOOPBACK_HOSTS, MCP_PATH, AccessControl, AccessPolicy
 from dualbrain.agent_server.contract_text import MAX_MESSAGE_BYTES
 from dualbrain.errors import ConfigurationError
 
-MCP_PATH = "/mcp"
 STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
 

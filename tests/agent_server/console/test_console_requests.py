@@ -104,7 +104,7 @@ CONTRACT = {
     ids=["valid", "escape", "duplicate", "bytes", "empty", "surrogate", "number", "long"],
 )
 def test_the_gate_gets_the_bytes_of_the_editor_and_its_verdict_is_shown(text, console, client) -> None:
-    reply = client.put("/console/api/check", content=text)
+    reply = client.post("/console/api/check", content=text)
     assert console.robot.checked[-1] == text
     expected = msgspec.json.encode(verdict_view(FakeRobot().check(text)))
     assert reply.json()["accepted"] == json.loads(expected)["accepted"] == (text == json.dumps(CONTRACT).encode())
@@ -134,7 +134,7 @@ def test_a_stop_is_an_emergency_stop_unless_the_body_states_otherwise(body, emer
 
 def test_a_lost_robot_becomes_a_sentence(console, client) -> None:
     console.robot.lost = True
-    for reply in (client.get("/console/api/scene"), client.put("/console/api/check", content=b"{}")):
+    for reply in (client.get("/console/api/scene"), client.post("/console/api/check", content=b"{}")):
         assert (reply.status_code, reply.json()) == (503, {"error": "the gatekeeper closed the connection"})
 
 

@@ -61,8 +61,7 @@ def console_routes(
         Route(f"{CONSOLE_PATH}/api/events", console.events),
         Route(f"{CONSOLE_PATH}/api/runs", console.list_runs),
         Route(f"{CONSOLE_PATH}/api/memory", console.memory),
-        # PUT: the server rewrites contracts in the bodies of POST, and the gate must get the bytes of the editor.
-        Route(f"{CONSOLE_PATH}/api/check", console.check, methods=["PUT"]),
+        Route(f"{CONSOLE_PATH}/api/check", console.check, methods=["POST"]),
         Route(f"{CONSOLE_PATH}/api/tickets", console.ticket, methods=["POST"]),
         Route(f"{CONSOLE_PATH}/api/stop", console.stop, methods=["POST"]),
     ]

@@ -17,8 +17,9 @@ RUNS_FOLDER = Path("runs")
 
 def serve_robot(command: str, port: int, robot: RobotOptions, server: HttpOptions) -> int:
     """Open the robot and serve it at `port` until a signal; `command` is the name in messages."""
+    from dualbrain.agent_server.access_control import MCP_PATH
     from dualbrain.agent_server.console.routes import CONSOLE_PATH, console_routes, is_public
-    from dualbrain.agent_server.http_server import MCP_PATH, serve_http
+    from dualbrain.agent_server.http_server import serve_http
     from dualbrain.agent_server.mcp_server import make_mcp_server
 
     config = http_config(server, port)

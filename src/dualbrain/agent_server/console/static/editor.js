@@ -25,7 +25,7 @@ async function check() {
   running?.abort();
   running = new AbortController();
   try {
-    showVerdict(await json("check", { method: "PUT", body: byId("text").value, signal: running.signal }));
+    showVerdict(await json("check", { method: "POST", body: byId("text").value, signal: running.signal }));
   } catch (error) {
     if (error.name !== "AbortError") show("warn", "Not checked.", [["reason", error.message]]);
   }
