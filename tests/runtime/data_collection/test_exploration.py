@@ -1,5 +1,7 @@
 """Exploration: siblings in the twin, proposals of a value model, and the training set with rehearsal examples."""
 
+import dataclasses
+
 import msgspec
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from dualbrain.grounding.instruction.goals.goal import Goal
 from dualbrain.grounding.instruction.goals.goal_reading import read_goal
 from dualbrain.grounding.vocabulary import load_skill_registry
 from dualbrain.runtime.data_collection.exploration import explore as exploration
+from dualbrain.runtime.data_collection.exploration import rehearsal
 from dualbrain.runtime.data_collection.exploration.explore import TRIALS_FILE, explore, nth_place, read_trials
 from dualbrain.runtime.data_collection.exploration.place import Place
 from dualbrain.runtime.data_collection.exploration.proposals import SOURCE, propose_best
@@ -138,6 +141,18 @@ def test_rehearsal_examples_are_accepted_by_the_gate_and_include_declines():
     skills = {action["skill"] for one in examples for action in msgspec.json.decode(one.contract)["action_sequence"]}
     assert {"decline", "home"} <= skills
     assert draw_rehearsal("panda", "teach", 1, 4) == examples[4]
+
+
+def test_a_rehearsal_example_that_the_gate_rejects_is_replaced(monkeypatch):
+    first = draw_rehearsal("panda", "teach", 1, 0).contract.encode()
+    make = rehearsal.make_scene_context
+
+    def strict(spec):
+        context = make(spec)
+        return dataclasses.replace(context, accepts=lambda data: data != first and context.accepts(data))
+
+    monkeypatch.setattr(rehearsal, "make_scene_context", strict)
+    assert draw_rehearsal("panda", "teach", 1, 0).contract.encode() != first
 
 
 def test_a_training_set_has_the_declared_composition(value_model):
