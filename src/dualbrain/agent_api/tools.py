@@ -180,8 +180,8 @@ def report_view(report: SubmissionReport) -> dict[str, Any]:
             "independent_senses": report.senses,
             "changes": report.changes,
             "duration_s": round(outcome.duration, 2),
-            "intervention": outcome.Delta,
-            "least_clearance_m": outcome.h_min,
+            "intervention": _rounded(outcome.Delta),
+            "least_clearance_m": _rounded(outcome.h_min),
             "actions": [{"skill": one.skill, "status": one.status, "reason": one.reason} for one in outcome.actions],
         }
         view["episode"] = report.episode
@@ -266,6 +266,10 @@ def _wait(arguments: Arguments, default: float) -> float:
 
 def _wait_schema(default: float) -> dict[str, Any]:
     return {"type": "number", "minimum": 0, "maximum": MAX_WAIT, "description": f"seconds; default {default:g}"}
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 5)
 
 
 def _without_tag(verdict: dict[str, Any]) -> dict[str, Any]:
