@@ -29,7 +29,7 @@ def serve_robot(command: str, port: int, robot: RobotOptions, server: HttpOption
         routes = console_routes(opened, runs=robot.runs or RUNS_FOLDER, ledger=ledger, has_ended=ended.is_set)
 
         def report() -> None:
-            where = f"{config.url}{MCP_PATH}; the token is in {server.token_place}"
+            where = f"{config.url}{MCP_PATH} (token: {server.token_place})"
             print(f"{command}: the robot {opened.name} is ready at {where}. Ctrl-C ends it.", file=sys.stderr)
             secret = f"#token={config.token}" if sys.stderr.isatty() else ""  # a log keeps no token
             print(f"Console: {config.url}{CONSOLE_PATH}{secret}", file=sys.stderr)
