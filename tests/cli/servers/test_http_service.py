@@ -3,7 +3,7 @@
 from contextlib import nullcontext
 
 import pytest
-from dualbrain.cli.agent import http_service
+from dualbrain.cli.servers import http_service
 
 from dualbrain.agent_server import http_server
 from dualbrain.cli.common.exit_codes import ExitCode
@@ -37,7 +37,7 @@ def served(monkeypatch):
 def test_both_commands_serve_agents_and_people_at_one_port(command, run_command, served):
     code, out, err = run_command(*command)
     assert (code, out) == (ExitCode.SUCCESS, "")
-    assert "is ready at http://127.0.0.1:8700/mcp; the token is in DUALBRAIN_TOKEN" in err
+    assert "is ready at http://127.0.0.1:8700/mcp (token: DUALBRAIN_TOKEN)" in err
     assert "Console: http://127.0.0.1:8700/console\n" in err
     assert TOKEN not in err
     assert {"/console", "/console/api/stop"} <= {route.path for route in served["routes"]}
