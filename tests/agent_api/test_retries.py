@@ -70,7 +70,9 @@ def test_a_restart_remembers_outcomes_and_interrupted_contracts(tmp_path):
     assert again.find("c-0001", "d", NOW + 5.0).report.state == "finished"
     lost = again.find("c-0002", "e", NOW + 5.0).report
     assert (lost.state, lost.reason) == ("lost", LOST_REASON)
+    assert len(path.read_bytes().splitlines()) == 2
     assert RetryLog(path, now=NOW + 2.0 * RETRY_WINDOW).get("c-0001") is None
+    assert path.read_bytes() == b""
 
 
 def test_lines_that_cannot_be_read_are_left_out(tmp_path):

@@ -8,6 +8,8 @@ import pytest
 
 from dualbrain import Robot
 from dualbrain.contracts.verdict import Accepted
+from dualbrain.control.gatekeeper.config import GatekeeperConfig
+from dualbrain.control.gatekeeper.process import GatekeeperProcess
 from dualbrain.control.gatekeeper.protocol.client import ConnectionLostError
 from dualbrain.errors import ConfigurationError
 from dualbrain.memory.embedding.hashing_encoder import HashingEncoder
@@ -15,6 +17,7 @@ from dualbrain.memory.embedding.text_encoder import MiniLmEncoder
 from dualbrain.memory.ledger.ledger import LedgerReader
 from dualbrain.memory.state.episode_record import decode_event_header, decode_stored_episode
 from dualbrain.planner.scripted import ScriptedPlanner
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
 pytestmark = pytest.mark.realtime
 
@@ -110,3 +113,25 @@ def test_a_gatekeeper_that_ends_during_a_contract_is_a_lost_submission(home):
             robot.check(hold(robot, 0.5))
         assert "cannot be reached" in robot.call("get_scene")["error"]
         assert robot.run(hold(robot, 0.5, "c-0002")).state == "lost"
+
+
+def test_a_running_gatekeeper_has_one_commander_and_a_retry_after_a_restart_moves_nothing(home):
+    socket, keys = home / "s", home / "keys"
+    config = GatekeeperConfig(robot="panda", scene=open_scene("bare:0"), socket=str(socket), keys=str(keys))
+    gatekeeper = GatekeeperProcess(config)
+    try:
+        with Robot.connect(socket, keys) as robot:
+            contract = hold(robot, 0.5, "c-0001")
+            assert robot.gatekeeper_process_id == 0
+            assert robot.run(contract).succeeded
+            with pytest.raises(ConnectionLostError, match="commander already"):
+                Robot.connect(socket, keys)
+        with Robot.connect(socket, keys) as robot:
+            again = robot.run(contract)
+            assert (again.repeated, again.succeeded) == (True, True)
+            assert not robot.events()
+            assert robot.contract([])["id"] == "c-0002"
+        with pytest.raises(ConfigurationError, match="other skills or bounds"):
+            Robot.connect(socket, keys, robot="ur5e")
+    finally:
+        gatekeeper.stop()

@@ -18,6 +18,7 @@ import msgspec
 from dualbrain.agent_api.submission import Submission, SubmissionReport
 from dualbrain.contracts.gate.strict_json import parse
 from dualbrain.contracts.verdict import Rejected
+from dualbrain.core.storage.atomic_files import write_atomically
 from dualbrain.core.storage.jsonl_log import JsonlLog
 
 RETRY_WINDOW = 900.0
@@ -91,8 +92,10 @@ class RetryLog:
             self._log.append(msgspec.to_builtins(line))
 
     def _read(self, log: JsonlLog, now: float) -> None:
-        """Read the submissions within the window; one without an end was interrupted."""
+        """Read the submissions within the window, and drop the older ones; one without an end was interrupted."""
         lines = [line for line in log.latest() if _is_recent(line, now)]
+        if log.path.exists():
+            write_atomically(log.path, b"".join(msgspec.json.encode(line) + b"\n" for line in lines))
         for line in lines:
             one = msgspec.convert(line, type=_Line)
             report = one.report or SubmissionReport(id=one.key, state="lost", reason=LOST_REASON)

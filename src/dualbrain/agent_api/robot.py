@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -35,8 +36,8 @@ from dualbrain.skills.registry import skill_registry
 
 STATUS_DELAY = 0.12
 """Time after a stop until the status report shows it [s]: two periods of the report."""
-RETRY_FILE = "submissions.jsonl"
-"""File of the data folder with the contracts that were submitted to a running gatekeeper."""
+RETRY_FOLDER = "submissions"
+"""Folder of the data folder with one file per running gatekeeper: the contracts that were submitted to it."""
 Json = bytes | str | dict[str, Any]
 """A contract as JSON text, which is checked and executed byte for byte, or as an object, which is encoded once."""
 
@@ -132,7 +133,7 @@ class Robot:
             planner=planner,
             ledger=ledger,
             runs=runs,
-            retries=dualbrain_home() / RETRY_FILE,
+            retries=_retry_file(where),
         )
 
     # --- perception -------------------------------------------------------------------------------------------------
@@ -319,6 +320,12 @@ class Robot:
 
     def _scene_report(self) -> SceneReport:
         return self._connection.client.request_scene()
+
+
+def _retry_file(socket: Path) -> Path:
+    """The file of the contracts that were submitted to the gatekeeper at `socket`."""
+    name = hashlib.sha256(str(socket.resolve()).encode()).hexdigest()[:16]
+    return dualbrain_home() / RETRY_FOLDER / f"{name}.jsonl"
 
 
 def contract_bytes(contract: Json) -> bytes:

@@ -3,10 +3,10 @@
 from contextlib import nullcontext
 
 import pytest
-from dualbrain.cli.servers import http_service
 
 from dualbrain.agent_server import http_server
 from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.cli.servers import http_service
 from tests.agent_server.console.console_server import TOKEN, FakeRobot
 
 
