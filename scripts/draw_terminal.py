@@ -1,6 +1,6 @@
-"""Draw a terminal in which an agent uses a robot, as docs/images/agents/terminal.png.
+"""Draw a terminal in which an agent uses a robot, as docs/images/console/terminal.png.
 
-`python -m scripts.draw_terminal docs/images/agents` starts `dualbrain mcp` over HTTP, calls its tools as
+`python -m scripts.draw_terminal docs/images/console` starts `dualbrain mcp` over HTTP, calls its tools as
 `examples/agents/over_http.py` does, and takes an image of commands and output with headless Chromium.
 """
 
@@ -22,7 +22,7 @@ from examples.agents.over_http import call_tool
 from scripts.draw_live_view import save_image
 from tests.visualization.headless_browser import Browser
 
-PORT, TOKEN = 8765, "token-of-this-picture-only"
+PORT, TOKEN = 8765, "token-of-this-image-only"
 COLUMNS, SIZE = 120, (1010, 690)
 STYLE = "body { margin: 0; background: #0c0c0c; } pre { margin: 16px; color: #d8d8d8; font: 13px/1.5 monospace; }"
 
