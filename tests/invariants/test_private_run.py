@@ -15,7 +15,7 @@ pytestmark = pytest.mark.llm
 COMMAND = [sys.executable, *(("-S",) if sys.flags.no_site else ()), "-m", "dualbrain"]
 
 
-@pytest.mark.parametrize("options", [(), ("--live",)])
+@pytest.mark.parametrize("options", [(), pytest.param(("--live",), marks=pytest.mark.realtime)])
 def test_a_run_is_private(tmp_path: Path, options: tuple[str, ...]) -> None:
     home = tmp_path / "home"
     home.mkdir(mode=0o755)

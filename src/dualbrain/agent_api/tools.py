@@ -18,7 +18,7 @@ from dualbrain.contracts.verdict import Accepted, Verdict
 from dualbrain.control.gatekeeper.protocol.client import ConnectionLostError
 from dualbrain.control.gatekeeper.protocol.messages import StatusReport
 from dualbrain.core.text import closest_name_hint, to_printable
-from dualbrain.errors import DualbrainError
+from dualbrain.errors import DECODE_ERRORS, DualbrainError
 
 ToolForm = Literal["openai", "anthropic", "mcp"]
 MAX_WAIT = 600.0
@@ -231,7 +231,7 @@ def _decode_arguments(tool: Tool, arguments: bytes | str | dict[str, Any]) -> Ar
     try:
         text = arguments if isinstance(arguments, bytes | str) else msgspec.json.encode(arguments)
         found = msgspec.json.decode(text or b"{}", type=dict[str, msgspec.Raw])
-    except (msgspec.DecodeError, UnicodeError, TypeError, ValueError, RecursionError) as error:
+    except (*DECODE_ERRORS, UnicodeError, TypeError, ValueError) as error:
         raise ToolError(f"The arguments of {tool.name} are not one JSON object: {error}.") from error
     if unknown := [name for name in found if name not in tool.properties]:
         allowed = ", ".join(tool.properties) or "none"
@@ -255,7 +255,7 @@ def _read(arguments: Arguments, name: str, kind: type, default: Any) -> Any:
         return default
     try:
         return msgspec.json.decode(arguments[name], type=kind)
-    except (msgspec.DecodeError, UnicodeError, RecursionError) as error:
+    except (*DECODE_ERRORS, UnicodeError) as error:
         raise ToolError(f"The argument {name} must be of type {kind.__name__}: {error}.") from error
 
 

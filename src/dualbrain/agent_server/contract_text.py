@@ -11,6 +11,8 @@ from typing import Any
 
 import msgspec
 
+from dualbrain.errors import DECODE_ERRORS
+
 CONTRACT = "contract"
 """Name of the argument."""
 MALFORMED = b"malformed"
@@ -30,7 +32,7 @@ def contract_as_text(message: bytes) -> bytes:
         return message
     try:
         return _rewritten(message)
-    except (msgspec.DecodeError, UnicodeError, RecursionError):
+    except (*DECODE_ERRORS, UnicodeError):
         return MALFORMED
 
 

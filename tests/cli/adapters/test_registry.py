@@ -430,7 +430,7 @@ def test_an_unknown_base_is_reported_with_the_known_ones(run_command, name):
         assert (code, f"'{base}' is not a base." in err) == (ExitCode.SETUP, True)
         assert (
             err.partition("Known: ")[2]
-            == "base-135m, qwen2.5-coder-1.5b-instruct, smollm2-135m-instruct, starter-135m.\n"
+            == "base-135m, qwen2.5-coder-0.5b-instruct, qwen2.5-coder-1.5b-instruct, smollm2-135m-instruct, starter-135m.\n"
         )
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 
 from dualbrain.core.text import storable_text
-from dualbrain.errors import DualbrainError
+from dualbrain.errors import DECODE_ERRORS, DualbrainError
 from dualbrain.memory.ledger.ledger import LedgerReader
 from dualbrain.memory.state.derivation import derive_state
 from dualbrain.memory.state.state import MemoryState
@@ -55,7 +55,7 @@ def list_memories(path: Path | None) -> dict[str, Any]:
 def _decode(payload: bytes) -> _Event:
     try:
         return msgspec.json.decode(payload, type=_Event)
-    except msgspec.DecodeError:
+    except DECODE_ERRORS:
         return _Event()
 
 

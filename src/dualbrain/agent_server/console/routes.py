@@ -23,7 +23,7 @@ from dualbrain.agent_server.console.report_tickets import ReportTickets
 from dualbrain.agent_server.console.responses import REPORT_POLICY, error_response, json_response, response
 from dualbrain.agent_server.console.run_list import list_runs, read_report
 from dualbrain.core.untrusted.bounded_file import FileRefusal
-from dualbrain.errors import DualbrainError
+from dualbrain.errors import DECODE_ERRORS, DualbrainError
 from dualbrain.visualization.html.page import palette_css
 
 CONSOLE_PATH = "/console"
@@ -139,7 +139,7 @@ def _field(body: bytes, name: str, kind: type[T]) -> T | None:
     """The value of a field of a JSON object; None if there is none of this type."""
     try:
         value = msgspec.json.decode(body, type=dict[str, Any]).get(name)
-    except (msgspec.DecodeError, UnicodeError, RecursionError):
+    except (*DECODE_ERRORS, UnicodeError):
         return None
     return value if isinstance(value, kind) else None
 
