@@ -26,7 +26,7 @@ from dualbrain.simulation.scenes.generators.catalogue import open_scene
 LIMIT = 30.0
 """Longest wait [s] for another process."""
 AT_REST = ("", "link_lost", "drive_dropped")
-"""Checks of an arm that stands still without a commander. drive_dropped: on a busy machine commands came too late once,
+"""Checks of an arm at rest without a commander. drive_dropped: on a busy machine commands came too late once,
 and the simulated robot switched its drive off, which other tests in real time exclude."""
 
 
