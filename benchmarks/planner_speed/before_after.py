@@ -95,7 +95,7 @@ def unmeasured_question() -> Sample:
 
 
 def open_variant(name: str, kind: str, threads: int) -> Planner:
-    """The planner called `name`, without (`before`) or with (`after`) what is measured."""
+    """The planner called `name`, without (`before`) or with (`after`) the change under test."""
     config = LlamaConfig(threads=threads, n_ctx=N_CTX, jump_forward=kind == AFTER)
     if name in packaged_names():
         return open_adapter(name, cache_folder(), adapters=dualbrain_home() / "adapters", config=config)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import signal
+import socket
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from ipaddress import ip_address
@@ -19,6 +20,7 @@ from starlette.routing import BaseRoute
 
 from dualbrain.agent_server.access_control import LOOPBACK_HOSTS, MCP_PATH, AccessControl, AccessPolicy
 from dualbrain.agent_server.contract_text import MAX_MESSAGE_BYTES
+from dualbrain.agent_server.listener import check_tls_files, open_listener
 from dualbrain.errors import ConfigurationError
 
 STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
@@ -37,7 +39,14 @@ class HttpConfig:
     @property
     def url(self) -> str:
         """Address of the server."""
-        return f"{'https' if self.certificate else 'http'}://{self.host}:{self.port}"
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{'https' if self.certificate else 'http'}://{host}:{self.port}"
+
+    def open_listener(self) -> socket.socket:
+        """The listening socket of the server; raises `ConfigurationError` if it or the TLS files cannot be used."""
+        if self.certificate is not None and self.private_key is not None:
+            check_tls_files(self.certificate, self.private_key)
+        return open_listener(self.host, self.port)
 
     def __post_init__(self) -> None:
         """Raise `ConfigurationError` for a host beyond this machine without TLS, and for half a pair of TLS files."""
@@ -63,13 +72,14 @@ def is_loopback(host: str) -> bool:
 def serve_http(
     server: Server[Any],
     config: HttpConfig,
+    listener: socket.socket,
     routes: Sequence[BaseRoute] = (),
     *,
     is_public: Callable[[str], bool] = lambda path: False,
     on_ready: Callable[[], None] = lambda: None,
     on_stop: Callable[[], None] = lambda: None,
 ) -> None:
-    """Serve MCP at `/mcp` and the further `routes` until SIGTERM, SIGINT or SIGHUP.
+    """Serve MCP at `/mcp` and the further `routes` on `listener` until SIGTERM, SIGINT or SIGHUP.
 
     Paths that `is_public` accepts need no token. At a signal, `on_stop` is called at once in a thread of its own, while
     open connections end. uvicorn's own handler of signals raises them again at its end, which would skip the clean-up
@@ -105,7 +115,7 @@ def serve_http(
         on_ready,
         on_stop,
     )
-    running.run()
+    running.run(sockets=[listener])
 
 
 class _Server(uvicorn.Server):

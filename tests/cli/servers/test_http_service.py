@@ -22,13 +22,14 @@ def served(monkeypatch):
     """The arguments with which the command serves; the server reports that it is ready, and ends."""
     robot, found = Closable(), {}
 
-    def serve(server, config, routes, *, is_public, on_ready, on_stop):
+    def serve(server, config, listener, routes, *, is_public, on_ready, on_stop):
         found.update(robot=robot, config=config, routes=routes, is_public=is_public)
         on_ready()
         on_stop()
 
     monkeypatch.setattr(http_service, "open_robot", lambda options: nullcontext(robot))
     monkeypatch.setattr(http_server, "serve_http", serve)
+    monkeypatch.setattr(http_server.HttpConfig, "open_listener", lambda self: nullcontext())
     monkeypatch.setenv("DUALBRAIN_TOKEN", TOKEN)
     return found
 

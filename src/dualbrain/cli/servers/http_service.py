@@ -23,7 +23,7 @@ def serve_robot(command: str, port: int, robot: RobotOptions, server: HttpOption
     from dualbrain.agent_server.mcp_server import make_mcp_server
 
     config = http_config(server, port)
-    with open_robot(robot) as opened:
+    with config.open_listener() as listener, open_robot(robot) as opened:
         ledger = robot.ledger or dualbrain_home() / "ledger.sqlite"
         ended = Event()
         routes = console_routes(opened, runs=robot.runs or RUNS_FOLDER, ledger=ledger, has_ended=ended.is_set)
@@ -39,5 +39,5 @@ def serve_robot(command: str, port: int, robot: RobotOptions, server: HttpOption
             opened.close()
 
         mcp_server = make_mcp_server(opened)
-        serve_http(mcp_server, config, routes, is_public=is_public, on_ready=report, on_stop=stop)
+        serve_http(mcp_server, config, listener, routes, is_public=is_public, on_ready=report, on_stop=stop)
     return ExitCode.SUCCESS
