@@ -1,5 +1,6 @@
 """The examples for agent frameworks, with scripted models in place of a language model and without a key."""
 
+import asyncio
 import importlib.util
 import json
 from pathlib import Path
@@ -37,6 +38,16 @@ def robot():
     found.cell.close()
 
 
+@pytest.fixture
+def event_loop_of_the_thread():
+    """The synchronous calls of the frameworks use the thread's event loop and leave it open."""
+    loop = asyncio.new_event_loop()
+    asyncio.set_event_loop(loop)
+    yield
+    asyncio.set_event_loop(None)
+    loop.close()
+
+
 def load(name):
     spec = importlib.util.spec_from_file_location(f"example_{name}", FOLDER / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
@@ -49,6 +60,7 @@ def was_submitted_by(robot, client):
     return author == client and json.loads(data) == CONTRACT
 
 
+@pytest.mark.usefixtures("event_loop_of_the_thread")
 def test_an_agent_of_pydantic_ai_submits_a_contract(robot):
     def answer(messages, info):
         turn = sum(isinstance(one, PydanticResponse) for one in messages)
@@ -81,6 +93,7 @@ class ScriptedOpenAiModel(OpenAiModel):
         raise NotImplementedError
 
 
+@pytest.mark.usefixtures("event_loop_of_the_thread")
 def test_an_agent_of_the_openai_sdk_submits_a_contract(robot):
     agent = load("with_openai_agents").make_agent(robot, ScriptedOpenAiModel())
     found = Runner.run_sync(agent, "hold for a moment", run_config=RunConfig(tracing_disabled=True))

@@ -6,6 +6,7 @@ anything behind for the next one. It ends with the process that started it, and 
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import os
 import signal
@@ -133,7 +134,7 @@ _idle: dict[Preparation, list[PreparedProcess]] = {}
 _started: WeakSet[PreparedProcess] = WeakSet()
 
 
-def _forget_after_fork() -> None:
+def _disconnect_all() -> None:
     """A prepared process serves only the process that started it, and ends with it."""
     for process in _started:
         process.disconnect()
@@ -141,7 +142,8 @@ def _forget_after_fork() -> None:
     _idle.clear()
 
 
-os.register_at_fork(after_in_child=_forget_after_fork)
+os.register_at_fork(after_in_child=_disconnect_all)
+atexit.register(_disconnect_all)
 
 
 def begin_call(function: str, content: bytes) -> BoundedCall:
