@@ -20,6 +20,7 @@ ldconfig -p | grep -q libOpenGL.so.0 || missing+=(libopengl0)
 ldconfig -p | grep -q 'libGL.so.1' || missing+=(libgl1)
 ldconfig -p | grep -q libOSMesa.so || missing+=(libosmesa6)
 ls /usr/lib/*/dri/swrast_dri.so >/dev/null 2>&1 || missing+=(libgl1-mesa-dri)
+command -v qemu-system-arm >/dev/null || missing+=(qemu-system-arm)
 if [ "${SKIP_BROWSER:-}" = "" ]; then
   command -v chromium >/dev/null || missing+=(chromium)
   command -v chromedriver >/dev/null || missing+=(chromium-driver)

@@ -228,6 +228,16 @@ robot.command(
 )
 robot.command("dualbrain.cli.robot.conform:conform", name="conform", help="Test a driver against the driver contract.")
 robot.command(
+    "dualbrain.cli.robot.firmware:export_c",
+    name="export-c",
+    help="Write a robot as C tables for the firmware of a microcontroller.",
+)
+robot.command(
+    "dualbrain.cli.robot.firmware:firmware",
+    name="firmware",
+    help="Build the firmware of the safety layer for a robot and a board, and try it on the emulated board.",
+)
+robot.command(
     "dualbrain.cli.robot.commission:commission",
     name="commission",
     help="Fill in and sign the commissioning checklist of a real arm.",

@@ -46,6 +46,7 @@ def run(
     map: str = "",
     live: Annotated[bool, Parameter(negative="")] = False,
     speed: str = "100%",
+    target: str = "",
     unrecorded: Annotated[bool, Parameter(negative="")] = False,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
@@ -117,6 +118,10 @@ def run(
         Run in real time in two processes: a gatekeeper owns robot, filter and supervisor, and survives the planner.
     speed
         With --live: initial speed scale, as 10% or 0.1; `dualbrain operate` changes it.
+    target
+        Run the filter and a second supervisor as firmware on an emulated microcontroller, in lockstep with the
+        simulation: an386 (Cortex-M4F), an500 (Cortex-M7) or an505 (Cortex-M33). Every step is compared with the host's,
+        bit by bit. Needs `pip install "dualbrain[target]"` and qemu-system-arm. Not with --live or --filter off.
     unrecorded
         Move on if the recording cannot be written (disk full). Without this option the arm then comes to rest, and a
         run does not start without reserved space on the disk.
@@ -136,6 +141,8 @@ def run(
         raise UsageError("--epsilon", got=epsilon, allowed="a finite number, at least 0")
     if live and filter == "off":
         raise UsageError("--filter", got="off", allowed="on (a gatekeeper always filters)")
+    if target:
+        _require_target_conditions(target, live=live, guard=filter == "on")
     if image:
         _require_image_conditions({"--live": live, "--contract": contract is not None, "--utility": utility})
     speed_scale = parse_fraction(speed)
@@ -169,6 +176,7 @@ def run(
             utility=utility,
             epsilon=epsilon,
             unrecorded=unrecorded,
+            target=target,
         )
         view = RunView(
             live_view=not headless,
@@ -179,6 +187,18 @@ def run(
             speed_scale=speed_scale,
         )
         return execute_run(config, view, loading)
+
+
+def _require_target_conditions(target: str, *, live: bool, guard: bool) -> None:
+    """Raise `UsageError` if the safety layer cannot run on the emulated board `target`."""
+    from dualbrain.safety.target.boards import BOARDS
+
+    if target not in BOARDS:
+        raise UsageError("--target", got=target, allowed=f"one of {', '.join(BOARDS)}")
+    if live or not guard:
+        option = "--live" if live else "--filter off"
+        reason = "a gatekeeper runs its own filter" if live else "the filter is what runs there"
+        raise UsageError.stating(f"--target is impossible with {option}: {reason}.", fix=f"Leave out {option}.")
 
 
 def _require_image_conditions(excluded: dict[str, bool]) -> None:

@@ -35,14 +35,17 @@ class SimulatedBackend:
         trace = self._trace = Trace(model.n, model.nq)
         path = config.out / "episode.mcap"
         reserve = reserve_for_recording(path, unrecorded=config.unrecorded)
-        with Recorder(path, trace, when_full="wait", reserve=reserve) as recorder:
+        with (
+            _open_filter(context) as safety,
+            Recorder(path, trace, when_full="wait", reserve=reserve) as recorder,
+        ):
             log = FlightLog(trace, recorder, observer.on_event, observer.on_attempt)
             recorder.episode(0.0, {**_recording_metadata(context), "versions": context.versions})
             world = context.world
             cell = SimulatedCell(
                 model,
                 world,
-                safety=SafetyFilter(model, operating_config(model), obstacles=context.fixed_obstacles),
+                safety=safety,
                 log=log,
                 config=ControlLoopConfig(guard=config.guard, unrecorded=config.unrecorded, persons=context.persons),
                 observer=LoopObserver(on_tick=observer.on_tick, on_phase=lambda phase, roles: observer.on_phase(phase)),
@@ -72,6 +75,19 @@ class SimulatedBackend:
     def end_state(self, context: RunContext, held: str) -> EndState | None:
         """The state of the session's own simulated world."""
         return read_end_state(context.world.plant, held)
+
+
+@contextmanager
+def _open_filter(context: RunContext) -> Generator[SafetyFilter]:
+    """The filter of a run: in this process, or on an emulated board."""
+    model, config, obstacles = context.robot_model, operating_config(context.robot_model), context.fixed_obstacles
+    if not context.config.target:
+        yield SafetyFilter(model, config, obstacles=obstacles)
+        return
+    from dualbrain.safety.target.target_filter import EmulatedTarget  # noqa: PLC0415  (needs the extra `target`)
+
+    with EmulatedTarget(context.config.target, model, config) as target:
+        yield target.filter(obstacles)
 
 
 def _recording_metadata(context: RunContext) -> dict[str, object]:

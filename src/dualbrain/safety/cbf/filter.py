@@ -147,6 +147,12 @@ class SafetyFilter:
         )
         groups = {link.name: link.group for link in robot_model.links}
         self._groups = tuple(groups[name] for name in self._names.spheres)
+        self.keep_out_boxes: tuple[SceneObject, ...] = ()
+        """The boxes among the permanent obstacles, as scene objects for path planning."""
+        self._set_fixed_obstacles(obstacles)
+
+    def _set_fixed_obstacles(self, obstacles: Sequence[Obstacle]) -> None:
+        """Put the permanent obstacles in effect."""
         self._fixed_obstacles = check_obstacles(obstacles, MAX_OBSTACLES)
         self.keep_out_boxes = tuple(
             SceneObject(
@@ -155,9 +161,17 @@ class SafetyFilter:
             for box in self._fixed_obstacles
             if isinstance(box.shape, Box)
         )
-        """The boxes among the permanent obstacles, as scene objects for path planning."""
         if obstacles:
             self.observe(())
+
+    # --- a supervisor on a target -----------------------------------------------------------------------------
+
+    def supervise(self, now: float, stamp: float, conditions: int, *, yielding: bool) -> None:
+        """Pass the conditions of a tick to a supervisor on a target; a filter on the host has none."""
+
+    def target_conditions(self) -> int:
+        """`Condition` bits that a target adds; none for a filter on the host."""
+        return 0
 
     # --- obstacles, rows, contacts, grasped object ------------------------------------------------------------
 

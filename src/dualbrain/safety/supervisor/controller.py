@@ -73,7 +73,7 @@ class SafetyController:
         joints = safety.robot_model.joints
         self._braking_step = np.array([joint.acceleration.value for joint in joints]) * safety.robot_model.period
         self._velocity_limits = np.array([joint.velocity.value for joint in joints])
-        self._pending = 0
+        self._pending, self._conditions = 0, 0
         self._last_tick = nan
         self._drive_came_on, self._drive_request_stamp, self._drive_request_time = True, nan, nan
         self._u = np.zeros(safety.robot_model.n)
@@ -111,11 +111,11 @@ class SafetyController:
         external_conditions |= self._tick_gap_conditions(now) | self._loop_delay_conditions(now, state.stamp)
         if self.speed_scale < 1.0:
             external_conditions |= Condition.SPEED_STAGE
-        flags, self._pending = self._pending | external_conditions, 0
+        flags, self._pending = self._pending | external_conditions | self.safety.target_conditions(), 0
         if not self._drive_came_on and now - self._drive_request_time < self.monitor.timing.drive_on_silence:
             flags &= ~SILENT_BUS_CONDITIONS
         drive_was_wanted = self.enforcement.drive_wanted
-        decision = self.supervisor.update(now, flags)
+        decision, self._conditions = self.supervisor.update(now, flags), flags
         if self._retreat is not None:
             self._retreat.update(state, wanted=decision.check == CONTACT_CHECK)
         retreating = self._retreat is not None and self._retreat.active
@@ -213,6 +213,7 @@ class SafetyController:
         """
         scale = UNSCALED if self.retreating else self.enforcement.scale(self.decision, self.speed_scale)
         scaled = u_nom if scale == 1.0 else scale * u_nom
+        self.safety.supervise(now, state.stamp, self._conditions, yielding=self.retreating)
         result = self.safety.filter(state, scaled, now)
         self._pending |= result_conditions(result)
         if not guard:

@@ -1,0 +1,208 @@
+/* Cyclic executive; see executive.h. */
+#include "executive/executive.h"
+
+#include "executive/scene_messages.h"
+#include "port/hal.h"
+#include "protocol/bytes.h"
+
+static void read_joints(const uint8_t *from, dbk_real *to) {
+  for (int32_t k = 0; k < DBK_MAX_DOF; ++k) { to[k] = k < robot_model.n ? read_f32(from + 4 * k) : (dbk_real)0; }
+}
+
+void executive_init(executive *e) {
+  dbk_prepare(&robot_model);
+  dbk_prepare(&robot_hull_model);
+  dbk_scene_clear(&e->scene);
+  scene_make_unusable(e); /* until the host has sent a scene */
+  dbk_init(&e->ctx);
+  dbk_supervisor_init(&e->supervisor);
+  dbk_standstill_init(&e->standstill);
+  frame_reader_clear(&e->reader);
+  e->session.open = e->session.cycling = e->transferring = e->drive_on = e->yielding = 0;
+  e->n_staged = e->n_announced = e->refused = 0;
+  e->pending = e->cycle_us = e->output_us = e->host_now_us = e->last_stamp_us = 0;
+}
+
+static void send(const executive *e, uint8_t type, uint32_t sequence, const uint8_t *payload, uint32_t size,
+                 const siphash_key *key) {
+  uint8_t encoded[FRAME_MAX_ENCODED];
+  (void)e;
+  hal_tx(encoded, frame_encode(type, sequence, payload, size, key, encoded));
+}
+
+/* the key of a session: both nonces are its input, so that no message of another session is accepted */
+static siphash_key session_key(uint64_t host_nonce, uint64_t target_nonce) {
+  uint8_t b[17];
+  siphash_key key;
+  write_u64(b + 1, host_nonce);
+  write_u64(b + 9, target_nonce);
+  b[0] = 0;
+  key.low = siphash(&shared_key, b, sizeof b);
+  b[0] = 1;
+  key.high = siphash(&shared_key, b, sizeof b);
+  return key;
+}
+
+static void answer_hello(executive *e, const frame *f) {
+  uint8_t b[42];
+  const uint64_t nonce = hal_nonce();
+  write_u64(b, nonce);
+  write_u64(b + 8, robot_hash);
+  write_u64(b + 16, kernel_hash);
+  b[24] = (uint8_t)robot_model.n;
+  write_u16(b + 25, (uint16_t)DBK_MAX_OBSTACLES);
+  for (uint32_t i = 0; i < 15u; ++i) { b[27 + i] = (uint8_t)board_name[i]; }
+  send(e, MESSAGE_HELLO_REPLY, f->sequence, b, sizeof b, &shared_key);
+  e->session.key = session_key(read_u64(f->payload), nonce);
+  e->session.last_sequence = f->sequence;
+  e->session.open = 1;
+  scene_make_unusable(e);
+  e->transferring = 0;
+}
+
+/* a HELLO for other robot tables is answered, so that the host can name both hashes, but it opens no session */
+static int hello(executive *e, const frame *f) {
+  if (f->payload_size != 16u || !frame_tag_valid(f, &shared_key)) { return 0; }
+  answer_hello(e, f);
+  if (read_u64(f->payload + 8) != robot_hash) {
+    e->session.open = 0;
+    return 0;
+  }
+  return 1;
+}
+
+static uint64_t result_conditions(const dbk_out *out) {
+  if (out->status < DBK_RELAXED) { return 0; }
+  if (out->status == DBK_RELAXED) { return (out->flags & DBK_RETREAT) ? 0 : DBK_CONDITION_INFEASIBLE; }
+  if (out->status == DBK_FAULT) { return DBK_CONDITION_FILTER_FAULT; }
+  return (out->flags & ~DBK_JERK) == DBK_STALE_SCENE ? DBK_CONDITION_SCENE_STALE : DBK_CONDITION_FILTER_STOPPED;
+}
+
+static void write_reply(const executive *e, const dbk_real *u, uint32_t step_us, uint8_t *b) {
+  const dbk_out *out = &e->out;
+  write_u64(b + REPLY_CONDITIONS, e->pending | (hal_estop_in() ? DBK_CONDITION_ESTOP : 0));
+  for (uint32_t k = 0; k < MESSAGE_JOINTS; ++k) { write_f32(b + REPLY_U + 4u * k, u[k]); }
+  write_f32(b + REPLY_DELTA, out->delta);
+  write_f32(b + REPLY_DELTA + 4u, out->delta_rows);
+  write_f32(b + REPLY_DELTA + 8u, out->delta_box);
+  write_f32(b + REPLY_DELTA + 12u, out->h_min);
+  write_u32(b + REPLY_FLAGS, (uint32_t)out->flags);
+  write_u32(b + REPLY_REFUSED, e->refused);
+  write_u16(b + REPLY_ITERATIONS, (uint16_t)out->iterations);
+  write_u16(b + REPLY_ROWS, (uint16_t)out->n_rows);
+  b[REPLY_STATUS] = (uint8_t)out->status;
+  b[REPLY_CERTIFIED] = (uint8_t)out->certified;
+  b[REPLY_RELAXED] = (uint8_t)out->relaxed;
+  b[REPLY_ACTION] = e->supervisor.decision.action;
+  b[REPLY_CHECK] = e->supervisor.decision.check;
+  b[REPLY_DRIVE] = e->drive_on;
+  b[REPLY_STANDSTILL] = e->standstill.at_standstill;
+  b[REPLY_STANDSTILL + 1u] = 0;
+  write_u32(b + REPLY_STEP_TIME, step_us);
+}
+
+/* the filter step under the decision in force, and the control that is written */
+static void filter(executive *e, const dbk_model *model, dbk_real *u) {
+  if (e->supervisor.decision.action >= DBK_ACTION_HOVER && !e->yielding) {
+    for (int32_t k = 0; k < DBK_MAX_DOF; ++k) { e->in.u_nom[k] = (dbk_real)0; }
+  }
+  (void)dbk_step(model, &e->scene, &e->ctx, &e->in, &e->out);
+  e->pending |= result_conditions(&e->out);
+  const int zero = e->standstill.at_standstill || !e->standstill.drive_wanted;
+  for (int32_t k = 0; k < DBK_MAX_DOF; ++k) {
+    u[k] = zero ? (dbk_real)0 : e->out.u[k];
+    if (zero) { e->ctx.u_prev[k] = e->ctx.u_nom_prev[k] = e->ctx.u_change[k] = (dbk_real)0; }
+  }
+  e->drive_on = e->standstill.drive_wanted;
+  hal_drive_enable(e->drive_on);
+}
+
+/* 1 if the arm may move under a decision because it yields to a contact force */
+static int may_yield(dbk_decision decision, uint32_t options) {
+  if (!(options & CYCLE_YIELDING)) { return 0; }
+  return decision.check < DBK_N_CHECKS && dbk_checks[decision.check].condition == DBK_CONDITION_UNEXPECTED_CONTACT;
+}
+
+/* the decision of this tick from the conditions of the host and of the target */
+static void decide(executive *e, uint64_t now_us, uint64_t stamp_us, uint64_t conditions, uint32_t options) {
+  conditions |= e->pending | (hal_estop_in() ? DBK_CONDITION_ESTOP : 0);
+  e->pending = 0;
+  const dbk_decision decision = dbk_supervisor_update(&e->supervisor, now_us, conditions);
+  e->yielding = (uint8_t)may_yield(decision, options);
+  e->pending = dbk_standstill_apply(&e->standstill, decision, e->yielding, robot_model.n, e->in.q, e->in.v, stamp_us);
+}
+
+static void read_cycle(executive *e, const uint8_t *b) {
+  const uint32_t options = read_u32(b + CYCLE_OPTIONS);
+  read_joints(b + CYCLE_Q, e->in.q);
+  read_joints(b + CYCLE_V, e->in.v);
+  read_joints(b + CYCLE_U_NOM, e->in.u_nom);
+  e->in.opening = read_f32(b + CYCLE_OPENING);
+  e->in.state_age = read_f32(b + CYCLE_STATE_AGE);
+  e->in.scene_age = read_f32(b + CYCLE_SCENE_AGE);
+  e->in.mobile = (options & CYCLE_MOBILE) != 0u;
+  for (uint32_t i = 0; i < 9u; ++i) { e->in.base_rotation[i] = read_f32(b + CYCLE_BASE + 4u * i); }
+  for (uint32_t i = 0; i < 3u; ++i) { e->in.base_position[i] = read_f32(b + CYCLE_BASE + 36u + 4u * i); }
+}
+
+static int cycle(executive *e, const frame *f) {
+  uint8_t reply[REPLY_SIZE];
+  dbk_real u[DBK_MAX_DOF];
+  if (f->payload_size != CYCLE_SIZE) { return 0; }
+  const uint8_t *b = f->payload;
+  const uint64_t started_us = hal_now(), now_us = read_u64(b + CYCLE_NOW), stamp_us = read_u64(b + CYCLE_STAMP);
+  read_cycle(e, b);
+  decide(e, now_us, stamp_us, read_u64(b + CYCLE_CONDITIONS), read_u32(b + CYCLE_OPTIONS));
+  filter(e, read_u32(b + CYCLE_OPTIONS) & CYCLE_OPENING_KNOWN ? &robot_model : &robot_hull_model, u);
+  e->host_now_us = now_us;
+  e->last_stamp_us = stamp_us;
+  e->cycle_us = hal_now();
+  e->session.cycling = 1;
+  write_reply(e, u, (uint32_t)(e->cycle_us - started_us), reply);
+  send(e, MESSAGE_CYCLE_REPLY, f->sequence, reply, REPLY_SIZE, &e->session.key);
+  hal_watchdog();
+  return 1;
+}
+
+/* a frame of the session: authenticated, and newer than the last one */
+static int session_message(executive *e, const frame *f) {
+  if (!e->session.open || f->sequence <= e->session.last_sequence || !frame_tag_valid(f, &e->session.key)) {
+    return 0;
+  }
+  e->session.last_sequence = f->sequence;
+  return f->type == MESSAGE_CYCLE ? cycle(e, f) : scene_message_apply(e, f);
+}
+
+void executive_receive(executive *e, uint8_t byte) {
+  frame f;
+  if (!frame_reader_add(&e->reader, byte)) { return; }
+  const int accepted = frame_parse(&e->reader, &f) == FRAME_OK &&
+                       (f.type == MESSAGE_HELLO ? hello(e, &f) : session_message(e, &f));
+  frame_reader_clear(&e->reader);
+  if (!accepted) {
+    ++e->refused;
+    e->pending |= DBK_CONDITION_FRAMES_REFUSED;
+  }
+}
+
+/* one output without a CYCLE: the filter rejects the old state, and its control brakes */
+static void output_without_host(executive *e, uint64_t since_us, uint64_t now_us) {
+  uint8_t reply[REPLY_SIZE];
+  dbk_real u[DBK_MAX_DOF];
+  const uint64_t lost = since_us > STATE_LOST_US ? DBK_CONDITION_STATE_LOST : 0;
+  const uint32_t age_us = since_us < UINT32_MAX ? (uint32_t)since_us : UINT32_MAX; /* a 64-bit conversion needs a library */
+  e->in.state_age = (dbk_real)age_us * (dbk_real)1e-6;
+  decide(e, e->host_now_us + since_us, e->last_stamp_us, DBK_CONDITION_STATE_STALE | lost, 0);
+  filter(e, &robot_hull_model, u);
+  e->output_us = now_us;
+  write_reply(e, u, 0, reply);
+  send(e, MESSAGE_OUTPUT, e->session.last_sequence, reply, REPLY_SIZE, &e->session.key);
+}
+
+void executive_watchdog(executive *e, uint64_t now_us) {
+  if (!e->session.cycling || now_us < e->cycle_us) { return; }
+  const uint64_t since_us = now_us - e->cycle_us;
+  if (since_us > STATE_STALE_US && now_us - e->output_us >= OUTPUT_PERIOD_US) {
+    output_without_host(e, since_us, now_us);
+  }
+}

@@ -1,0 +1,61 @@
+/* Cyclic executive: receives messages, decides, filters, and answers. It is independent of the board.
+ *
+ * One CYCLE: conditions of the host and of the target -> supervisor -> nominal control (zero from HOVER on) -> filter ->
+ * control (zero at a standstill) and drive enable. The host cannot lower a decision of the target: conditions only add
+ * up, and the buttons that clear them are conditions of authenticated messages.
+ */
+#ifndef FIRMWARE_EXECUTIVE_H
+#define FIRMWARE_EXECUTIVE_H
+
+#include "dbk/dbk.h"
+#include "dbk/dbk_standstill.h"
+#include "dbk/dbk_supervisor.h"
+#include "protocol/frame.h"
+#include "protocol/messages.h"
+
+#define STATE_STALE_US 50000u  /* without a CYCLE for this time the arm brakes (controlled stop) */
+#define STATE_LOST_US 150000u  /* without a CYCLE for this time the drive is switched off */
+#define OUTPUT_PERIOD_US 1000u /* period of the outputs while the watchdog acts */
+
+/* the tables of the robot and the key, linked into the firmware */
+extern dbk_model robot_model, robot_hull_model; /* the second covers every opening of the gripper */
+extern const uint64_t robot_hash, kernel_hash;
+extern const siphash_key shared_key;
+extern const char board_name[15];
+
+typedef struct {
+  uint32_t last_sequence;
+  siphash_key key;
+  uint8_t open;      /* a HELLO has been accepted */
+  uint8_t cycling;   /* a CYCLE has been accepted */
+} session_state;
+
+typedef struct {
+  dbk_scene scene;
+  dbk_obstacle staged[DBK_MAX_OBSTACLES];
+  uint32_t n_staged, n_announced;
+  uint8_t transferring;
+  dbk_ctx ctx;
+  dbk_in in;
+  dbk_out out;
+  dbk_supervisor supervisor;
+  dbk_standstill standstill;
+  session_state session;
+  frame_reader reader;
+  uint64_t pending;                       /* conditions for the next decision */
+  uint64_t cycle_us;                      /* time of the last CYCLE by the clock of the target */
+  uint64_t output_us;                     /* time of the last output of the watchdog */
+  uint64_t host_now_us, last_stamp_us;
+  uint32_t refused;
+  uint8_t drive_on, yielding;
+} executive;
+
+void executive_init(executive *e);
+
+/* receives one byte of the link; answers over hal_tx */
+void executive_receive(executive *e, uint8_t byte);
+
+/* the watchdog, called at least once per period: without a CYCLE in time the arm brakes and the drive goes off */
+void executive_watchdog(executive *e, uint64_t now_us);
+
+#endif

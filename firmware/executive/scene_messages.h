@@ -1,0 +1,14 @@
+/* Messages that change the scene, the held object, the rows and the last control. */
+#ifndef FIRMWARE_SCENE_MESSAGES_H
+#define FIRMWARE_SCENE_MESSAGES_H
+
+#include "executive/executive.h"
+
+/* applies a message of one of these types. Returns 0 if it is refused; the scene is then unusable, and the robot brakes
+ * until the next valid message of the same kind */
+int scene_message_apply(executive *e, const frame *f);
+
+/* makes the scene unusable until the next complete one */
+void scene_make_unusable(executive *e);
+
+#endif

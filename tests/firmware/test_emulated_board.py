@@ -1,0 +1,289 @@
+"""The firmware on an emulated Cortex-M: the same bits as the host, refused messages, and the loss of host or target."""
+
+import time
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from dualbrain.core.geometry.shapes import IDENTITY_POSE, Box, Capsule, Pose, Sphere
+from dualbrain.errors import ConfigurationError, UnknownNameError
+from dualbrain.robots.interface import RobotState
+from dualbrain.robots.loader import load_robot
+from dualbrain.safety.cbf.config import operating_config
+from dualbrain.safety.cbf.obstacles import Contact, NearSpeed, Obstacle
+from dualbrain.safety.cbf.rows import ConstraintRow
+from dualbrain.safety.supervisor.actions import SafetyAction
+from dualbrain.safety.supervisor.checks import CHECKS
+from dualbrain.safety.supervisor.conditions import Condition
+from dualbrain.safety.supervisor.controller import SafetyController
+from dualbrain.safety.target.boards import find_board
+from dualbrain.safety.target.build import Firmware, build_firmware
+from dualbrain.safety.target.emulated_board import EmulatedBoard
+from dualbrain.safety.target.frames import encode_frame
+from dualbrain.safety.target.messages import CYCLE, Message, obstacle_frames, padded
+from dualbrain.safety.target.robot_tables import robot_tables_hash
+from dualbrain.safety.target.session import TargetLostError, TargetSession
+from dualbrain.safety.target.target_filter import EmulatedTarget
+
+PANDA = load_robot("panda")
+CONFIG = operating_config(PANDA)
+KEY = bytes(range(16))
+V_MAX = np.array([joint.velocity.value for joint in PANDA.joints])
+HOME = np.array(PANDA.home)
+
+
+@pytest.fixture(scope="module")
+def lockstep():
+    with EmulatedTarget("an386", PANDA, CONFIG) as target:
+        yield target
+
+
+@pytest.fixture(scope="module")
+def own_clock(tmp_path_factory):
+    """Firmware that runs by its own clock, behind a serial line."""
+    firmware = Firmware(board=find_board("an505"), key=KEY, link="uart", lockstep=False)
+    return build_firmware(firmware, PANDA, CONFIG, tmp_path_factory.mktemp("firmware"))
+
+
+def obstacles(rng):
+    """Spheres, capsules and boxes around the arm, none of them in it; a third moves, one limits the speed near it."""
+    shapes = (Sphere(0.05), Capsule(0.03, 0.1), Box((0.05, 0.03, 0.08)))
+    found = [
+        Obstacle(name="floor", shape=Box((1.0, 1.0, 0.05)), pose=Pose((0.0, 0.0, -0.1), IDENTITY_POSE.quaternion)),
+    ]
+    while len(found) < 13:
+        position = rng.uniform((-0.8, -0.8, 0.0), (0.8, 0.8, 1.0))
+        if np.linalg.norm(position - (0.2, 0.0, 0.5)) > 0.42 and np.linalg.norm(position[:2]) > 0.3:
+            k = len(found)
+            moves = k % 3 == 0
+            found.append(
+                Obstacle(
+                    name=f"o{k}",
+                    shape=shapes[k % 3],
+                    pose=Pose(tuple(position), IDENTITY_POSE.quaternion),
+                    velocity=(0.05, -0.02, 0.0) if moves else (0.0, 0.0, 0.0),
+                    velocity_error=0.02 * moves,
+                    margin=0.005,
+                    static=not moves,
+                    near=NearSpeed(0.3) if k == 6 else None,
+                )
+            )
+    return found
+
+
+def states(rng, steps):
+    """Time, nominal control, and its index: bang-bang controls toward random directions."""
+    for i in range(steps):
+        if i % 120 == 0:
+            u_nom = rng.choice([-1.0, 1.0], len(V_MAX)) * V_MAX
+        yield i, 1e-3 * i, u_nom
+
+
+def test_every_step_has_the_bits_of_the_host(lockstep):
+    """Obstacles, contacts, a held object, rows, unknown openings and rejected input; no bit differs."""
+    rng = np.random.default_rng(3)
+    safety, q, u = lockstep.filter(), HOME.copy(), np.zeros(7)
+    scene, statuses = obstacles(rng), set()
+    for i, now, u_nom in states(rng, 900):
+        if i % 33 == 0:
+            safety.observe(scene, now)
+        if i == 200:
+            safety.permit([Contact("hand", "o4", 0.05), Contact("fingers", "floor", 0.1)])
+            safety.attach([[0.0, 0.0, 0.05, 0.03]], 0.004)
+        if i == 400:
+            safety.detach()
+            safety.constrain([ConstraintRow(name="slow", a=(1.0, *[0.0] * 6), b=-0.1)])
+        opening = None if i % 7 == 0 else 0.02
+        given = np.full(7, np.nan) if i == 600 else q
+        late = 1.0 if i == 700 else 0.0
+        result = safety(given, u, u_nom, now + late, opening)
+        statuses.add(result.status.name)
+        u, q = result.u, q + 1e-3 * result.u
+    assert {"MODIFIED", "STOPPED"} <= statuses
+    assert (safety.target.lost, safety.target.steps, safety.target.differences) == ("", 900, 0)
+
+
+def controller_on(target):
+    safety = target.filter()
+    safety.observe((), 0.0)
+    return SafetyController(safety)
+
+
+def tick(controller, i, conditions=0, u_nom=0.0):
+    """One tick of a controller at rest at home."""
+    now = 1e-3 * i
+    state = RobotState(stamp=now, sequence=i, q=HOME, v=np.zeros(7), opening=0.02, finger_forces=(0.0, 0.0))
+    controller.accept_state(state, now)
+    decision = controller.decide(state, now, int(conditions))
+    return decision, controller.control(state, np.full(7, u_nom), now)
+
+
+def test_the_target_decides_as_the_host_and_latches_an_emergency_stop(lockstep):
+    controller = controller_on(lockstep)
+    target = controller.safety.target
+    given = [0, Condition.PAUSE, Condition.SCENE_FROZEN, 0, Condition.ESTOP, 0, Condition.RESUME, 0, Condition.RESET]
+    for i in range(10):  # conditions of earlier tests pass
+        tick(controller, 5000 + 50 * i)
+    for i, conditions in enumerate([*given, 0, Condition.RESUME, *[0] * 40]):
+        decision, _ = tick(controller, 5500 + 10 * i, conditions)
+        assert target.reply.action == decision.action
+        if conditions == Condition.ESTOP:
+            assert not target.reply.drive_enabled
+            assert not lockstep.board.link.drive_enabled
+    assert decision.action < SafetyAction.HOLD
+    assert lockstep.board.link.drive_enabled
+
+
+def test_a_button_at_the_target_stops_the_host_too(lockstep):
+    controller = controller_on(lockstep)
+    tick(controller, 7000)
+    lockstep.board.link.press_estop(pressed=True)
+    try:
+        tick(controller, 7001)
+        assert not lockstep.board.link.drive_enabled
+        decision, _ = tick(controller, 7002)
+        assert (decision.check, controller.drive_wanted) == ("estop", False)
+    finally:
+        lockstep.board.link.press_estop(pressed=False)
+    tick(controller, 7003)
+    tick(controller, 7103, Condition.RESET)
+    tick(controller, 7203, Condition.RESUME)
+
+
+def test_a_control_with_another_bit_is_reported_and_the_arm_brakes(lockstep):
+    controller = controller_on(lockstep)
+    tick(controller, 8000)
+    host = controller.safety.target._host
+    host.reset(np.full(7, 0.01), np.zeros(7))  # the channels differ
+    tick(controller, 8001, u_nom=2.0)
+    assert controller.safety.target.differences == 1
+    decision, _ = tick(controller, 8002)
+    assert decision.check == "control_bad"
+
+
+@pytest.fixture
+def session(lockstep):
+    return lockstep.session
+
+
+def cycle_payload(now=3.0, q=HOME):
+    times = (round(now * 1e6), round(now * 1e6), 0)
+    return CYCLE.pack(*times, *padded(q), *padded([0.0] * 7), *padded([0.1] * 7), 0.02, 0.0, 0.0, 1, *[0.0] * 12)
+
+
+def refused_by(session, send):
+    """How many frames the target refused because of `send`."""
+    for kind, payload in obstacle_frames(np.zeros((0, 29)), {}):
+        session.send(kind, payload)
+    before = session.cycle(cycle_payload()).refused
+    send()
+    return session.cycle(cycle_payload()).refused - before
+
+
+def encoded_frame(session, kind, payload, *, ahead=1, key=None):
+    session._sequence += max(0, ahead)
+    return encode_frame(kind, session._sequence + min(0, ahead), payload, key or session._key)
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("torn", lambda session: encoded_frame(session, 9, cycle_payload())[:-40] + b"\0"),
+        ("forged", lambda session: encoded_frame(session, 9, cycle_payload(), key=bytes(16))),
+        ("replayed", lambda session: encoded_frame(session, 9, cycle_payload(), ahead=0)),
+        ("of an earlier number", lambda session: encoded_frame(session, 9, cycle_payload(), ahead=-3)),
+        ("of an unknown type", lambda session: encoded_frame(session, 0x55, b"")),
+        ("of the other direction", lambda session: encoded_frame(session, Message.CYCLE_REPLY, bytes(80))),
+        ("too short", lambda session: encoded_frame(session, 9, cycle_payload()[:-1])),
+        ("too long for the reader", lambda session: b"\1" * 3000 + b"\0"),
+        ("with too many obstacles", lambda session: encoded_frame(session, Message.SCENE_BEGIN, b"\xff\xff")),
+        (
+            "with obstacles without a beginning",
+            lambda session: encoded_frame(session, Message.OBSTACLES, bytes(4 + 132)),
+        ),
+        ("with a permit for no obstacle", lambda session: encoded_frame(session, Message.PERMITS, b"\1\0" + bytes(8))),
+        (
+            "with a held object of 9 spheres",
+            lambda session: encoded_frame(session, Message.HELD, b"\x09\0" + bytes(6 + 144)),
+        ),
+        ("with a last control beyond the limits", lambda session: encoded_frame(session, Message.RESET, b"\x7f" * 64)),
+    ],
+)
+def test_a_bad_message_is_refused_and_counted(session, name, change):
+    assert refused_by(session, lambda: session._link.write(change(session))) == 1
+
+
+def test_after_a_scene_that_was_refused_every_step_brakes(session):
+    session.send(Message.SCENE_BEGIN, b"\xff\xff")
+    reply = session.cycle(cycle_payload())
+    assert reply.status == 3
+    assert reply.flags & 256
+
+
+def test_a_replayed_hello_ends_the_session_and_changes_nothing_else(lockstep):
+    """Both nonces enter the key of a session, so that no message of the former session is accepted."""
+    first = TargetSession(lockstep.board.link, lockstep.session._shared, robot_tables_hash(PANDA, CONFIG))
+    TargetSession(lockstep.board.link, lockstep.session._shared, robot_tables_hash(PANDA, CONFIG))
+    first._link.write(encode_frame(Message.CYCLE, first._sequence + 50, cycle_payload(), first._key))
+    assert first.listen(0.05) == []
+    restored = TargetSession(lockstep.board.link, lockstep.session._shared, robot_tables_hash(PANDA, CONFIG))
+    lockstep.session._key, lockstep.session._sequence = restored._key, restored._sequence
+
+
+def test_tables_of_another_robot_are_refused_by_name(lockstep):
+    with pytest.raises(ConfigurationError, match=f"{robot_tables_hash(PANDA, CONFIG):016x}"):
+        TargetSession(lockstep.board.link, lockstep.session._shared, 1)
+    restored = TargetSession(lockstep.board.link, lockstep.session._shared, robot_tables_hash(PANDA, CONFIG))
+    lockstep.session._key, lockstep.session._sequence = restored._key, restored._sequence
+
+
+def test_an_unknown_board_and_a_short_key_are_named():
+    with pytest.raises(UnknownNameError, match="an386"):
+        find_board("an999")
+    with pytest.raises(ConfigurationError, match="key"):
+        build_firmware(Firmware(board=find_board("an386"), key=b"short"), PANDA, CONFIG, "unused")
+
+
+def test_without_a_host_the_watchdog_brakes_then_switches_the_drive_off(own_clock):
+    """At full speed: the control falls by at most one period's acceleration per output, and is never raised."""
+    with EmulatedBoard(find_board("an505"), own_clock, link="uart") as board:
+        session = TargetSession(board.link, KEY, robot_tables_hash(PANDA, CONFIG))
+        for kind, payload in obstacle_frames(np.zeros((0, 29)), {}):
+            session.send(kind, payload)
+        for i in range(30):
+            reply = session.cycle(cycle_payload(1e-3 * i))
+        assert np.all(reply.u[:7] > 0.05)
+        outputs = session.listen(0.6)
+    speeds = [float(np.abs(one.u).max()) for one in [reply, *outputs]]
+    assert all(later <= earlier for earlier, later in pairwise(speeds))
+    assert speeds[-1] == 0.0
+    assert CHECKS[outputs[0].check].name == "state_stale"
+    assert outputs[0].action == SafetyAction.CONTROLLED_STOP
+    assert CHECKS[outputs[-1].check].name == "state_lost"
+    assert (outputs[-1].action, outputs[-1].drive_enabled) == (SafetyAction.ESTOP, False)
+
+
+def test_a_lost_target_is_an_emergency_stop_that_names_the_target(monkeypatch):
+    monkeypatch.setattr("dualbrain.safety.target.session.REPLY_TIMEOUT_S", 0.5)
+    with EmulatedTarget("an386", PANDA, CONFIG) as target:
+        controller = controller_on(target)
+        tick(controller, 0)
+        target.board.process.kill()
+        target.board.process.wait()
+        started = time.monotonic()
+        _, result = tick(controller, 1)
+        decision, _ = tick(controller, 2)
+    assert "did not answer" in controller.safety.target.lost
+    assert (decision.check, controller.drive_wanted) == ("program_error", False)
+    assert not result.u.any()
+    assert time.monotonic() - started < 10.0
+
+
+def test_no_target_behind_a_link_is_an_error_that_names_the_key(own_clock, monkeypatch):
+    monkeypatch.setattr("dualbrain.safety.target.session.HELLO_TIMEOUT_S", 0.3)
+    with (
+        EmulatedBoard(find_board("an505"), own_clock, link="uart") as board,
+        pytest.raises(TargetLostError, match="same key"),
+    ):
+        TargetSession(board.link, bytes(16), robot_tables_hash(PANDA, CONFIG))
