@@ -131,7 +131,7 @@ def check_ledger(path: Path, acknowledged: set[str]) -> tuple[str, int]:
     embedding = JointEmbedding(HashingEncoder(32), (LIMITS,), CONFIG.embedding)
     with Ledger(path, holder="crash_recovery", now=START_TIME) as ledger:
         found = verify(ledger, embedding=embedding)
-        kept = {event.subject for event in ledger.events("kind = 'episode'")}
+        kept = {event.subject for event in ledger.events("episode")}
         memory = Memory(ledger, HashingEncoder(32), CONFIG)
         loaded = {one.id: one.weight for one in memory.state.memories}
         replayed = memory_module.derive_state(ledger).weights()

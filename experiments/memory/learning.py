@@ -205,7 +205,7 @@ def weight_separation(ledger: LedgerReader) -> list[list[float]]:
     good = {one.id for one in state.memories if one.r and one.Delta is not None and one.Delta <= middle}
     weights: dict[str, float] = {}
     curve: list[list[float]] = []
-    for event in ledger.events("kind IN ('episode', 'weight')"):
+    for event in ledger.events("episode", "weight"):
         payload = msgspec.json.decode(event.payload)
         weights[event.subject] = payload["after"] if event.kind == "weight" else payload["w0"]
         means = [

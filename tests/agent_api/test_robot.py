@@ -69,7 +69,7 @@ def check_checks(robot):
 def check_memory(ledger, runs, first):
     """The ledger holds every episode that reached the gate, and each one is saved in its folder."""
     with LedgerReader(ledger) as reader:
-        events = list(reader.events("kind = 'episode'"))
+        events = list(reader.events("episode"))
         headers = [decode_event_header(event.payload) for event in events]
         episodes = [decode_stored_episode(event.payload).episode for event in events]
     sources = {episode.id: header.provenance.source for episode, header in zip(episodes, headers, strict=True)}

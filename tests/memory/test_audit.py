@@ -106,8 +106,8 @@ def test_vectors_that_were_tampered_with_are_found(tmp_path: Path) -> None:
         memory = open_memory(ledger)
         _clean(memory)
         assert verify(ledger, embedding=memory.embedding).is_intact
-        ledger._database.execute("UPDATE vector SET data = zeroblob(length(data)) WHERE seq = 1")
-        ledger._database.execute("DELETE FROM vector WHERE seq = 3")
+        ledger._store.database.execute("UPDATE vector SET data = zeroblob(length(data)) WHERE seq = 1")
+        ledger._store.database.execute("DELETE FROM vector WHERE seq = 3")
         found = verify(ledger, embedding=memory.embedding)
         assert (found.is_intact, found.vectors_wrong, found.chain.is_intact) == (False, 2, True)
 

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.memory import memory as memory_module
 from dualbrain.memory.learning.trust import TrustConfig
-from dualbrain.memory.ledger import tables
 from dualbrain.memory.ledger.ledger import Ledger, LedgerReader, PendingEvent
+from dualbrain.memory.ledger.sqlite import tables
 from dualbrain.memory.maintenance.compaction import compact_ledger, compose_weight_updates
 from dualbrain.memory.maintenance.edits import forget, quarantine, release, roll_back
 from dualbrain.memory.memory import Memory
@@ -146,7 +146,7 @@ def test_a_forgotten_memory_is_not_retrieved_and_stays_in_the_chain(tmp_path: Pa
         with pytest.raises(ConfigurationError, match="Forgotten memories cannot be released: e-1"):
             release(memory, ["e-1"], "no", now=NOW + 10)
         assert ledger.verify().is_intact
-        assert any(event.subject == "e-1" for event in ledger.events("kind = 'episode'"))
+        assert any(event.subject == "e-1" for event in ledger.events("episode"))
 
 
 @pytest.mark.parametrize(
@@ -308,9 +308,9 @@ def test_an_old_ledger_is_migrated_and_keeps_its_chain(tmp_path: Path) -> None:
         assert (event.kind, event.payload) == ("migrated", b'{"from":1,"to":2}')
         ledger.append([PendingEvent(kind="note", subject="", payload=1)], now=NOW)
         assert ledger.verify().is_intact
-        columns = {row[1] for row in ledger._database.execute("PRAGMA table_info(vector)")}
+        columns = {row[1] for row in ledger._store.database.execute("PRAGMA table_info(vector)")}
     with open_ledger(tmp_path / "new") as fresh:
-        assert columns == {row[1] for row in fresh._database.execute("PRAGMA table_info(vector)")}
+        assert columns == {row[1] for row in fresh._store.database.execute("PRAGMA table_info(vector)")}
         assert fresh.head().seq == 0
 
 

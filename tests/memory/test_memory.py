@@ -217,8 +217,8 @@ def test_a_replay_does_not_depend_on_the_present_rule(tmp_path: Path) -> None:
 def test_memory_does_not_start_on_a_broken_chain(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
         open_memory(ledger).store(episode("a"), REST_POSTURE, now=NOW)
-        ledger._database.execute("DROP TRIGGER event_is_never_changed")
-        ledger._database.execute(
+        ledger._store.database.execute("DROP TRIGGER event_is_never_changed")
+        ledger._store.database.execute(
             "UPDATE event SET payload = replace(CAST(payload AS TEXT), '0.5', '0.9') WHERE seq = 2"
         )
         with pytest.raises(CorruptLedgerError, match="damaged at event 2: its content does not match"):
@@ -256,7 +256,7 @@ def test_mixed_embeddings_are_refused_until_the_vectors_are_rebuilt(tmp_path: Pa
         rebuilt = Memory(ledger, HashingEncoder(16), CONFIG)
         assert rebuilt.weights() == weights
         assert ledger.event(head.seq).hash == head.hash  # the events stay; one records the digests of the new vectors
-        assert [event.kind for event in ledger.events("seq > ?", (head.seq,))] == ["vectors"]
+        assert [event.kind for event in ledger.events(after=head.seq)] == ["vectors"]
         assert _recall(rebuilt).exemplars[0].similarity == pytest.approx(1.0, abs=1e-6)
 
 

@@ -73,7 +73,7 @@ def test_the_own_ledger_of_a_run_with_an_agent_holds_no_episode(tmp_path):
     out = tmp_path / "run"
     dualbrain.run(INSTRUCTION, scene="bare:0", agent=dualbrain.Agent(FixedPlanner(), memory), out=out)
     with Ledger(out / "ledger.sqlite", holder="test", now=1.0) as ledger:
-        assert not list(ledger.events("kind = 'episode'"))
+        assert not list(ledger.events("episode"))
     memory.ledger.close()
 
 

@@ -101,7 +101,7 @@ def ledger_episodes(path: Path) -> list[dict]:
     """The episodes of a ledger, whose hash chain is verified."""
     with LedgerReader(path) as ledger:
         assert ledger.verify().is_intact
-        return [msgspec.json.decode(event.payload) for event in ledger.events("kind = 'episode'")]
+        return [msgspec.json.decode(event.payload) for event in ledger.events("episode")]
 
 
 def ledger_kinds(path: Path) -> list[str]:

@@ -152,7 +152,7 @@ class Memory:
         depend on simulator ground truth. Raises `ConfigurationError` for an id that is in the ledger already, and for
         retrieved memories that are not in it.
         """
-        if any(True for _ in self.ledger.events("kind = ? AND subject = ?", (EPISODE, episode.id))):
+        if any(True for _ in self.ledger.events(EPISODE, subject=episode.id)):
             raise ConfigurationError.stating(
                 f"The ledger already contains an episode {episode.id!r}.", fix="Use a new episode id."
             )
@@ -207,11 +207,11 @@ class Memory:
         """Start from a compatible snapshot and the events after it, otherwise from the first event."""
         snapshot = read_snapshot(self.ledger)
         after = snapshot.head if snapshot else None
-        where, values = ("seq > ?", (after.seq,)) if after else ("", ())
-        tail = list(verified_events(self.ledger.events(where, values), str(self.ledger.path), after=after))
+        following = self.ledger.events(after=after.seq if after else 0)
+        tail = list(verified_events(following, str(self.ledger.path), after=after))
         if not (snapshot and self._load_snapshot(snapshot, tail)):
             if after:
-                deque(verified_events(self.ledger.events("seq <= ?", (after.seq,)), str(self.ledger.path)), maxlen=0)
+                deque(verified_events(self.ledger.events(until=after.seq), str(self.ledger.path)), maxlen=0)
             self._derive_from_events()
         if isinstance(self.ledger, Ledger) and len(tail) > SNAPSHOT_MIN_EVENTS:
             self.write_snapshot(self.ledger, now=self.ledger.opened_at)

@@ -289,7 +289,7 @@ def test_the_training_data_of_an_adapter_is_recorded_in_the_ledger(run_command, 
     assert command._record_in_ledger(card, dataset, tmp_path / "fit", ledger)
     assert command._record_in_ledger(card, dataset, tmp_path / "fit", ledger)  # a second call adds nothing
     with LedgerReader(ledger) as opened:
-        (event,) = opened.events(f"kind = '{ADAPTER}'")
+        (event,) = opened.events(ADAPTER)
     recorded = msgspec.json.decode(event.payload, type=AdapterUse)
     assert recorded == AdapterUse("a" * 64, dataset.card.hash, tuple(sorted(row.memory for row in dataset.train)))
     assert not command._record_in_ledger(card, dataset, tmp_path / "fit", tmp_path / "none.sqlite")

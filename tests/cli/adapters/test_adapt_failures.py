@@ -93,7 +93,7 @@ def test_training_data_is_recorded_later_if_the_ledger_is_locked(bench, undistur
 
     def recorded_adapters():
         with LedgerReader(bench.folder / "ledger.sqlite") as opened:
-            return [event.subject for event in opened.events(f"kind = '{ADAPTER}'")]
+            return [event.subject for event in opened.events(ADAPTER)]
 
     with Ledger(bench.folder / "ledger.sqlite", holder="a run", now=3.0, timeout_s=1.0):
         code, _, err = bench.adapt()

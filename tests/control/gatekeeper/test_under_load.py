@@ -139,7 +139,7 @@ def test_a_killed_run_leaves_a_braked_arm_an_intact_ledger_and_no_process(tmp_pa
     with LedgerReader(tmp_path / "ledger.sqlite") as ledger:
         assert ledger.verify().is_intact
         assert [event.kind for event in ledger.events()][-1] != "run_ended"
-        assert list(ledger.events("kind = 'episode'")) == []
+        assert list(ledger.events("episode")) == []
 
 
 def test_a_site_an_emergency_stop_and_a_killed_gatekeeper(tmp_path: Path) -> None:

@@ -43,7 +43,7 @@ def test_a_full_disk_is_reported_and_acknowledged_events_stay(small_disk: Path) 
         assert len(retrieved.exemplars) == 3
     with LedgerReader(small_disk / "ledger.db") as reader:
         assert reader.verify().is_intact
-        assert [event.subject for event in reader.events("kind = 'episode'")] == kept
+        assert [event.subject for event in reader.events("episode")] == kept
         assert len(kept) > 20
 
 

@@ -137,6 +137,6 @@ def test_a_link_to_a_ledger_is_followed(path: Path, tmp_path: Path) -> None:
 def test_functions_of_the_file_are_not_trusted_and_extensions_are_off(path: Path) -> None:
     with LedgerReader(path) as reader, open_ledger(path.parent) as ledger:
         for one in (reader, ledger):
-            assert one._database.execute("PRAGMA trusted_schema").fetchone() == (0,)
+            assert one._store.database.execute("PRAGMA trusted_schema").fetchone() == (0,)
             with pytest.raises(sqlite3.OperationalError, match=r"not authorized|no such function"):
-                one._database.execute("SELECT load_extension('x')")
+                one._store.database.execute("SELECT load_extension('x')")

@@ -10,6 +10,7 @@ import msgspec
 
 from dualbrain.core.text import storable_text
 from dualbrain.errors import DECODE_ERRORS, DualbrainError
+from dualbrain.memory.ledger.events import EPISODE
 from dualbrain.memory.ledger.ledger import LedgerReader
 from dualbrain.memory.state.derivation import derive_state
 from dualbrain.memory.state.state import MemoryState
@@ -43,7 +44,7 @@ def list_memories(path: Path | None) -> dict[str, Any]:
     try:
         with LedgerReader(path) as ledger:
             state = derive_state(ledger)
-            events = {one.seq: _decode(one.payload) for one in ledger.events("kind = 'episode'")}
+            events = {one.seq: _decode(one.payload) for one in ledger.events(EPISODE)}
     except DualbrainError as error:
         return {"memories": [], "total": 0, "reason": str(error)}
     cited = Counter(hit.memory for one in events.values() for hit in one.retrieved)

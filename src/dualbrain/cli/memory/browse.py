@@ -106,6 +106,7 @@ def show(name: str, /, *, ledger: Path | None = None, json: Flag = False) -> int
     json
         Print one JSON object on stdout.
     """
+    from dualbrain.memory.ledger.events import FOLDED, REPLAYED, WEIGHT
     from dualbrain.memory.state.derivation import derive_state
 
     with open_reader(ledger) as opened:
@@ -116,7 +117,7 @@ def show(name: str, /, *, ledger: Path | None = None, json: Flag = False) -> int
         stored = msgspec.json.decode(opened.event(memo.seq).payload)
         history = [
             {"event": event.seq, "kind": event.kind, "time": event.time, **msgspec.json.decode(event.payload)}
-            for event in opened.events("kind IN ('weight', 'folded', 'replayed') AND subject = ?", (name,))
+            for event in opened.events(WEIGHT, FOLDED, REPLAYED, subject=name)
         ]
     if json:
         print_json({"memo": memo, "stored": stored, "history": history})

@@ -105,9 +105,10 @@ def posture_limits(robot: str) -> tuple[PostureLimits, ...]:
 
 
 def _read_headers(ledger: LedgerReader) -> list[Any]:
+    from dualbrain.memory.ledger.events import EPISODE
     from dualbrain.memory.state.episode_record import decode_event_header
 
-    return [decode_event_header(event.payload) for event in ledger.events("kind = 'episode'")]
+    return [decode_event_header(event.payload) for event in ledger.events(EPISODE)]
 
 
 def print_json(value: object) -> None:

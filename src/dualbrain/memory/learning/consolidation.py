@@ -121,7 +121,7 @@ class Consolidation:
         return self.confirmed_updates(waiting, self._weight_updater(now))
 
     def _has_updated_weights(self, memo: MemoryState) -> bool:
-        own = self._ledger.events("kind = ? AND subject = ?", (WEIGHT, memo.id))
+        own = self._ledger.events(WEIGHT, subject=memo.id)
         return any(msgspec.json.decode(event.payload, type=WeightUpdate).cause == memo.id for event in own)
 
     def _weight_updater(self, now: float) -> WeightUpdater | None:

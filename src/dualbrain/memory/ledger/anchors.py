@@ -197,10 +197,7 @@ def _run_anchor_files(folders: Iterable[Path]) -> Iterator[Path]:
 def _accepted(ledger: LedgerReader) -> frozenset[tuple[int, str]]:
     """The anchors whose loss a person accepted."""
     try:
-        found = [
-            msgspec.json.decode(event.payload, type=AcceptedLoss).anchors
-            for event in ledger.events("kind = ?", (ACCEPTED,))
-        ]
+        found = [msgspec.json.decode(event.payload, type=AcceptedLoss).anchors for event in ledger.events(ACCEPTED)]
     except DECODE_ERRORS:
         return frozenset()
     return frozenset(anchor for anchors in found for anchor in anchors)
@@ -226,7 +223,7 @@ def _contains(ledger: LedgerReader, anchor: LedgerAnchor, notices: list[str]) ->
 
 def _first_event(ledger: LedgerReader) -> tuple[LedgerEvent | None, CompactionRecord | None]:
     """The first event, and the ledger from which this one was compacted."""
-    first = next(ledger.events("seq = 1"), None)
+    first = next(ledger.events(until=1), None)
     try:
         return first, compaction_source(first) if first else None
     except DECODE_ERRORS:
@@ -234,7 +231,7 @@ def _first_event(ledger: LedgerReader) -> tuple[LedgerEvent | None, CompactionRe
 
 
 def _has_event(ledger: LedgerReader, head: Head) -> bool:
-    return any(event.hash == head.hash for event in ledger.events("seq = ?", (head.seq,)))
+    return any(event.hash == head.hash for event in ledger.events(after=head.seq - 1, until=head.seq))
 
 
 def _archives(ledger: LedgerReader) -> Iterator[LedgerReader]:

@@ -1,10 +1,9 @@
-"""The append-only event ledger in SQLite, from which weights, statuses and vectors of memory are derived."""
+"""The append-only event ledger, from which weights, statuses and vectors of memory are derived."""
 
 from __future__ import annotations
 
 import math
 import os
-import sqlite3
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,25 +11,19 @@ from typing import Any, cast
 
 import msgspec
 
-from dualbrain.core.storage.private_files import create_private_folder, open_private
-from dualbrain.core.storage.sqlite import harden, transaction
+from dualbrain.core.storage.private_files import create_private_folder
 from dualbrain.core.text import make_json_safe
 from dualbrain.errors import ConfigurationError, DualbrainError
 from dualbrain.memory.ledger import runs
 from dualbrain.memory.ledger.anchors import AnchorMismatchError, anchor_path, check_anchors, write_anchor
 from dualbrain.memory.ledger.events import EPISODE, VECTORS
 from dualbrain.memory.ledger.hash_chain import Head, LedgerEvent, event_digest
-from dualbrain.memory.ledger.ledger_files import check_files, tighten_files, translate_os_errors
-from dualbrain.memory.ledger.reader import COLUMNS, LedgerReader
+from dualbrain.memory.ledger.reader import LedgerReader
 from dualbrain.memory.ledger.runs import InterruptedRun
-from dualbrain.memory.ledger.schema_check import check_meta_table, check_objects, missing_objects_error
-from dualbrain.memory.ledger.tables import (
-    MIGRATED,
-    SCHEMA_VERSION,
-    create_missing_guards,
-    create_or_migrate,
-    read_schema_version,
-)
+from dualbrain.memory.ledger.sqlite.ledger_files import check_files, translate_os_errors
+from dualbrain.memory.ledger.sqlite.store import SqliteStore
+from dualbrain.memory.ledger.sqlite.tables import MIGRATED, SCHEMA_VERSION
+from dualbrain.memory.ledger.store import ChainedEvent, LedgerStore
 from dualbrain.memory.ledger.vectors import DIGEST_FIELD, StoredVector, digest_changes, vector_digest
 from dualbrain.memory.ledger.writer_lock import LockHolder, WriterLock
 
@@ -88,68 +81,47 @@ class Ledger(LedgerReader):
             check_files(path)
             self._lock = WriterLock(path, LockHolder(os.getpid(), holder, now), timeout_s=timeout_s)
         try:
-            with translate_os_errors(path):
-                open_private(path, "ab").close()  # SQLite gives its other files the same permissions
-                tighten_files(path)
-            with self._translate_errors():
-                self._database = sqlite3.connect(path, isolation_level=None)
-                try:
-                    self._open(now, run_folders, accept_faults=accept_faults)
-                except BaseException:
-                    self._database.close()
-                    raise
+            self._store = self._open_store(path, accept_faults=accept_faults)
+            try:
+                self._check_anchors(now, run_folders, accept_faults=accept_faults)
+            except BaseException:
+                self._store.close()
+                raise
         except BaseException:
             self._lock.release()
             raise
 
-    def _open(self, now: float, run_folders: Sequence[Path], *, accept_faults: bool) -> None:
-        """Check the file before the first change, then migrate it and compare it with its anchors."""
-        harden(self._database)
-        check_meta_table(self._database, self.path)
-        if read_schema_version(self._database):
-            missing = check_objects(self._database, self.path)
-            if missing and not accept_faults:
-                raise missing_objects_error(missing, self.path)
-            if missing:
-                create_missing_guards(self._database)
-        found = self._create()
-        self._check_schema()
+    @staticmethod
+    def _open_store(path: Path, *, accept_faults: bool) -> LedgerStore:
+        return SqliteStore.open_for_writing(path, accept_faults=accept_faults)
+
+    def _check_anchors(self, now: float, run_folders: Sequence[Path], *, accept_faults: bool) -> None:
+        """Compare the ledger with its anchors, and record a migration."""
         self.anchor_report = check_anchors(self, run_folders)
         self._run_folders = list(self.anchor_report.run_folders)
         self.notices += self.anchor_report.notices
         if self.anchor_report.faults and not accept_faults:
             raise AnchorMismatchError(self.anchor_report.faults, self.path)
-        if 0 < found < SCHEMA_VERSION:
-            self.append(
-                [PendingEvent(kind=MIGRATED, subject="", payload={"from": found, "to": SCHEMA_VERSION})], now=now
-            )
+        if isinstance(self._store, SqliteStore) and self._store.migrated_from:
+            payload = {"from": self._store.migrated_from, "to": SCHEMA_VERSION}
+            self.append([PendingEvent(kind=MIGRATED, subject="", payload=payload)], now=now)
         if not self.anchor_report.faults:
             with translate_os_errors(self.path):
                 self._write_anchor(now)
 
-    def _create(self) -> int:
-        mode = self._database.execute("PRAGMA journal_mode = WAL").fetchone()[0]
-        if mode != "wal":
-            fix = f"Use a local disk. {self.path}"
-            raise ConfigurationError("SQLite journal mode of the ledger", got=mode, allowed="wal", fix=fix)
-        self._database.execute("PRAGMA synchronous = FULL")
-        return create_or_migrate(self._database)
-
-    def append(self, entries: Sequence[PendingEvent], *, now: float) -> tuple[LedgerEvent, ...]:
+    def append(
+        self, entries: Sequence[PendingEvent], *, now: float, after: Head | None = None
+    ) -> tuple[LedgerEvent, ...]:
         """Append `entries` to the chain, all or none, with the time `now` [s, 1970 UTC].
 
-        Raises `ConfigurationError` if `now` is not finite, or an episode id or run name is in the ledger already.
+        Raises `ConfigurationError` if `now` is not finite, or an episode id or run name is in the ledger already, and
+        `HeadMovedError` if `after` is given and is not the newest event.
         """
         if not math.isfinite(now):
             raise ConfigurationError("time of a ledger event", got=now, allowed="finite seconds since 1970 UTC")
-        events = self._build_events(entries, now)
-        with self._translate_errors(), transaction(self._database):
-            self._insert_events(events)
-            for event, entry in zip(events, entries, strict=True):
-                if entry.vector is not None:
-                    self._insert_vector(event.seq, entry.vector)
+        events = self._store.append(lambda head: self._chain(entries, now, head), after=after)
         self._last_time = now
-        return tuple(events)
+        return events
 
     def replace_vectors(self, vectors: Mapping[int, StoredVector]) -> None:
         """Replace the whole vector projection by `vectors`, and append events with the digests that differ.
@@ -158,29 +130,15 @@ class Ledger(LedgerReader):
         """
         changes = digest_changes(self._recorded_digests(0), vectors)
         entries = [PendingEvent(kind=VECTORS, subject="", payload=change) for change in changes]
-        events = self._build_events(entries, self._last_time)
-        with self._translate_errors(), transaction(self._database):
-            self._database.execute("DELETE FROM vector")
-            for seq, vector in vectors.items():
-                self._insert_vector(seq, vector)
-            self._insert_events(events)
+        self._store.replace_vectors(vectors, lambda head: self._chain(entries, self._last_time, head))
 
-    def _build_events(self, entries: Sequence[PendingEvent], now: float) -> list[LedgerEvent]:
-        head, events = self.head(), list[LedgerEvent]()
+    def _chain(self, entries: Sequence[PendingEvent], now: float, head: Head) -> list[ChainedEvent]:
+        chained = list[ChainedEvent]()
         for entry in entries:
             event = _build_event(entry, self._run if entry.run is None else make_json_safe(entry.run), now, head)
-            events.append(event)
+            chained.append((event, entry.vector))
             head = Head(event.seq, event.hash)
-        return events
-
-    def _insert_events(self, events: Sequence[LedgerEvent]) -> None:
-        for event in events:
-            row = tuple(getattr(event, name) for name in LedgerEvent.__slots__)
-            self._database.execute(f"INSERT INTO event ({COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?)", row)
-
-    def _insert_vector(self, seq: int, vector: StoredVector) -> None:
-        row = (seq, vector.version, vector.data, vector.mask)
-        self._database.execute("INSERT INTO vector (seq, version, data, mask) VALUES (?, ?, ?, ?)", row)
+        return chained
 
     def start_run(self, run: str, details: object, *, now: float) -> tuple[InterruptedRun, ...]:
         """Begin `run`; records and returns the runs that were interrupted before it."""
@@ -209,13 +167,13 @@ class Ledger(LedgerReader):
 
         Only the writer can know this: a reader cannot distinguish an interrupted run from the current one.
         """
-        ended = "SELECT run FROM event WHERE kind IN (?, ?)"
-        where = f"kind = ? AND run <> ? AND run NOT IN ({ended})"
-        open_runs = list(self.events(where, (runs.STARTED, self._run, runs.ENDED, runs.INTERRUPTED)))
+        ended = {event.run for event in self.events(runs.ENDED, runs.INTERRUPTED)}
+        started = self.events(runs.STARTED)
+        open_runs = [event for event in started if event.run != self._run and event.run not in ended]
         return tuple(self._describe_interrupted_run(start) for start in open_runs)
 
     def _describe_interrupted_run(self, start: LedgerEvent) -> InterruptedRun:
-        events = list(self.events("run = ?", (start.run,)))
+        events = list(self.events(run=start.run))
         episodes = sum(event.kind == EPISODE for event in events)
         return InterruptedRun(
             run=start.run,
@@ -227,12 +185,8 @@ class Ledger(LedgerReader):
 
     def checkpoint_wal(self) -> None:
         """Move the write-ahead log into the ledger file; raises `ConfigurationError` if a reader blocks this."""
-        with self._translate_errors():
-            busy = self._database.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()[0]
-        if busy:
-            raise ConfigurationError.stating(
-                f"Another process is reading the memory ledger {self.path}.", fix="Close it and try again."
-            )
+        if isinstance(self._store, SqliteStore):
+            self._store.checkpoint_wal()
 
     def anchor(self, path: Path | None = None) -> None:
         """Write the anchor of the newest event beside the ledger and, if given, to `path`; raises `FileWriteError`."""

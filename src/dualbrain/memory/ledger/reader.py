@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-import math
-import os
-import sqlite3
-from collections.abc import Generator, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from dualbrain.core.storage.sqlite import harden
 from dualbrain.core.text import make_json_safe
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError, MissingDependencyError
 from dualbrain.memory.ledger.anchors import anchor_path
 from dualbrain.memory.ledger.hash_chain import (
-    GENESIS,
     ChainReport,
     CorruptLedgerError,
     Head,
@@ -24,9 +18,9 @@ from dualbrain.memory.ledger.hash_chain import (
     event_digest,
     verify_chain,
 )
-from dualbrain.memory.ledger.ledger_files import check_files, tighten_files, unusable_ledger
-from dualbrain.memory.ledger.schema_check import check_meta_table, check_objects
-from dualbrain.memory.ledger.tables import SCHEMA_VERSION, read_schema_version
+from dualbrain.memory.ledger.sqlite.store import SqliteStore
+from dualbrain.memory.ledger.sqlite.tables import SCHEMA_VERSION
+from dualbrain.memory.ledger.store import EventQuery, LedgerStore
 from dualbrain.memory.ledger.vectors import (
     DIGEST_EVENT_KINDS,
     StoredVector,
@@ -35,8 +29,6 @@ from dualbrain.memory.ledger.vectors import (
     recorded_digests,
 )
 
-COLUMNS = "seq, kind, run, subject, time, payload, previous, hash"
-"""Columns of the event table."""
 RECOMPUTE_VECTORS = "Recompute all vectors from the episodes with `dualbrain memory rebuild`, or restore a copy."
 """Remedy for vectors that are not those of the events."""
 
@@ -50,99 +42,77 @@ class LedgerReader:
         Raises `MissingDependencyError` if there is no file, `ConfigurationError` if it cannot be used, and
         `CorruptLedgerError` if it is damaged.
         """
-        if not path.exists():
+        if not path.exists() and anchor_path(path).exists():
             fix = (
                 "Its anchor shows that it existed: restore a copy, or accept the loss with "
                 f"`dualbrain memory verify --ledger {path} --accept REASON`."
-                if anchor_path(path).exists()
-                else "The first `dualbrain run` creates it."
             )
             raise MissingDependencyError(f"The memory ledger {path}", fix=fix)
         self.path = path
-        check_files(path)
-        with suppress(OSError):  # a read-only disk
-            tighten_files(path)
-        with self._translate_errors():
-            self._database = sqlite3.connect(_database_uri(path), uri=True, isolation_level=None)
-            try:
-                self._check_schema()
-            except BaseException:
-                self._database.close()
-                raise
+        self._store: LedgerStore = SqliteStore.open_for_reading(path)
 
-    def _check_schema(self) -> None:
-        """Decode damaged text without an error, and refuse an unknown schema version and foreign objects.
+    @classmethod
+    def of_store(cls, store: LedgerStore, path: Path) -> Self:
+        """A reader of an open `store`, with the anchor and the snapshots of the ledger at `path`."""
+        reader = cls.__new__(cls)
+        reader.path, reader._store = path, store
+        return reader
 
-        Missing indices and triggers are stored in `missing_objects`: they do not matter to a reader.
-        """
-        self._database.text_factory = _decode_text
-        harden(self._database)
-        check_meta_table(self._database, self.path)
-        self.schema = read_schema_version(self._database)
-        if not self.schema:
-            raise ConfigurationError.stating(
-                f"The memory ledger {self.path} is empty: it has no tables.",
-                fix="Remove it, so that the next `dualbrain run` creates a ledger.",
-            )
-        self.missing_objects = check_objects(self._database, self.path)
+    @property
+    def schema(self) -> int:
+        """Version of the tables."""
+        return self._store.schema
+
+    @property
+    def missing_objects(self) -> tuple[str, ...]:
+        """Declared indices and triggers that are missing: they do not matter to a reader."""
+        return self._store.missing_objects
 
     def open_archive(self, path: Path) -> LedgerReader:
         """A reader of the archive at `path`, from which this ledger was compacted; same errors as `LedgerReader`."""
         return LedgerReader(path)
 
-    @contextmanager
-    def _translate_errors(self) -> Generator[None]:
-        try:
-            yield
-        except sqlite3.OperationalError as error:
-            raise unusable_ledger(str(error), self.path) from error
-        except sqlite3.IntegrityError as error:
-            sentence = f"The ledger already contains an episode or a run with this name ({error})."
-            raise ConfigurationError.stating(sentence, fix="Use a new episode id or run name.") from error
-        except sqlite3.DatabaseError as error:
-            raise CorruptLedgerError(f"SQLite reports: {error}", seq=None, path=str(self.path)) from error
-
-    def events(self, where: str = "", values: tuple[object, ...] = ()) -> Iterator[LedgerEvent]:
-        """Events in order of `seq`; `where` is an SQL condition over the columns of the event table."""
-        condition = f"WHERE {where}" if where else ""
-        with self._translate_errors():
-            query = f"SELECT {COLUMNS} FROM event {condition} ORDER BY seq"
-            for row in self._database.execute(query, make_json_safe(list(values))):
-                yield _parse_event_row(row)
+    def events(
+        self,
+        *kinds: str,
+        subject: str | None = None,
+        run: str | None = None,
+        after: int = 0,
+        until: int | None = None,
+    ) -> Iterator[LedgerEvent]:
+        """Events with `after` < seq ≤ `until` in this order; of these `kinds`, `subject` and `run`, each if given."""
+        texts = [None if text is None else make_json_safe(text) for text in (subject, run)]
+        query = EventQuery(kinds=kinds, subject=texts[0], run=texts[1], after=after, until=until)
+        return self._store.events(query)
 
     def head(self) -> Head:
         """Number and hash of the newest event; (0, `GENESIS`) in an empty ledger."""
-        with self._translate_errors():
-            row = self._database.execute("SELECT seq, hash FROM event ORDER BY seq DESC LIMIT 1").fetchone()
-        return Head(row[0], row[1]) if row else Head(0, GENESIS)
+        return self._store.head()
 
     def verify(self, anchor: Head | None = None) -> ChainReport:
         """Check the whole chain (see `hash_chain.verify_chain`); an unreadable event is reported, too."""
         return verify_chain(self.events(), anchor)
 
     def find_database_faults(self) -> tuple[str, ...]:
-        """Faults that SQLite finds in the structure of the file, such as an index without some events."""
-        with self._translate_errors():
-            rows = [str(row[0]) for row in self._database.execute("PRAGMA integrity_check(5)")]
-        return () if rows == ["ok"] else tuple(rows)
+        """Faults in the structure of the storage, such as an index without some events."""
+        return self._store.find_faults()
 
     def event(self, seq: int) -> LedgerEvent:
         """The event with number `seq`, after a check of its content and of the link from the next event.
 
         Raises `CorruptLedgerError` if the event is missing or was changed.
         """
-        for event in self.events("seq = ?", (seq,)):
-            following = next(self.events("seq = ?", (seq + 1,)), None)
-            if event_digest(event) != event.hash or (following is not None and following.previous != event.hash):
-                raise CorruptLedgerError("its content does not match its hash", seq=seq, path=str(self.path))
-            return event
-        raise CorruptLedgerError("it is missing", seq=seq, path=str(self.path))
+        found = {event.seq: event for event in self.events(after=seq - 1, until=seq + 1)}
+        if (event := found.get(seq)) is None:
+            raise CorruptLedgerError("it is missing", seq=seq, path=str(self.path))
+        following = found.get(seq + 1)
+        if event_digest(event) != event.hash or (following is not None and following.previous != event.hash):
+            raise CorruptLedgerError("its content does not match its hash", seq=seq, path=str(self.path))
+        return event
 
     def last_seq_before(self, time: float) -> int:
         """Number of the last event written at or before `time` [s, 1970 UTC]; 0 if there is none."""
-        with self._translate_errors():
-            row = self._database.execute("SELECT max(seq) FROM event WHERE time <= ?", (time,)).fetchone()
-        return row[0] or 0
+        return self._store.last_seq_before(time)
 
     def vectors(self, after: int = 0) -> Iterator[tuple[int, StoredVector]]:
         """Event number and vector of each episode after event `after`, each after a check of its recorded digest.
@@ -177,15 +147,11 @@ class LedgerReader:
         if self.schema < SCHEMA_VERSION:
             fix = f"Migrate it with `dualbrain memory rebuild`. {self.path}"
             raise ConfigurationError("ledger schema_version", got=self.schema, allowed=str(SCHEMA_VERSION), fix=fix)
-        with self._translate_errors():
-            query = "SELECT seq, version, data, mask FROM vector WHERE seq > ? ORDER BY seq"
-            for seq, *row in self._database.execute(query, (after,)):
-                yield seq, tuple(row)
+        yield from self._store.vector_rows(after)
 
     def _recorded_digests(self, after: int) -> dict[int, str]:
         """Recorded digests of the vectors after event `after`."""
-        kinds = ", ".join("?" * len(DIGEST_EVENT_KINDS))
-        events = self.events(f"seq > ? AND kind IN ({kinds})", (after, *DIGEST_EVENT_KINDS))
+        events = self.events(*DIGEST_EVENT_KINDS, after=after)
         try:
             return {seq: digest for seq, digest in recorded_digests(events).items() if seq > after}
         except DECODE_ERRORS as error:
@@ -193,44 +159,11 @@ class LedgerReader:
             raise CorruptLedgerError(fault, seq=None, path=str(self.path)) from error
 
     def close(self) -> None:
-        """Close the file."""
-        self._database.close()
+        """Close the storage."""
+        self._store.close()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, value: object, trace: TracebackType | None) -> None:
         self.close()
-
-
-def _database_uri(path: Path) -> str:
-    """The URI with which SQLite opens `path` for reading.
-
-    In a folder without write permission and without a pending write-ahead log, the file is opened as immutable: SQLite
-    cannot create its shared index there, and no process of this user can be writing.
-    """
-    log = path.with_name(f"{path.name}-wal")
-    log_is_empty = not log.exists() or log.stat().st_size == 0
-    immutable = log_is_empty and not os.access(path.parent, os.W_OK)
-    return path.resolve().as_uri() + ("?immutable=1" if immutable else "?mode=ro")
-
-
-def _decode_text(raw: bytes) -> str:
-    return raw.decode("utf-8", "surrogateescape")
-
-
-def _parse_event_row(row: tuple[Any, ...]) -> LedgerEvent:
-    """The event in a database row, in which a damaged or forged file may hold values of any type."""
-    seq, kind, run, subject, time, payload, previous, stored = row
-    seconds = time if isinstance(time, float) else math.nan
-    content = payload if isinstance(payload, bytes) else str(payload).encode("utf-8", "surrogateescape")
-    return LedgerEvent(
-        seq=seq,
-        kind=str(kind),
-        run=str(run),
-        subject=str(subject),
-        time=seconds,
-        payload=content,
-        previous=str(previous),
-        hash=str(stored),
-    )

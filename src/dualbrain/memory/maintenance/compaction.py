@@ -179,7 +179,7 @@ def _status_events(source: LedgerReader, state: LedgerState) -> Iterator[Pending
 
 
 def _accepted_events(source: LedgerReader) -> Iterator[PendingEvent]:
-    for event in source.events("kind = ?", (ACCEPTED,)):
+    for event in source.events(ACCEPTED):
         yield PendingEvent(kind=ACCEPTED, subject="", payload=msgspec.json.decode(event.payload))
 
 

@@ -12,7 +12,7 @@ from dualbrain.memory.index.index import compute_vectors
 from dualbrain.memory.ledger.anchors import check_anchors
 from dualbrain.memory.ledger.hash_chain import ChainReport, Head
 from dualbrain.memory.ledger.ledger import LedgerReader
-from dualbrain.memory.ledger.tables import SCHEMA_VERSION
+from dualbrain.memory.ledger.sqlite.tables import SCHEMA_VERSION
 from dualbrain.memory.ledger.vectors import VectorReport
 from dualbrain.memory.state.derivation import derive_state
 from dualbrain.memory.state.snapshot import read_snapshot

@@ -60,7 +60,7 @@ def exclude_memories(state: LedgerState, names: Collection[str]) -> LedgerState:
 
 def read_rollbacks(ledger: LedgerReader) -> dict[int, int]:
     """The number of each rollback event, mapped to the event that it restored."""
-    found = ledger.events("kind = ?", (ROLLBACK,))
+    found = ledger.events(ROLLBACK)
     try:
         return {event.seq: msgspec.json.decode(event.payload, type=Rollback).target for event in found}
     except DECODE_ERRORS as error:
@@ -82,7 +82,5 @@ def effective_events(ledger: LedgerReader, kinds: tuple[str, ...]) -> Iterator[L
 
 
 def _events(ledger: LedgerReader, ranges: tuple[range, ...], kinds: tuple[str, ...]) -> Iterator[LedgerEvent]:
-    placeholders = ", ".join("?" * len(kinds))
     for span in ranges:
-        where = f"seq BETWEEN ? AND ? AND kind IN ({placeholders})"
-        yield from ledger.events(where, (span.start, span.stop - 1, *kinds))
+        yield from ledger.events(*kinds, after=span.start - 1, until=span.stop - 1)

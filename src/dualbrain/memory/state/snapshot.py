@@ -80,11 +80,15 @@ def write_snapshot(ledger: Ledger, snapshot: MemorySnapshot, *, now: float) -> P
 
 
 def read_snapshot(ledger: LedgerReader) -> MemorySnapshot | None:
-    """The snapshot that the newest snapshot event names; None if there is none, or it is damaged."""
+    """The snapshot of the newest snapshot event whose file is on this machine; None if none is, or it is damaged.
+
+    Each robot of a shared ledger has files of its own.
+    """
     with suppress(OSError, *DECODE_ERRORS, ValueError, struct.error):
-        for event in reversed(list(ledger.events("kind = ?", (SNAPSHOT,)))[-1:]):
+        for event in reversed(list(ledger.events(SNAPSHOT))):
             record = msgspec.json.decode(event.payload, type=SnapshotRecord)
-            return _read_file(_path(ledger, record.as_of), record, ledger)
+            if (path := _path(ledger, record.as_of)).exists():
+                return _read_file(path, record, ledger)
     return None
 
 

@@ -11,7 +11,7 @@ import sqlite3
 from pathlib import Path
 
 from dualbrain.memory.ledger.hash_chain import CorruptLedgerError
-from dualbrain.memory.ledger.tables import declared_objects, read_schema_version, stored_objects
+from dualbrain.memory.ledger.sqlite.tables import declared_objects, read_schema_version, stored_objects
 
 
 def check_meta_table(database: sqlite3.Connection, path: Path) -> None:

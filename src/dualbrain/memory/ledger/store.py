@@ -1,0 +1,102 @@
+"""The storage behind a ledger: events with typed queries, appends after a known head, and a projection of vectors.
+
+A store keeps the events and their hashes as they are given. `sqlite.store` is the store in a SQLite file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from dualbrain.errors import DualbrainError
+from dualbrain.memory.ledger.hash_chain import Head, LedgerEvent
+from dualbrain.memory.ledger.vectors import StoredVector
+
+COLUMNS = "seq, kind, run, subject, time, payload, previous, hash"
+"""Columns of the event table, in the order of the fields of `LedgerEvent`."""
+VectorRow = tuple[object, object, object]
+"""Version, data and mask of a vector as they were found, before any check."""
+ChainedEvent = tuple[LedgerEvent, StoredVector | None]
+"""An event with its place in the chain, and the vector of an episode."""
+EventBuilder = Callable[[Head], Sequence[ChainedEvent]]
+"""Chains events to a head. A store calls it inside its transaction, with the head that no other writer can move."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EventQuery:
+    """Conditions on events; an empty tuple or None sets no condition. `after` < seq ≤ `until`."""
+
+    kinds: tuple[str, ...] = ()
+    subject: str | None = None
+    run: str | None = None
+    after: int = 0
+    until: int | None = None
+
+    def condition(self) -> tuple[str, list[object]]:
+        """The SQL condition with a question mark for each of the values, which are returned, too."""
+        terms, values = ["seq > ?"], list[object]([self.after])
+        if self.kinds:
+            terms.append(f"kind IN ({', '.join('?' * len(self.kinds))})")
+            values += self.kinds
+        for term, value in (("subject = ?", self.subject), ("run = ?", self.run), ("seq <= ?", self.until)):
+            if value is not None:
+                terms.append(term)
+                values.append(value)
+        return " AND ".join(terms), values
+
+
+class HeadMovedError(DualbrainError):
+    """Another writer appended events after the head from which these events were computed; nothing was appended."""
+
+    def __init__(self, expected: Head, found: Head) -> None:
+        """Report the head that the writer knew, and the head that was found."""
+        self.expected, self.found = expected, found
+        super().__init__(
+            f"Another writer of the shared memory ledger was faster: its newest event is {found.seq}, not "
+            f"{expected.seq}. Nothing was changed. Try again."
+        )
+
+
+class LedgerStore(Protocol):
+    """Storage of one ledger. Errors are those of `LedgerReader` and `Ledger`."""
+
+    schema: int
+    """Version of the tables."""
+    missing_objects: tuple[str, ...]
+    """Declared indices and triggers that are missing."""
+
+    def events(self, query: EventQuery) -> Iterator[LedgerEvent]:
+        """The events that meet `query`, in the order of `seq`."""
+        ...
+
+    def head(self) -> Head:
+        """Number and hash of the newest event; (0, `GENESIS`) in an empty ledger."""
+        ...
+
+    def last_seq_before(self, time: float) -> int:
+        """Number of the last event written at or before `time` [s, 1970 UTC]; 0 if there is none."""
+        ...
+
+    def vector_rows(self, after: int) -> Iterator[tuple[int, VectorRow]]:
+        """Event number and unchecked vector of each episode after event `after`."""
+        ...
+
+    def append(self, build: EventBuilder, *, after: Head | None = None) -> tuple[LedgerEvent, ...]:
+        """Append the events that `build` chains to the head, all or none, durably.
+
+        Raises `HeadMovedError` if `after` is given and is not the head.
+        """
+        ...
+
+    def replace_vectors(self, vectors: Mapping[int, StoredVector], build: EventBuilder) -> None:
+        """Replace the whole projection by `vectors`, and append the events with their digests, all or none."""
+        ...
+
+    def find_faults(self) -> tuple[str, ...]:
+        """Faults in the structure of the storage."""
+        ...
+
+    def close(self) -> None:
+        """Close the storage."""
+        ...
