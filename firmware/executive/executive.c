@@ -23,10 +23,8 @@ void executive_init(executive *e) {
   e->pending = e->cycle_us = e->output_us = e->host_now_us = e->last_stamp_us = 0;
 }
 
-static void send(const executive *e, uint8_t type, uint32_t sequence, const uint8_t *payload, uint32_t size,
-                 const siphash_key *key) {
+static void send(uint8_t type, uint32_t sequence, const uint8_t *payload, uint32_t size, const siphash_key *key) {
   uint8_t encoded[FRAME_MAX_ENCODED];
-  (void)e;
   hal_tx(encoded, frame_encode(type, sequence, payload, size, key, encoded));
 }
 
@@ -52,7 +50,7 @@ static void answer_hello(executive *e, const frame *f) {
   b[24] = (uint8_t)robot_model.n;
   write_u16(b + 25, (uint16_t)DBK_MAX_OBSTACLES);
   for (uint32_t i = 0; i < 15u; ++i) { b[27 + i] = (uint8_t)board_name[i]; }
-  send(e, MESSAGE_HELLO_REPLY, f->sequence, b, sizeof b, &shared_key);
+  send(MESSAGE_HELLO_REPLY, f->sequence, b, sizeof b, &shared_key);
   e->session.key = session_key(read_u64(f->payload), nonce);
   e->session.last_sequence = f->sequence;
   e->session.open = 1;
@@ -159,7 +157,7 @@ static int cycle(executive *e, const frame *f) {
   e->cycle_us = hal_now();
   e->session.cycling = 1;
   write_reply(e, u, (uint32_t)(e->cycle_us - started_us), reply);
-  send(e, MESSAGE_CYCLE_REPLY, f->sequence, reply, REPLY_SIZE, &e->session.key);
+  send(MESSAGE_CYCLE_REPLY, f->sequence, reply, REPLY_SIZE, &e->session.key);
   hal_watchdog();
   return 1;
 }
@@ -196,7 +194,7 @@ static void output_without_host(executive *e, uint64_t since_us, uint64_t now_us
   filter(e, &robot_hull_model, u);
   e->output_us = now_us;
   write_reply(e, u, 0, reply);
-  send(e, MESSAGE_OUTPUT, e->session.last_sequence, reply, REPLY_SIZE, &e->session.key);
+  send(MESSAGE_OUTPUT, e->session.last_sequence, reply, REPLY_SIZE, &e->session.key);
 }
 
 void executive_watchdog(executive *e, uint64_t now_us) {
