@@ -102,6 +102,7 @@ def test_every_step_has_the_bits_of_the_host(lockstep):
         u, q = result.u, q + 1e-3 * result.u
     assert {"MODIFIED", "STOPPED"} <= statuses
     assert (safety.target.lost, safety.target.steps, safety.target.differences) == ("", 900, 0)
+    assert safety.describe_target() == "an386: 900 steps on target and host, 0 with different bits"
 
 
 def controller_on(target):

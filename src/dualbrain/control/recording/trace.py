@@ -42,6 +42,7 @@ EventKind = Literal[
     "operator",
     "margin",
     "command_lost",
+    "target",
 ]
 
 

@@ -31,14 +31,15 @@ class SimulatedBackend:
     @contextmanager
     def start(self, context: RunContext, observer: RunObserver) -> Generator[RunningRobot]:
         """The simulated robot; every tick is recorded in `episode.mcap` of the run folder."""
+        with _open_filter(context) as safety:
+            yield from self._start(context, observer, safety)
+
+    def _start(self, context: RunContext, observer: RunObserver, safety: SafetyFilter) -> Generator[RunningRobot]:
         config, model = context.config, context.robot_model
         trace = self._trace = Trace(model.n, model.nq)
         path = config.out / "episode.mcap"
         reserve = reserve_for_recording(path, unrecorded=config.unrecorded)
-        with (
-            _open_filter(context) as safety,
-            Recorder(path, trace, when_full="wait", reserve=reserve) as recorder,
-        ):
+        with Recorder(path, trace, when_full="wait", reserve=reserve) as recorder:
             log = FlightLog(trace, recorder, observer.on_event, observer.on_attempt)
             recorder.episode(0.0, {**_recording_metadata(context), "versions": context.versions})
             world = context.world
@@ -66,6 +67,8 @@ class SimulatedBackend:
             try:
                 yield RunningRobot(executor=cell.executor, clock=clock, ground_truth=truth)
             finally:
+                if text := safety.describe_target():
+                    log.note(world.plant.now, "target", text)
                 world.plant.stop()
 
     def trace(self, context: RunContext) -> Trace:

@@ -173,6 +173,10 @@ class SafetyFilter:
         """`Condition` bits that a target adds; none for a filter on the host."""
         return 0
 
+    def describe_target(self) -> str:
+        """One sentence about the target and its results so far; "" for a filter on the host."""
+        return ""
+
     # --- obstacles, rows, contacts, grasped object ------------------------------------------------------------
 
     def observe(self, obstacles: Sequence[Obstacle], stamp: float = 0.0) -> None:

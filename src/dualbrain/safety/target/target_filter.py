@@ -57,6 +57,14 @@ class TargetFilter(SafetyFilter):
         """`Condition` bits that the target adds: its own stop, or its loss."""
         return self.target.conditions()
 
+    def describe_target(self) -> str:
+        """The board, the steps that both channels computed, and those with different bits."""
+        target = self.target
+        lost = f"; lost: {target.lost}" if target.lost else ""
+        return (
+            f"{target.board}: {target.steps} steps on target and host, {target.differences} with different bits{lost}"
+        )
+
 
 class EmulatedTarget:
     """An emulated board with the firmware of one robot, built for it with a new key. Use it as a context manager."""

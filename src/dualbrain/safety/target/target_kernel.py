@@ -51,6 +51,7 @@ class TargetKernel:
         """`host` is the host's kernel of the same robot and configuration, with an empty scene."""
         self._host, self._session, self._n = host, session, robot_model.n
         self._opening_max: float | None = kernel_model(robot_model, config).get("opening_max")
+        self.board = session.description.board
         self._table, self._near = np.zeros((0, 29)), dict[int, tuple[float, ...]]()
         self._permits: dict[tuple[int, int], float] = {}
         self._scene_changed, self._permits_changed = True, True
