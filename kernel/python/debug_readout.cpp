@@ -53,7 +53,7 @@ nb::dict motion_fields(const dbk_sphere_motion &m) {
   REALS(m, vx), REALS(m, vy), REALS(m, vz), REALS(m, ax), REALS(m, ay), REALS(m, az), REALS(m, spread);
   REALS(m, joint_max_speed), REALS(m, joint_half_width), REALS(m, joint_excess), REALS(m, twist);
   REALS(m, bound_x), REALS(m, bound_y), REALS(m, bound_z), REALS(m, bound_r);
-  REALS(m, inner_distance);
+  REALS(m, inner_distance), REALS(m, centres_radius);
   REALS(m, trust_speed), REALS(m, max_speed), REALS(m, sampling_term);
   return d;
 }

@@ -161,6 +161,7 @@ void dbk_build_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx
   ctx->rows.count = ctx->rows.overflow = ctx->rows.no_gradient = ctx->rows.unavoidable = ctx->rows.n_spans = 0;
   ctx->revisits.count = ctx->narrow_phase_count = 0;
   ctx->h_min = DBK_MAX_DISTANCE;
+  dbk_start_from_nearest_links(model, scene, ctx, extra);
   if (scene->n_obstacles > 0) {
     dbk_predicted_obstacles predicted;
     dbk_predict_obstacles(model, scene, age, extra, known_only, &predicted);

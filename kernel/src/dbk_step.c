@@ -15,6 +15,7 @@
 
 void dbk_init(dbk_ctx *ctx) {
   ctx->n_warm = ctx->speed.active = ctx->speed.n_cuts = 0;
+  ctx->nearest.link_pair = -1;
   for (int32_t k = 0; k < DBK_MAX_DOF; ++k) {
     ctx->u_prev[k] = (dbk_real)0;
     ctx->u_nom_prev[k] = (dbk_real)0;
@@ -198,12 +199,16 @@ static int32_t certify(const dbk_model *model, const dbk_scene *scene, dbk_ctx *
   return 0;
 }
 
-/* writes the result and stores the control for the next step */
+/* Writes the result and stores the control for the next step. Every path of a step ends here: the control is finite and
+ * within the velocity limits for every u, also for NaN (checked in tests/static_analysis). */
 static dbk_status finish(const dbk_model *model, dbk_ctx *ctx, const dbk_in *in, dbk_status status, int32_t flags,
                          int32_t certified, const dbk_real *u, dbk_out *out) {
   for (int32_t k = 0; k < DBK_MAX_DOF; ++k) {
     dbk_real value = (dbk_real)0;
-    if (k < model->n) { value = dbk_clamp(u[k], -model->v_max[k], model->v_max[k]); }
+    if (k < model->n) {
+      const dbk_real x = u[k];
+      if (x == x) { value = dbk_clamp(x, -model->v_max[k], model->v_max[k]); } /* NaN: standstill */
+    }
     out->u[k] = value;
     ctx->u_change[k] = value - ctx->u_prev[k];
     ctx->u_prev[k] = value;

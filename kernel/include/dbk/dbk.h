@@ -53,6 +53,7 @@ enum { DBK_RANK_BODY = 1, DBK_RANK_OBSTACLE, DBK_RANK_WORKSPACE, DBK_RANK_TASK }
 typedef struct {
   dbk_real x, y, z, radius;
   dbk_real inner_distance; /* min over spheres of |centre of the sphere - centre of the bounding sphere| - its radius */
+  dbk_real centres_radius; /* max over spheres of |centre of the sphere - centre of the bounding sphere| */
 } dbk_bounding_sphere;
 
 typedef struct {
@@ -195,6 +196,14 @@ typedef struct {
   int16_t first_sphere[DBK_MAX_REVISITS], n_spheres[DBK_MAX_REVISITS], other[DBK_MAX_REVISITS];
 } dbk_revisits;
 
+/* A group of close pairs for self-collision: one sphere of the proximal link of a link pair, and the distal link. The next
+ * step evaluates it first: its h is an upper bound of h_min, so that most other pairs can be culled. Every use checks
+ * that the group exists in the model and the scene, so no event has to reset it */
+typedef struct {
+  int32_t link_pair; /* index in dbk_model.pair; after the last one: n_pairs + index in held_link; -1: none */
+  int32_t sphere;
+} dbk_nearest_links;
+
 typedef struct {
   dbk_real x[DBK_SPHERE_CAPACITY], y[DBK_SPHERE_CAPACITY], z[DBK_SPHERE_CAPACITY], r[DBK_SPHERE_CAPACITY];
   int32_t count;
@@ -213,7 +222,7 @@ typedef struct {
   dbk_real twist[DBK_MAX_DOF + 1][6];     /* of every frame about the base origin: angular, linear */
   /* per link: bounding sphere at the current posture */
   dbk_real bound_x[DBK_ALL_LINKS], bound_y[DBK_ALL_LINKS], bound_z[DBK_ALL_LINKS], bound_r[DBK_ALL_LINKS];
-  dbk_real inner_distance[DBK_ALL_LINKS]; /* see dbk_bounding_sphere */
+  dbk_real inner_distance[DBK_ALL_LINKS], centres_radius[DBK_ALL_LINKS]; /* see dbk_bounding_sphere */
   /* per link: maximum over its spheres [m/s] */
   dbk_real trust_speed[DBK_ALL_LINKS];   /* maximum speed within the trust region */
   dbk_real max_speed[DBK_ALL_LINKS];     /* maximum speed within the control bounds */
@@ -245,6 +254,7 @@ typedef struct {
   dbk_real u_prev[DBK_MAX_DOF], u_nom_prev[DBK_MAX_DOF];
   dbk_real u_change[DBK_MAX_DOF];      /* u_prev minus the control before it */
   int32_t n_warm, warm[DBK_QP_DIM][3]; /* warm start: kind, i, j of the rows that were active in the previous step */
+  dbk_nearest_links nearest;
   /* working memory of one step */
   dbk_frames frames;
   dbk_sphere_set spheres, next_spheres; /* at the current and at the predicted state */

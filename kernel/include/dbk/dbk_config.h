@@ -80,6 +80,8 @@ typedef float dbk_real;
 #define DBK_VIOLATION_TOL ((dbk_real)1e-4) /* [m/s] a rank counts as relaxed if its violation is larger */
 #define DBK_ZERO_GRADIENT ((dbk_real)1e-4) /* [m/rad] no joint can act on a row with a smaller normal */
 #define DBK_MOUNT_ROUNDING ((dbk_real)1e-6) /* [m] rounding error of the distance of a pair that no joint moves */
+#define DBK_RHS_ROUNDING ((dbk_real)1e-5)  /* [m/s] upper bound of the rounding error of a right side */
+#define DBK_VELOCITY_ROUNDING ((dbk_real)4e-6) /* the same of a velocity, relative to angular velocity times position */
 #define DBK_CULL_FLOOR ((dbk_real)1e-3)    /* [m] pairs closer than this are never culled */
 #define DBK_MAX_DISTANCE ((dbk_real)10)    /* [m] larger than the reach of any supported robot */
 /* [m] largest coordinate of the base and of an obstacle: beyond it the rounding of the base exceeds the margins */

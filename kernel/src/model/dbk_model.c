@@ -17,7 +17,7 @@ static dbk_real lever(const dbk_model *model, int32_t k, dbk_real arm) {
  * the rounding errors of later computations with it. */
 dbk_bounding_sphere dbk_enclosing_sphere(const dbk_real *x, const dbk_real *y, const dbk_real *z,
                                          const dbk_real *radius, int32_t count, dbk_real shift) {
-  dbk_bounding_sphere bound = {(dbk_real)0, (dbk_real)0, (dbk_real)0, (dbk_real)0, (dbk_real)0};
+  dbk_bounding_sphere bound = {(dbk_real)0, (dbk_real)0, (dbk_real)0, (dbk_real)0, (dbk_real)0, (dbk_real)0};
   if (count <= 0) { return bound; }
   /* bounding box of the centres */
   dbk_real lo[3] = {DBK_MAX_DISTANCE, DBK_MAX_DISTANCE, DBK_MAX_DISTANCE},
@@ -37,6 +37,7 @@ dbk_bounding_sphere dbk_enclosing_sphere(const dbk_real *x, const dbk_real *y, c
   for (int32_t s = 0; s < count; ++s) {
     const dbk_real distance = dbk_length(x[s] - cx, y[s] - cy, z[s] - cz);
     bound.radius = dbk_max(bound.radius, distance + radius[s] + slack);
+    bound.centres_radius = dbk_max(bound.centres_radius, distance + slack);
     bound.inner_distance = dbk_min(bound.inner_distance, distance - radius[s] + slack);
   }
   bound.x = cx - x[0];

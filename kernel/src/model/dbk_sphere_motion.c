@@ -67,6 +67,7 @@ static inline void place_bounding_sphere(const dbk_frames *frames, const dbk_sph
   out->bound_y[link] = y;
   out->bound_z[link] = z;
   out->bound_r[link] = bound->radius + rounding;
+  out->centres_radius[link] = bound->centres_radius + rounding;
   out->inner_distance[link] = bound->inner_distance + rounding;
 }
 
@@ -90,7 +91,8 @@ static inline void bound_links(const dbk_model *model, const dbk_scene *scene, d
           l == model->n_links ? &scene->held_bounding_sphere : &model->bounding_sphere[l];
       place_bounding_sphere(&ctx->frames, &ctx->spheres, bound, dbk_link_frame(model, l), first, l, out);
     } else {
-      out->bound_x[l] = out->bound_y[l] = out->bound_z[l] = out->bound_r[l] = out->inner_distance[l] = (dbk_real)0;
+      out->bound_x[l] = out->bound_y[l] = out->bound_z[l] = out->bound_r[l] = (dbk_real)0;
+      out->centres_radius[l] = out->inner_distance[l] = (dbk_real)0;
     }
   }
   /* controls outside the trust region increase the speed by at most the excess of every joint times its lever arm */

@@ -4,11 +4,15 @@
  *     permitted contact, and speed and separation monitoring. */
 #include "rows/dbk_obstacle_rows.h"
 
+#include "distance/dbk_direction_cull.h"
 #include "distance/dbk_distance.h"
 #include "model/dbk_model.h"
 #include "model/dbk_scene.h"
 #include "rows/dbk_obstacle_rows_batched.h"
 #include "rows/dbk_row_buffer.h"
+
+/* a link with fewer spheres is not culled by direction: its rows cost as little */
+#define MIN_SPHERES 3
 
 /* an obstacle and the parameters that all spheres of a link share */
 typedef struct {
@@ -109,15 +113,25 @@ static void single_obstacle_rows(const dbk_model *model, const dbk_scene *scene,
   if (!o.permitted) { dbk_record_distance(model, scene, ctx, link, index, result.least); }
 }
 
-/* rows of one link and its candidates; the batched order is used if the plain capsules outnumber the spheres */
-static void link_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx,
-                      const dbk_predicted_obstacles *predicted, const dbk_link_candidates *link) {
+static int32_t count_plain(const dbk_scene *scene, const dbk_link_candidates *link) {
   int32_t plain = 0;
   for (int32_t i = 0; i < link->n_obstacles; ++i) {
     plain += dbk_uses_plain_capsule(scene, link->link, link->obstacle[i]);
   }
+  return plain;
+}
+
+/* Rows of one link and its candidates. The batched order is used if the plain capsules outnumber the spheres; both orders
+ * round n'J differently, so the order depends on all candidates, before the cull by direction. */
+static void link_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx,
+                      const dbk_predicted_obstacles *predicted, dbk_link_candidates *link, int16_t *index) {
+  int32_t plain = count_plain(scene, link);
   const int32_t batched = plain > link->count;
-  if (batched) { dbk_obstacle_rows_batched(model, scene, ctx, predicted, link); }
+  if (link->count >= MIN_SPHERES) {
+    link->n_obstacles = dbk_cull_by_direction(model, scene, ctx, predicted, link, index);
+    plain = batched ? count_plain(scene, link) : 0;
+  }
+  if (batched && plain > 0) { dbk_obstacle_rows_batched(model, scene, ctx, predicted, link); }
   if (batched && plain == link->n_obstacles) { return; }
   for (int32_t i = 0; i < link->n_obstacles; ++i) {
     const int32_t o = link->obstacle[i];
@@ -127,20 +141,27 @@ static void link_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *c
   }
 }
 
+/* a link and its candidates */
+static dbk_link_candidates candidates_of(const dbk_model *model, const dbk_scene *scene, int32_t link, int32_t count,
+                                         const int16_t *obstacle) {
+  const int32_t first = dbk_link_first_sphere(model, link);
+  const dbk_link_candidates result = {link,
+                                      first,
+                                      dbk_link_end_sphere(model, scene, link) - first,
+                                      dbk_link_frame(model, link),
+                                      link == model->n_links ? scene->held_error : (dbk_real)0,
+                                      count,
+                                      obstacle};
+  return result;
+}
+
 void dbk_obstacle_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx,
                        const dbk_predicted_obstacles *predicted) {
   dbk_candidates candidates;
   dbk_broadphase(model, scene, ctx, predicted, &candidates);
   for (int32_t l = 0; l <= model->n_links; ++l) {
     if (candidates.count[l] == 0) { continue; }
-    const int32_t first = dbk_link_first_sphere(model, l);
-    const dbk_link_candidates link = {l,
-                                      first,
-                                      dbk_link_end_sphere(model, scene, l) - first,
-                                      dbk_link_frame(model, l),
-                                      l == model->n_links ? scene->held_error : (dbk_real)0,
-                                      candidates.count[l],
-                                      candidates.index[l]};
-    link_rows(model, scene, ctx, predicted, &link);
+    dbk_link_candidates link = candidates_of(model, scene, l, candidates.count[l], candidates.index[l]);
+    link_rows(model, scene, ctx, predicted, &link, candidates.index[l]);
   }
 }

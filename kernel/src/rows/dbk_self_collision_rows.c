@@ -11,38 +11,86 @@
 #include "model/dbk_model.h"
 #include "rows/dbk_row_buffer.h"
 
-#define RHS_ROUNDING ((dbk_real)1e-5) /* [m/s] upper bound of the rounding error of a right side */
-
 /* a pair of links; `first` and `count` are the spheres of the distal link; the joints first_joint..end_joint-1 lie
  * between the links */
 typedef struct {
-  int32_t distal, first_joint, end_joint, first, count;
-  dbk_real margin, sampling_term;
-  dbk_real speed;  /* maximum closing speed within the trust region, including the sampling term */
-  dbk_real excess; /* maximum additional closing speed within the control bounds */
+  int32_t number; /* index in model->pair; after the last one: n_pairs + index in model->held_link */
+  int32_t proximal, distal, first_joint, end_joint, first, count;
+  dbk_real margin;
+  dbk_real twist[6]; /* of the distal link relative to the proximal one at the centre of the trust region: w, v */
+  dbk_real change;   /* maximum change of the closing speed within the trust region, plus the sampling term */
+  dbk_real speed;    /* maximum closing speed within the trust region, including the sampling term, by joints and links */
+  dbk_real closing;  /* the same for the rows, also by the direction of the motion */
+  dbk_real excess;   /* maximum additional closing speed within the control bounds */
+  dbk_real travel;   /* maximum decrease of h within this period, plus the cull floor [m] */
 } link_pair;
 
 /* velocity of the distal spheres relative to the proximal link at the centre of the trust region; `spread` is the
- * maximum change of the velocity within the trust region, and `change` is the spread plus the sampling term */
+ * maximum change of the velocity within the trust region. `travel` is that of the pair, by the speeds of the spheres */
 typedef struct {
-  dbk_real vx[DBK_SPHERE_CAPACITY], vy[DBK_SPHERE_CAPACITY], vz[DBK_SPHERE_CAPACITY];
-  dbk_real spread[DBK_SPHERE_CAPACITY], change[DBK_SPHERE_CAPACITY];
+  int32_t ready;
+  dbk_real travel;
+  dbk_real vx[DBK_SPHERE_CAPACITY], vy[DBK_SPHERE_CAPACITY], vz[DBK_SPHERE_CAPACITY], spread[DBK_SPHERE_CAPACITY];
 } relative_motion;
-
-/* maximum closing speed of two links within the trust region: the smaller of the bound by the joints between the links
- * and the bound by the speeds of both links in space */
-static dbk_real closing_speed(const dbk_model *model, const dbk_sphere_motion *m, int32_t proximal, int32_t distal,
-                              int32_t first_joint, int32_t end_joint) {
-  dbk_real speed = m->sampling_term[proximal] + m->sampling_term[distal];
-  for (int32_t k = first_joint; k < end_joint; ++k) { speed += m->joint_max_speed[k] * model->link_reach[k][distal]; }
-  return dbk_min(speed, m->trust_speed[proximal] + m->trust_speed[distal]);
-}
 
 /* 1 unless all of the following hold at distance h: no control within the trust region can violate the row, no control
  * within the control bounds can reach h = 0 within this period, and another pair is closer */
-static int32_t relevant(const dbk_model *model, const dbk_ctx *ctx, const link_pair *p, dbk_real h) {
-  const dbk_real travel = model->period * (p->speed + p->excess) + DBK_CULL_FLOOR;
-  return !(h > travel && model->alpha_self * h >= p->speed && h + model->sampling >= ctx->h_min);
+static int32_t relevant(const dbk_model *model, const dbk_ctx *ctx, const link_pair *p, dbk_real closing, dbk_real h) {
+  return !(h > p->travel && model->alpha_self * h >= closing && h + model->sampling >= ctx->h_min);
+}
+
+/* velocity v + w x c of the distal link at a point, relative to the proximal link */
+static inline void relative_velocity(const link_pair *p, dbk_real x, dbk_real y, dbk_real z, dbk_real v[3]) {
+  const dbk_real *t = p->twist;
+  v[0] = t[3] + (t[1] * z - t[2] * y);
+  v[1] = t[4] + (t[2] * x - t[0] * z);
+  v[2] = t[5] + (t[0] * y - t[1] * x);
+}
+
+/* The largest closing speed of two points whose difference is within `radius` of a vector of length `distance`, if the
+ * product of the difference and the relative velocity is at least `product`. */
+static inline dbk_real closing_within(const link_pair *p, dbk_real product, dbk_real distance, dbk_real radius) {
+  const dbk_real nearest = distance - radius;
+  if (!(nearest > DBK_CULL_FLOOR)) { return p->closing; }
+  return dbk_min(p->closing, (product < (dbk_real)0 ? -product / nearest : (dbk_real)0) + p->change);
+}
+
+/* Bounds of the closing speeds, by the joints between the links, and by the speeds of both links in space. */
+static void bound_speeds(const dbk_model *model, const dbk_sphere_motion *m, link_pair *p) {
+  const dbk_real sampling_term = m->sampling_term[p->proximal] + m->sampling_term[p->distal];
+  dbk_real speed = sampling_term;
+  p->change = sampling_term + DBK_RHS_ROUNDING;
+  for (int32_t k = p->first_joint; k < p->end_joint; ++k) {
+    const dbk_real reach = model->link_reach[k][p->distal];
+    speed += m->joint_max_speed[k] * reach;
+    p->excess += m->joint_excess[k] * reach;
+    p->change += m->joint_half_width[k] * reach;
+  }
+  p->speed = p->closing = dbk_min(speed, m->trust_speed[p->proximal] + m->trust_speed[p->distal]);
+  p->travel = model->period * (p->speed + p->excess) + DBK_CULL_FLOOR;
+}
+
+/* Sets the relative twist, and tightens the closing speed by the directions. With the difference c_s - c_i of the
+ * centres of a distal and a proximal sphere, W the difference of the centres of the bounding spheres, V the relative
+ * velocity at the centre of each, and the distances e and f of the centres from those of the bounding spheres,
+ *
+ *   (c_s - c_i)'v = W'V_p + e'V_p - f'V_d + e'(w x f)
+ *
+ * which is exact: w x (c_s - c_i) is orthogonal to c_s - c_i. */
+static void bound_by_direction(const dbk_sphere_motion *m, link_pair *p) {
+  const int32_t a = p->proximal, b = p->distal;
+  const dbk_real x = m->bound_x[b] - m->bound_x[a], y = m->bound_y[b] - m->bound_y[a], z = m->bound_z[b] - m->bound_z[a];
+  const dbk_real f = m->centres_radius[a], e = m->centres_radius[b];
+  dbk_real near[3], far[3];
+  for (int32_t i = 0; i < 6; ++i) { p->twist[i] = m->twist[p->end_joint][i] - m->twist[p->first_joint][i]; }
+  relative_velocity(p, m->bound_x[a], m->bound_y[a], m->bound_z[a], near);
+  relative_velocity(p, m->bound_x[b], m->bound_y[b], m->bound_z[b], far);
+  const dbk_real turn = dbk_length(p->twist[0], p->twist[1], p->twist[2]);
+  const dbk_real origin = dbk_abs(m->bound_x[b]) + dbk_abs(m->bound_y[b]) + dbk_abs(m->bound_z[b]);
+  p->change += DBK_VELOCITY_ROUNDING * turn * origin;
+  const dbk_real product = (x * near[0] + y * near[1] + z * near[2]) - e * dbk_length(near[0], near[1], near[2]) -
+                           f * dbk_length(far[0], far[1], far[2]) - turn * e * f;
+  p->closing = closing_within(p, product, dbk_length(x, y, z), e + f);
 }
 
 /* lower bound of h between a sphere at (x, y, z) of radius r and the spheres of the distal link */
@@ -53,13 +101,13 @@ static dbk_real gap_to(const dbk_sphere_motion *m, const link_pair *p, dbk_real 
 
 /* computes the relative motion of the distal spheres; returns the maximum closing speed over these spheres */
 DBK_SIMD_CLONES static dbk_real set_relative_motion(const dbk_model *model, const dbk_ctx *ctx, const link_pair *p,
-                                                    relative_motion *restrict out) {
+                                                relative_motion *restrict out) {
   const dbk_sphere_motion *m = &ctx->motion;
   const int32_t count = DBK_PADDED(p->count);
-  dbk_real t[6], fastest[DBK_LANES] = {(dbk_real)0};
-  for (int32_t e = 0; e < 6; ++e) { t[e] = m->twist[p->end_joint][e] - m->twist[p->first_joint][e]; }
-  const dbk_real wx = t[0], wy = t[1], wz = t[2], vx = t[3], vy = t[4], vz = t[5],
-                 sampling_term = p->sampling_term + RHS_ROUNDING;
+  const dbk_real *t = p->twist;
+  const dbk_real wx = t[0], wy = t[1], wz = t[2], vx = t[3], vy = t[4], vz = t[5];
+  const dbk_real sampling_term = m->sampling_term[p->proximal] + m->sampling_term[p->distal] + DBK_RHS_ROUNDING;
+  dbk_real fastest[DBK_LANES] = {(dbk_real)0};
   /* spread: sum of half_width_k reach_k over the joints between the links */
   for (int32_t at = 0; at < count; ++at) { out->spread[at] = (dbk_real)0; }
   for (int32_t k = p->first_joint; k < p->end_joint; ++k) {
@@ -78,11 +126,18 @@ DBK_SIMD_CLONES static dbk_real set_relative_motion(const dbk_model *model, cons
       out->vx[at] = ux;
       out->vy[at] = uy;
       out->vz[at] = uz;
-      out->change[at] = change;
       fastest[l] = speed > fastest[l] ? speed : fastest[l];
     }
   }
   return dbk_max_lanes(fastest, (dbk_real)0);
+}
+
+/* computes the relative motion, and the travel by the speeds of the spheres, unless both are ready */
+static void move_distal_spheres(const dbk_model *model, const dbk_ctx *ctx, const link_pair *p, relative_motion *out) {
+  if (out->ready) { return; }
+  const dbk_real speed = dbk_min(p->speed, set_relative_motion(model, ctx, p, out));
+  out->travel = model->period * (speed + p->excess) + DBK_CULL_FLOOR;
+  out->ready = 1;
 }
 
 typedef struct {
@@ -91,21 +146,23 @@ typedef struct {
 } narrow_result;
 
 /* Narrow phase of proximal sphere i. A row is safe if n'v - change >= -alpha h. With n = w / d, w the vector between
- * the centres, this is w'v + d (alpha h - change) >= 0, which needs no division. */
+ * the centres, this is w'v + d (alpha h - change) >= 0, which needs no division. `v` is the relative velocity at the
+ * centre of sphere i, since w'v is the same at both centres. */
 DBK_SIMD_CLONES static narrow_result narrow_phase(const dbk_model *model, const dbk_sphere_set *spheres,
-                                                  const link_pair *p, const relative_motion *relative, int32_t i) {
+                                                  const link_pair *p, const dbk_real v[3], int32_t i) {
   const dbk_real px = spheres->x[i], py = spheres->y[i], pz = spheres->z[i], radius = spheres->r[i] + p->margin;
-  const dbk_real alpha = model->alpha_self;
+  const dbk_real vx = v[0], vy = v[1], vz = v[2], alpha = model->alpha_self, change = p->change;
+  const dbk_real *restrict sx = spheres->x + p->first, *restrict sy = spheres->y + p->first;
+  const dbk_real *restrict sz = spheres->z + p->first, *restrict sr = spheres->r + p->first;
   dbk_real least[DBK_LANES];
   int32_t binds[DBK_LANES] = {0};
   for (int32_t l = 0; l < DBK_LANES; ++l) { least[l] = DBK_MAX_DISTANCE; }
   for (int32_t base = 0; base < p->count; base += DBK_LANES) {
     for (int32_t l = 0; l < DBK_LANES; ++l) {
-      const int32_t at = base + l, s = p->first + at, valid = at < p->count;
-      const dbk_real x = spheres->x[s] - px, y = spheres->y[s] - py, z = spheres->z[s] - pz;
-      const dbk_real d = dbk_sqrt(x * x + y * y + z * z), h = d - spheres->r[s] - radius;
-      const dbk_real toward = x * relative->vx[at] + y * relative->vy[at] + z * relative->vz[at];
-      const dbk_real headroom = toward + d * (alpha * h - relative->change[at]);
+      const int32_t at = base + l, valid = at < p->count;
+      const dbk_real x = sx[at] - px, y = sy[at] - py, z = sz[at] - pz;
+      const dbk_real d = dbk_sqrt(x * x + y * y + z * z), h = d - sr[at] - radius;
+      const dbk_real headroom = (x * vx + y * vy + z * vz) + d * (alpha * h - change);
       const int32_t safe = (headroom >= (dbk_real)0) & (h >= DBK_CULL_FLOOR);
       const dbk_real valid_h = valid ? h : DBK_MAX_DISTANCE;
       binds[l] |= valid & !safe;
@@ -153,65 +210,105 @@ DBK_SIMD_CLONES static void bound_distal_spheres(const dbk_model *model, const d
   }
 }
 
-/* proximal sphere i against the distal spheres: narrow phase, h_min, the list for the certificate, and rows */
-static void sphere_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const link_pair *p,
-                        const relative_motion *relative, int32_t i) {
-  const narrow_result result = narrow_phase(model, &ctx->spheres, p, relative, i);
+/* updates h_min by the smallest h of a group of pairs, and keeps the group for the next step if it is the nearest */
+static void record_nearest(dbk_ctx *ctx, dbk_real h, int32_t number, int32_t sphere) {
+  if (!(h < ctx->h_min)) { return; }
+  const dbk_nearest_links group = {number, sphere};
+  ctx->h_min = h;
+  ctx->nearest = group;
+}
+
+/* proximal sphere i against the distal spheres: narrow phase, h_min, the list for the certificate. Returns 1 if a row
+ * may bind */
+static int32_t test_sphere(const dbk_model *model, dbk_ctx *ctx, const link_pair *p, relative_motion *relative,
+                           const dbk_real v[3], int32_t i) {
+  const narrow_result result = narrow_phase(model, &ctx->spheres, p, v, i);
   ++ctx->narrow_phase_count;
-  ctx->h_min = dbk_min(ctx->h_min, result.least + model->sampling);
-  if (!(result.least >= model->period * (p->speed + p->excess) + DBK_CULL_FLOOR)) {
-    dbk_revisit_pairs(ctx, p->first, p->count, -1 - i);
+  record_nearest(ctx, result.least + model->sampling, p->number, i);
+  if (!(result.least >= p->travel)) {
+    move_distal_spheres(model, ctx, p, relative);
+    if (!(result.least >= relative->travel)) { dbk_revisit_pairs(ctx, p->first, p->count, -1 - i); }
   }
-  if (result.binds) {
+  return result.binds;
+}
+
+/* the spheres of the proximal link, each against the bounding sphere of the distal link, then against its spheres. The
+ * relative motion of the distal spheres is computed for the first rows */
+static void proximal_spheres(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const link_pair *p) {
+  const dbk_sphere_motion *m = &ctx->motion;
+  const dbk_sphere_set *c = &ctx->spheres;
+  const dbk_real bx = m->bound_x[p->distal], by = m->bound_y[p->distal], bz = m->bound_z[p->distal];
+  const dbk_real radius = m->centres_radius[p->distal], surface = m->bound_r[p->distal] + p->margin;
+  relative_motion relative;
+  relative.ready = 0;
+  for (int32_t i = model->link_first[p->proximal]; i < model->link_first[p->proximal + 1]; ++i) {
+    const dbk_real x = bx - c->x[i], y = by - c->y[i], z = bz - c->z[i], distance = dbk_length(x, y, z);
+    dbk_real v[3];
+    relative_velocity(p, c->x[i], c->y[i], c->z[i], v);
+    const dbk_real product = (x * v[0] + y * v[1] + z * v[2]) - radius * dbk_length(v[0], v[1], v[2]);
+    const dbk_real closing = closing_within(p, product, distance, radius);
+    if (!relevant(model, ctx, p, closing, distance - surface - c->r[i])) { continue; }
+    if (!test_sphere(model, ctx, p, &relative, v, i)) { continue; }
+    move_distal_spheres(model, ctx, p, &relative);
     dbk_pair_batch batch;
-    bound_distal_spheres(model, ctx, p, relative, i, &batch);
+    bound_distal_spheres(model, ctx, p, &relative, i, &batch);
     dbk_append_rows(scene, ctx, &batch);
   }
 }
 
-/* rows of one pair of links */
-static void link_pair_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, int32_t proximal,
-                           int32_t distal, dbk_real extra) {
+/* a pair of links by its number; `count` is 0 if the distal link has no spheres, or if no joint is between the links. The
+ * speeds are not set */
+static link_pair link_pair_of(const dbk_model *model, const dbk_scene *scene, int32_t number, dbk_real extra) {
+  const int32_t held = number >= model->n_pairs;
+  link_pair p = {.number = number};
+  p.proximal = held ? model->held_link[number - model->n_pairs] : model->pair[number][0];
+  p.distal = held ? model->n_links : model->pair[number][1];
+  p.first = dbk_link_first_sphere(model, p.distal);
+  p.first_joint = dbk_link_frame(model, p.proximal);
+  p.end_joint = dbk_link_frame(model, p.distal);
+  p.count = p.first_joint == p.end_joint ? 0 : dbk_link_end_sphere(model, scene, p.distal) - p.first;
+  const dbk_real held_error = p.distal == model->n_links ? scene->held_error : (dbk_real)0;
+  p.margin = model->self_margin + model->sampling + model->rounding + extra + held_error;
+  return p;
+}
+
+/* rows of one pair of links: bounding sphere against bounding sphere, first with the closing speed by joints, then with
+ * the direction of the relative motion */
+static void link_pair_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, int32_t number,
+                           dbk_real extra) {
   const dbk_sphere_motion *m = &ctx->motion;
-  const dbk_sphere_set *spheres = &ctx->spheres;
-  const int32_t first = dbk_link_first_sphere(model, distal), count = dbk_link_end_sphere(model, scene, distal) - first;
-  const int32_t first_joint = dbk_link_frame(model, proximal), end_joint = dbk_link_frame(model, distal);
-  const dbk_real held_error = distal == model->n_links ? scene->held_error : (dbk_real)0;
-  if (count <= 0 || first_joint == end_joint) { return; }
-  link_pair p = {distal,
-                 first_joint,
-                 end_joint,
-                 first,
-                 count,
-                 model->self_margin + model->sampling + model->rounding + extra + held_error,
-                 m->sampling_term[proximal] + m->sampling_term[distal],
-                 closing_speed(model, m, proximal, distal, first_joint, end_joint),
-                 (dbk_real)0};
-  for (int32_t k = first_joint; k < end_joint; ++k) { p.excess += m->joint_excess[k] * model->link_reach[k][distal]; }
-  /* bounding spheres, first with the bound by links, then with the tighter bound by spheres */
-  const dbk_real gap =
-      gap_to(m, &p, m->bound_x[proximal], m->bound_y[proximal], m->bound_z[proximal], m->bound_r[proximal]);
-  if (!relevant(model, ctx, &p, gap)) { return; }
-  relative_motion relative;
-  p.speed = dbk_min(p.speed, set_relative_motion(model, ctx, &p, &relative));
-  if (!relevant(model, ctx, &p, gap)) { return; }
-  /* single spheres of the proximal link */
-  for (int32_t i = model->link_first[proximal]; i < model->link_first[proximal + 1]; ++i) {
-    if (relevant(model, ctx, &p, gap_to(m, &p, spheres->x[i], spheres->y[i], spheres->z[i], spheres->r[i]))) {
-      sphere_rows(model, scene, ctx, &p, &relative, i);
-    }
+  link_pair p = link_pair_of(model, scene, number, extra);
+  const int32_t near = p.proximal;
+  if (p.count <= 0) { return; }
+  bound_speeds(model, m, &p);
+  const dbk_real gap = gap_to(m, &p, m->bound_x[near], m->bound_y[near], m->bound_z[near], m->bound_r[near]);
+  if (!relevant(model, ctx, &p, p.closing, gap)) { return; }
+  bound_by_direction(m, &p);
+  if (!relevant(model, ctx, &p, p.closing, gap)) { return; }
+  proximal_spheres(model, scene, ctx, &p);
+}
+
+static int32_t pair_count(const dbk_model *model, const dbk_scene *scene) {
+  return model->n_pairs + (scene->n_held > 0 ? model->n_held_links : 0);
+}
+
+/* the arithmetic is that of the narrow phase, so h is one of the values whose minimum is h_min */
+void dbk_start_from_nearest_links(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, dbk_real extra) {
+  const int32_t number = ctx->nearest.link_pair, i = ctx->nearest.sphere;
+  const dbk_sphere_set *c = &ctx->spheres;
+  if (number < 0 || number >= pair_count(model, scene)) { return; }
+  const link_pair p = link_pair_of(model, scene, number, extra);
+  if (i < model->link_first[p.proximal] || i >= model->link_first[p.proximal + 1]) { return; }
+  for (int32_t s = p.first; s < p.first + p.count; ++s) {
+    const dbk_real x = c->x[s] - c->x[i], y = c->y[s] - c->y[i], z = c->z[s] - c->z[i], radius = c->r[i] + p.margin;
+    const dbk_real h = dbk_sqrt(x * x + y * y + z * z) - c->r[s] - radius;
+    ctx->h_min = dbk_min(ctx->h_min, h + model->sampling);
   }
 }
 
 /* The pairs are processed from the last one: it is at the end of the arm and is usually the closest, which lets h_min
  * cull more of the other pairs. */
 void dbk_self_collision_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, dbk_real extra) {
-  for (int32_t p = model->n_pairs - 1; p >= 0; --p) {
-    link_pair_rows(model, scene, ctx, model->pair[p][0], model->pair[p][1], extra);
-  }
-  if (scene->n_held > 0) {
-    for (int32_t l = 0; l < model->n_held_links; ++l) {
-      link_pair_rows(model, scene, ctx, model->held_link[l], model->n_links, extra);
-    }
-  }
+  for (int32_t p = model->n_pairs - 1; p >= 0; --p) { link_pair_rows(model, scene, ctx, p, extra); }
+  for (int32_t p = model->n_pairs; p < pair_count(model, scene); ++p) { link_pair_rows(model, scene, ctx, p, extra); }
 }

@@ -11,12 +11,13 @@ MAX_DISTANCE = 10.0
 
 
 def bounding_sphere(points, radii, shift):
-    """Centre (relative to the first point), radius, inner distance, around the centre of the points' bounding box."""
+    """Centre (relative to the first point) of the points' bounding box; radius, inner distance, radius of points."""
     if len(points) == 0:
-        return np.zeros(5)
+        return np.zeros(6)
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     off, slack = np.linalg.norm(points - middle, axis=1), shift + 0.01 * ALWAYS_CHECKED_DISTANCE
-    return np.array([*(middle - points[0]), (off + radii).max() + slack, (off - radii).min() + slack])
+    around = (off + radii).max() + slack, (off - radii).min() + slack, off.max() + slack
+    return np.array([*(middle - points[0]), *around])
 
 
 def segment_distance(point, middle, axis, half):

@@ -11,8 +11,8 @@ from tests.safety.kernel_step.reference_obstacles import ALWAYS_CHECKED_DISTANCE
 from tests.safety.kernel_step.reference_step import ReferenceStep
 
 OBSTACLE, SELF, LOWER, UPPER, USER = range(5)
-ZERO_GRADIENT, ROW_TIGHTENING, SPEED_ROUNDING = 1e-4, 1e-10, 1e-5
-"""Smallest effective normal [m/rad]; tightening of rows [rad/s]; rounding of right-hand sides [m/s]."""
+ZERO_GRADIENT, ROW_TIGHTENING, SPEED_ROUNDING, VELOCITY_ROUNDING = 1e-4, 1e-10, 1e-5, 4e-6
+"""Smallest effective normal [m/rad]; tightening of rows [rad/s]; rounding of right-hand sides [m/s]; of velocities."""
 
 
 class ReferenceRows(ReferenceStep):
@@ -243,40 +243,67 @@ class ReferenceRows(ReferenceStep):
                 out.add((self.first[far], len(self.sphere_indices(far)), -1 - i))
         return out
 
-    @cached_property
-    def n_pair_checks(self):
-        """Number of spheres that are checked against another link, because its bounding sphere cannot exclude them."""
-        count, obstacles = (
-            0,
-            [
-                h + self.model["sampling"]
-                for link, near in enumerate(self.nearby_obstacles)
-                for j in near
-                if (link, j) not in self.case.permits
-                for h in self.obstacle_rows(link, j)[0]
-            ],
-        )
-        h_min = min([MAX_DISTANCE, *obstacles])
+    def closing_by_direction(self, near, far, closing, way, product, radius):
+        """Smaller of `closing` and the closing speed of points within `radius` of `way`; `product` bounds (way)'v."""
+        nearest = np.linalg.norm(way) - radius
+        if not nearest > ALWAYS_CHECKED_DISTANCE:
+            return closing
+        between = slice(self.link_frame[near], self.link_frame[far])
+        bend = self.max_acceleration_term[near] + self.max_acceleration_term[far]
+        turn = np.linalg.norm(self.relative_twist(near, far)[:3])
+        rounding = SPEED_ROUNDING + VELOCITY_ROUNDING * turn * np.abs(self.bounding_spheres[far, :3]).sum()
+        change = self.half_width[between] @ self.link_reach[between, far] + bend + rounding
+        return min(closing, max(-product, 0.0) / nearest + change)
 
-        def matters(h, speed):
-            soon = self.model["period"] * (speed + more) + ALWAYS_CHECKED_DISTANCE
-            safe = h > soon and self.model["alpha_self"] * h >= speed and h + self.model["sampling"] >= h_min
+    def relative_twist(self, near, far):
+        return self.twist[self.link_frame[far]] - self.twist[self.link_frame[near]]
+
+    def velocity_at(self, near, far, point):
+        """Velocity of the far link at a point, relative to the near link."""
+        twist = self.relative_twist(near, far)
+        return twist[3:] + np.cross(twist[:3], point)
+
+    def closing_of_links(self, near, far):
+        """Upper bound of the closing speed of two links by the direction of their motion."""
+        a, b = self.bounding_spheres[near], self.bounding_spheres[far]
+        at_near, at_far = self.velocity_at(near, far, a[:3]), self.velocity_at(near, far, b[:3])
+        turn = np.linalg.norm(self.relative_twist(near, far)[:3])
+        range_ = b[5] * np.linalg.norm(at_near) + a[5] * np.linalg.norm(at_far) + turn * a[5] * b[5]
+        way, coarse = b[:3] - a[:3], self.closing_speeds(near, far)[0]
+        return self.closing_by_direction(near, far, coarse, way, way @ at_near - range_, a[5] + b[5])
+
+    def closing_of_sphere(self, near, far, i):
+        """The same of sphere i of the near link."""
+        b, v = self.bounding_spheres[far], self.velocity_at(near, far, self.centre[i])
+        way = b[:3] - self.centre[i]
+        product = way @ v - b[5] * np.linalg.norm(v)
+        return self.closing_by_direction(near, far, self.closing_of_links(near, far), way, product, b[5])
+
+    def n_pair_checks(self, start):
+        """Number of spheres that are checked against another link; `start` is an upper bound of h_min."""
+        obstacles = [
+            h + self.model["sampling"]
+            for link, near in enumerate(self.nearby_obstacles)
+            for j in near
+            if (link, j) not in self.case.permits
+            for h in self.obstacle_rows(link, j)[0]
+        ]
+        count, h_min = 0, min([start, *obstacles])
+
+        def matters(h, closing):
+            safe = h > soon and self.model["alpha_self"] * h >= closing and h + self.model["sampling"] >= h_min
             return not safe
 
         for near, far in self.pairs():
-            more, (coarse, fine) = self.excess_between(near, far), self.closing_speeds(near, far)
-            to = self.bounding_spheres[far]
-            gap = (
-                np.linalg.norm(to[:3] - self.bounding_spheres[near, :3])
-                - to[3]
-                - self.bounding_spheres[near, 3]
-                - self.self_margin(far)
-            )
-            if not (matters(gap, coarse) and matters(gap, fine)):
+            to, coarse = self.bounding_spheres[far], self.closing_speeds(near, far)[0]
+            soon = self.model["period"] * (coarse + self.excess_between(near, far)) + ALWAYS_CHECKED_DISTANCE
+            gap = np.linalg.norm(to[:3] - self.bounding_spheres[near, :3]) - self.bounding_spheres[near, 3]
+            gap -= to[3] + self.self_margin(far)
+            if not (matters(gap, coarse) and matters(gap, self.closing_of_links(near, far))):
                 continue
             for i in self.sphere_indices(near):
                 own = np.linalg.norm(to[:3] - self.centre[i]) - to[3] - self.radius[i] - self.self_margin(far)
-                if matters(own, fine):
+                if matters(own, self.closing_of_sphere(near, far, i)):
                     count += 1
                     h_min = min(h_min, self.self_distances(i, far)[0].min() + self.model["sampling"])
         return count

@@ -74,7 +74,7 @@ class ReferenceStep:
 
     @cached_property
     def local_bounding_spheres(self):
-        """(links + 1, 5); fingers that open in different directions move relative to each other."""
+        """(links + 1, 6); fingers that open in different directions move relative to each other."""
         out = []
         for link in range(self.links):
             mine = self.model["spheres"][list(self.sphere_indices(link))]
@@ -212,8 +212,8 @@ class ReferenceStep:
 
     @cached_property
     def bounding_spheres(self):
-        """(links + 1, 5) bounding spheres in the world: centre, radius, inner distance; zero without spheres."""
-        out = np.zeros((self.links + 1, 5))
+        """(links + 1, 6) bounding spheres in the world as in `bounding_sphere`; zero without spheres."""
+        out = np.zeros((self.links + 1, 6))
         for link in range(self.links + 1):
             if len(self.sphere_indices(link)):
                 R = self.frames[self.link_frame[link]][0]

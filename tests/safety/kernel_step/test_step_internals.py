@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.safety.kernel_step import random_cases
+from tests.safety.kernel_step.reference_obstacles import MAX_DISTANCE
 from tests.safety.kernel_step.reference_rows import LOWER, OBSTACLE, SELF, UPPER, ReferenceRows
 
 KINDS = {
@@ -124,7 +125,7 @@ def motion(got, w):
     close(values["trust_speed"][: w.links + 1], w.trust_region_speed, "maximum speeds in the trust region")
     close(values["max_speed"][: w.links + 1], w.max_speed, "maximum speeds")
     close(values["sampling_term"][: w.links + 1], w.max_acceleration_term, "sampling terms")
-    parts = ("bound_x", "bound_y", "bound_z", "bound_r", "inner_distance")
+    parts = ("bound_x", "bound_y", "bound_z", "bound_r", "inner_distance", "centres_radius")
     bound = np.stack([values[name][: w.links + 1] for name in parts], 1)
     close(bound, w.bounding_spheres, "bounding spheres at the posture")
 
@@ -237,7 +238,8 @@ def test_every_number_of_a_step_is_what_it_is_defined_as(kind, size):
             for r in range(int(got["step"]["revisits"][0]))
         }
         assert visits == w.revisit_pairs
-        assert got["step"]["narrow_phase_count"][0] == w.n_pair_checks
+        # the first rows of a step start without a nearest pair, later ones with the nearest pair of the first ones
+        assert got["step"]["narrow_phase_count"][0] in (w.n_pair_checks(MAX_DISTANCE), w.n_pair_checks(w.h_min))
         seen += 1
         if seen == 3:
             return
