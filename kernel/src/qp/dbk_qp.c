@@ -101,15 +101,15 @@ static void append(active_set *s, int32_t dim, int32_t id, const dbk_real *along
   s->count = at + 1;
 }
 
-/* recomputes the factorisation without member `removed` (-1: with all members) */
+/* Recomputes the factorisation without member `removed` (-1: of all members). The members before it keep their
+ * directions, which do not depend on later members. */
 static void refactor(const problem *p, active_set *s, int32_t removed) {
   const int32_t members = s->count;
-  s->count = 0;
-  for (int32_t i = 0; i < members; ++i) { /* append writes only to members that have already been read */
+  s->count = removed < 0 ? 0 : removed;
+  for (int32_t i = removed < 0 ? 0 : removed + 1; i < members; ++i) { /* append writes only to members that have already been read */
     const int32_t id = s->id[i];
     const dbk_real multiplier = s->multiplier[i];
     dbk_real normal[DBK_QP_DIM], along[DBK_QP_DIM], rest[DBK_QP_DIM];
-    if (i == removed) { continue; }
     (void)constraint(p, id, normal);
     const dbk_real square = split(s, p->dim, normal, along, rest);
     if (independent(square, square_of(normal, p->dim))) { append(s, p->dim, id, along, rest, square, multiplier); }
