@@ -1,0 +1,1 @@
+"""Instructions of one step on a microcontroller, counted by an emulator."""
