@@ -10,7 +10,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 
 KERNEL_SOURCES := CMakeLists.txt $(shell find kernel -name '*.c' -o -name '*.h' -o -name '*.cpp')
 
-.PHONY: help demo test setup format check kernel pytest smoke docs wheel experiments bench clean
+.PHONY: help demo test setup format check kernel pytest smoke docs wheel experiments bench analysis clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -66,6 +66,9 @@ bench: setup  ## timings beside named peers, the compiled kernel at worst, mutan
 	@$(BIN)/python -m benchmarks.gate && $(BIN)/python -m benchmarks.filter_step
 	@$(BIN)/python -m benchmarks.peers.setup_environments && $(BIN)/python -m benchmarks.filter_latency
 	@$(BIN)/python -m tools.kernel_limits && $(BIN)/python -m tools.mutation --seed 1 --count 60 --resume
+
+analysis: setup  ## static analysis and fuzzing of the kernel, resumable; needs frama-c-base, cppcheck and clang
+	@$(BIN)/python -m tools.static_analysis --write-docs
 
 clean:
 	rm -rf $(VENV) build runs

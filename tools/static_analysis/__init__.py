@@ -1,0 +1,1 @@
+"""Static analysis and fuzzing of the C kernel."""
