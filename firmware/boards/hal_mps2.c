@@ -6,8 +6,6 @@ void clock_start(void);
 
 #define DRIVE_OUTPUT REGISTER(DRIVE_OUTPUT_ADDRESS) /* the LEDs, in place of the enable input of a drive */
 
-static uint32_t cycles;
-
 #ifdef LINK_MAILBOX
 
 /* two rings of bytes; each index is written by one side only */
@@ -113,4 +111,5 @@ void board_drive_off(void) { DRIVE_OUTPUT = 0; }
 
 #endif
 
-void hal_watchdog(void) { ++cycles; }
+/* the emulated boards run without a hardware watchdog */
+void hal_watchdog(void) {}

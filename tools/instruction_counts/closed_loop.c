@@ -10,7 +10,6 @@
 enum { STEPS_PER_CORNER = 150, PLACEMENT_TRIES = 20000 };
 #define CLEARANCE 0.05f /* [m] between an obstacle and the arm in its home posture */
 
-static dbk_model model;
 static dbk_scene scene;
 static dbk_ctx ctx;
 static dbk_in in;
@@ -32,64 +31,6 @@ static dbk_real chance(void) {
 
 static dbk_real between(dbk_real low, dbk_real high) { return low + (high - low) * chance(); }
 
-static void load_joints(void) {
-  for (int32_t k = 0; k < ROBOT_JOINTS; ++k) {
-    model.joint_kind[k] = robot_joint_kind[k];
-    for (int32_t i = 0; i < 9; ++i) { model.joint_rotation[k][i] = robot_joint_rotation[9 * k + i]; }
-    for (int32_t i = 0; i < 3; ++i) { model.joint_offset[k][i] = robot_joint_offset[3 * k + i]; }
-    model.q_lower[k] = robot_q_lower[k];
-    model.q_upper[k] = robot_q_upper[k];
-    model.v_max[k] = robot_v_max[k];
-    model.a_max[k] = robot_a_max[k];
-    model.j_max[k] = robot_j_max[k];
-    model.tracking[k] = robot_tracking[k];
-    for (int32_t i = 0; i < ROBOT_JOINTS; ++i) { model.scale[k][i] = robot_scale[ROBOT_JOINTS * k + i]; }
-  }
-}
-
-static void load_links(void) {
-  for (int32_t i = 0; i < 9; ++i) { model.tool_rotation[i] = robot_tool_rotation[i]; }
-  for (int32_t i = 0; i < 3; ++i) { model.tool_offset[i] = robot_tool_offset[i]; }
-  model.n_links = ROBOT_LINKS;
-  model.n_pairs = ROBOT_PAIRS;
-  model.n_held_links = ROBOT_HELD_LINKS;
-  model.n_spheres = ROBOT_SPHERES;
-  for (int32_t i = 0; i < ROBOT_LINKS; ++i) { model.link_frame[i] = robot_link_frame[i]; }
-  for (int32_t i = 0; i <= ROBOT_LINKS; ++i) { model.link_first[i] = robot_link_first[i]; }
-  for (int32_t i = 0; i < 2 * ROBOT_PAIRS; ++i) { model.pair[i / 2][i % 2] = robot_pairs[i]; }
-  for (int32_t i = 0; i < ROBOT_HELD_LINKS; ++i) { model.held_link[i] = robot_held_links[i]; }
-  for (int32_t i = 0; i < ROBOT_SPHERES; ++i) {
-    const dbk_real *s = robot_spheres + 7 * i;
-    model.x[i] = s[0];
-    model.y[i] = s[1];
-    model.z[i] = s[2];
-    model.radius[i] = s[3];
-    model.slide_x[i] = s[4];
-    model.slide_y[i] = s[5];
-    model.slide_z[i] = s[6];
-  }
-}
-
-static void load_robot(void) {
-  model.n = ROBOT_JOINTS;
-  model.period = ROBOT_PERIOD;
-  model.alpha = ROBOT_ALPHA;
-  model.alpha_self = ROBOT_ALPHA_SELF;
-  model.alpha_joint = ROBOT_ALPHA_JOINT;
-  model.recovery = ROBOT_RECOVERY;
-  model.sampling = ROBOT_SAMPLING;
-  model.rounding = ROBOT_ROUNDING;
-  model.self_margin = ROBOT_SELF_MARGIN;
-  model.lag = ROBOT_LAG;
-  model.speed_limit = ROBOT_SPEED_LIMIT;
-  model.speed_first_joint = ROBOT_SPEED_FIRST_JOINT;
-  model.state_age_max = ROBOT_STATE_AGE_MAX;
-  model.scene_age_max = ROBOT_SCENE_AGE_MAX;
-  load_joints();
-  load_links();
-  dbk_prepare(&model);
-}
-
 /* an obstacle: try 0, 3, 6, ... is a sphere, 1, 4, 7, ... a capsule, 2, 5, 8, ... a box; every fifth one moves */
 static dbk_obstacle random_obstacle(int32_t tries) {
   dbk_obstacle o = {.flags = DBK_KNOWN, .rank = DBK_RANK_OBSTACLE, .link_mask = 0xFFFFFFFFu, .margin = 0.005f};
@@ -110,7 +51,7 @@ static dbk_obstacle random_obstacle(int32_t tries) {
 
 static dbk_real clearance(const dbk_obstacle *o) {
   dbk_real least = (dbk_real)1;
-  for (int32_t s = 0; s < model.n_spheres; ++s) {
+  for (int32_t s = 0; s < robot_model.n_spheres; ++s) {
     dbk_real d, n[3];
     dbk_distance(o, 1, &ctx.spheres.x[s], &ctx.spheres.y[s], &ctx.spheres.z[s], &d, n, n + 1, n + 2);
     d -= ctx.spheres.r[s];
@@ -122,8 +63,8 @@ static dbk_real clearance(const dbk_obstacle *o) {
 static void place_obstacles(int32_t count) {
   int32_t n = 0;
   dbk_base_frame(&in, &ctx.frames);
-  dbk_fk(&model, in.q, &ctx.frames);
-  dbk_spheres(&model, &scene, &ctx.frames, in.opening, &ctx.spheres);
+  dbk_fk(&robot_model, in.q, &ctx.frames);
+  dbk_spheres(&robot_model, &scene, &ctx.frames, in.opening, &ctx.spheres);
   for (int32_t tries = 0; n < count && n < DBK_MAX_OBSTACLES && tries < PLACEMENT_TRIES; ++tries) {
     const dbk_obstacle o = random_obstacle(tries);
     if (clearance(&o) > (dbk_real)CLEARANCE) { scene.obstacle[n++] = o; }
@@ -141,7 +82,7 @@ int32_t loop_begin(int32_t obstacles, uint32_t seed) {
   steps = loop_most_rows = loop_most_iterations = 0;
   loop_hash = 14695981039346656037u;
   for (int32_t s = 0; s < 5; ++s) { loop_status[s] = 0; }
-  load_robot();
+  dbk_prepare(&robot_model);
   in = rest;
   for (int32_t k = 0; k < ROBOT_JOINTS; ++k) { in.q[k] = robot_home[k]; }
   dbk_scene_clear(&scene);
@@ -153,13 +94,13 @@ int32_t loop_begin(int32_t obstacles, uint32_t seed) {
 
 void loop_propose(void) {
   for (int32_t k = 0; k < ROBOT_JOINTS; ++k) {
-    if (steps % STEPS_PER_CORNER == 0) { in.u_nom[k] = chance() < 0.5f ? -model.v_max[k] : model.v_max[k]; }
+    if (steps % STEPS_PER_CORNER == 0) { in.u_nom[k] = chance() < 0.5f ? -robot_model.v_max[k] : robot_model.v_max[k]; }
     in.v[k] = ctx.u_prev[k];
   }
   ++steps;
 }
 
-int32_t loop_step(void) { return (int32_t)dbk_step(&model, &scene, &ctx, &in, &out); }
+int32_t loop_step(void) { return (int32_t)dbk_step(&robot_model, &scene, &ctx, &in, &out); }
 
 static void mix(const void *at, uint32_t count) {
   const uint8_t *byte = at;
@@ -178,5 +119,5 @@ void loop_apply(void) {
   mix(&out.status, (uint32_t)sizeof out.status);
   mix(&out.n_rows, (uint32_t)sizeof out.n_rows);
   mix(ctx.rows.b, (uint32_t)ctx.rows.count * (uint32_t)sizeof(dbk_real));
-  for (int32_t k = 0; k < ROBOT_JOINTS; ++k) { in.q[k] += model.period * out.u[k]; }
+  for (int32_t k = 0; k < ROBOT_JOINTS; ++k) { in.q[k] += robot_model.period * out.u[k]; }
 }

@@ -50,7 +50,7 @@ int main(int argc, char **argv) {
     memset(&out, 0, sizeof out);
     memset(&twin_out, 0, sizeof twin_out);
     (void)loop_step();
-    (void)dbk_step(&model, &scene, &twin, &in, &twin_out);
+    (void)dbk_step(&robot_model, &scene, &twin, &in, &twin_out);
     differently += ctx.narrow_phase_count != twin.narrow_phase_count;
     if (!same()) {
       printf("step %d: the results differ\n", (int)t);

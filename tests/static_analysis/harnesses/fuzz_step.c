@@ -32,7 +32,7 @@ static void take_real(bytes *from, uint8_t raw, dbk_real plausible, dbk_real *to
 static void check(void) {
   int32_t valid = out.status >= DBK_SAFE && out.status <= DBK_FAULT && out.delta >= 0.0f && out.delta <= 2.0f;
   for (int32_t k = 0; k < ROBOT_JOINTS; ++k) {
-    valid = valid && out.u[k] >= -model.v_max[k] && out.u[k] <= model.v_max[k];
+    valid = valid && out.u[k] >= -robot_model.v_max[k] && out.u[k] <= robot_model.v_max[k];
     if (out.flags & (DBK_BAD_INPUT | DBK_BAD_SCENE)) { valid = valid && out.status == DBK_STOPPED; }
   }
   if (!valid) { abort(); }
@@ -60,14 +60,14 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     for (int32_t k = 0; k < ROBOT_JOINTS; ++k) {
       take_real(&from, raw[0] > 250, in.q[k], &in.q[k]);
       take_real(&from, raw[1] > 240, ctx.u_prev[k], &in.v[k]);
-      take_real(&from, raw[1] > 230, raw[2] > 128 ? model.v_max[k] : -model.v_max[k], &in.u_nom[k]);
+      take_real(&from, raw[1] > 230, raw[2] > 128 ? robot_model.v_max[k] : -robot_model.v_max[k], &in.u_nom[k]);
     }
     take_real(&from, raw[2] > 250, 0.02f, &in.opening);
     take_real(&from, raw[2] > 252, 0.0f, &in.state_age);
     (void)loop_step();
     check();
     for (int32_t k = 0; k < ROBOT_JOINTS; ++k) {
-      const dbk_real q = in.q[k] + model.period * out.u[k];
+      const dbk_real q = in.q[k] + robot_model.period * out.u[k];
       in.q[k] = q > -4.0f && q < 4.0f ? q : robot_home[k]; /* also without arbitrary bits */
     }
   }

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from secrets import token_bytes
 
 from dualbrain.cli.common.console import print_message
 from dualbrain.cli.common.exit_codes import ExitCode
-from dualbrain.core.storage.atomic_files import atomic_file
+from dualbrain.core.storage.atomic_files import write_atomically
+from dualbrain.core.storage.private_files import open_private
 from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.config import FilterConfig, operating_config
+from dualbrain.safety.target.build import KEY_BYTES
 from dualbrain.safety.target.robot_tables import render_robot_tables, robot_tables_hash
 
 
@@ -26,8 +27,7 @@ def export_c(*, robot: str = "panda", out: Path = Path("robot_tables.c")) -> int
     """
     robot_model = load_robot(robot)
     config = operating_config(robot_model)
-    with atomic_file(out) as path:
-        path.write_text(render_robot_tables(robot_model, config))
+    write_atomically(out, render_robot_tables(robot_model, config).encode(), private=False)
     print_message(f"{out}: tables of {robot_model.name}, hash {robot_tables_hash(robot_model, config):016x}")
     return ExitCode.SUCCESS
 
@@ -84,6 +84,6 @@ def firmware(
 def _read_key(path: Path) -> bytes:
     """The key in the file; a new one if there is no file."""
     if not path.exists():
-        with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
-            file.write(token_bytes(16))
+        with open_private(path, "xb") as file:
+            file.write(token_bytes(KEY_BYTES))
     return path.read_bytes()

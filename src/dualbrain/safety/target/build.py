@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dualbrain.core.paths import dualbrain_home
+from dualbrain.core.storage.atomic_files import write_atomically
+from dualbrain.core.storage.private_files import create_private_folder, tighten
 from dualbrain.errors import ConfigurationError
 from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.config import FilterConfig
@@ -51,21 +53,21 @@ def source_root() -> Path:
 
 
 def build_firmware(firmware: Firmware, robot_model: RobotModel, config: FilterConfig, folder: Path) -> Path:
-    """Build `firmware` for `robot_model` in `folder`; returns the path of the ELF file.
+    """Build `firmware` for `robot_model` in `folder`; returns the path of the ELF file, which only its owner may read.
 
     Raises:
         ConfigurationError: the toolchain is missing or failed, or the robot does not fit a target.
     """
     if len(firmware.key) != KEY_BYTES:
         raise ConfigurationError("length of the key [bytes]", got=len(firmware.key), allowed=str(KEY_BYTES))
-    folder.mkdir(parents=True, exist_ok=True)
-    tables, key = folder / "robot_tables.c", folder / "shared_key.c"
-    tables.write_text(render_robot_tables(robot_model, config))
-    with open(os.open(key, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w") as file:
-        file.write(_render_key(firmware))
-    script, elf = folder / "link.ld", folder / "firmware.elf"
-    script.write_text(_render_linker_script(firmware))
+    create_private_folder(folder)
+    tables, key, script = folder / "robot_tables.c", folder / "shared_key.c", folder / "link.ld"
+    write_atomically(tables, render_robot_tables(robot_model, config).encode())
+    write_atomically(key, _render_key(firmware).encode())
+    write_atomically(script, _render_linker_script(firmware).encode())
+    elf = folder / "firmware.elf"
     _compile([*_command(firmware, script), str(tables), str(key), "-o", str(elf)], firmware.toolchain)
+    tighten(elf)  # the key is in it
     return elf
 
 

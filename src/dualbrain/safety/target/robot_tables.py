@@ -96,14 +96,14 @@ def _model(name: str, values: dict[str, Any], spheres: ArrayLike) -> str:
     columns = np.asarray(spheres, float).reshape(-1, 7).T
     fields = [("n", str(n)), ("speed_first_joint", str(int(values["speed_first_joint"])))]
     fields += [(key, _real(float(np.asarray(values[key])))) for key in SCALARS]
-    fields += [(key, _reals(values[key])) for key in JOINT_VALUES]
+    fields += [(key, render_reals(values[key])) for key in JOINT_VALUES]
     fields += [
         ("joint_kind", _integers(values["joint_kind"])),
         ("joint_rotation", _rows(values["joint_rotation"], 9)),
         ("joint_offset", _rows(values["joint_offset"], 3)),
         ("scale", _rows(values["scale"], n)),
-        ("tool_rotation", _reals(values["tool_rotation"])),
-        ("tool_offset", _reals(values["tool_offset"])),
+        ("tool_rotation", render_reals(values["tool_rotation"])),
+        ("tool_offset", render_reals(values["tool_offset"])),
         ("n_links", str(len(np.ravel(values["link_frame"])))),
         ("n_spheres", str(columns.shape[1])),
         ("n_pairs", str(np.size(values["pairs"]) // 2)),
@@ -112,7 +112,7 @@ def _model(name: str, values: dict[str, Any], spheres: ArrayLike) -> str:
         ("link_first", _integers(values["link_first"])),
         ("pair", _pairs(values["pairs"])),
         ("held_link", _integers(values["held_links"])),
-        *((key, _reals(column)) for key, column in zip(SPHERE_COLUMNS, columns, strict=True)),
+        *((key, render_reals(column)) for key, column in zip(SPHERE_COLUMNS, columns, strict=True)),
     ]
     body = ",\n".join(f"    .{key} = {text}" for key, text in fields)
     return f"dbk_model {name} = {{\n{body}}};"
@@ -127,7 +127,8 @@ def _braces(items: Sequence[str]) -> str:
     return "{" + ", ".join(items or ["0"]) + "}"
 
 
-def _reals(values: ArrayLike) -> str:
+def render_reals(values: ArrayLike) -> str:
+    """The values as an initialiser of float32 literals that read back to the same bits."""
     return _braces([_real(value) for value in np.ravel(np.asarray(values, float)).tolist()])
 
 
@@ -136,7 +137,7 @@ def _integers(values: ArrayLike) -> str:
 
 
 def _rows(values: ArrayLike, width: int) -> str:
-    return _braces([_reals(row) for row in np.asarray(values, float).reshape(-1, width)])
+    return _braces([render_reals(row) for row in np.asarray(values, float).reshape(-1, width)])
 
 
 def _pairs(values: ArrayLike) -> str:

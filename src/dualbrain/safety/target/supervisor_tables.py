@@ -10,6 +10,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from dualbrain.core.storage.atomic_files import write_atomically
 from dualbrain.safety.supervisor.checks import CHECKS, Check, ClearPolicy
 from dualbrain.safety.supervisor.conditions import BUTTONS, Condition
 
@@ -81,8 +82,8 @@ def _condition_names(bits: int) -> str:
 
 def write(kernel: Path) -> None:
     """Write both files into the folder of the kernel."""
-    (kernel / HEADER_FILE).write_text(render_header())
-    (kernel / SOURCE_FILE).write_text(render_source())
+    write_atomically(kernel / HEADER_FILE, render_header().encode(), private=False)
+    write_atomically(kernel / SOURCE_FILE, render_source().encode(), private=False)
 
 
 if __name__ == "__main__":
