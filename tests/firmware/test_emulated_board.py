@@ -11,6 +11,8 @@ from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.robots.interface import RobotState
 from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.config import operating_config
+from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.safety.cbf.kernel import obstacle_table
 from dualbrain.safety.cbf.obstacles import Contact, NearSpeed, Obstacle
 from dualbrain.safety.cbf.rows import ConstraintRow
 from dualbrain.safety.supervisor.actions import SafetyAction
@@ -20,8 +22,8 @@ from dualbrain.safety.supervisor.controller import SafetyController
 from dualbrain.safety.target.boards import find_board
 from dualbrain.safety.target.build import Firmware, build_firmware
 from dualbrain.safety.target.emulated_board import EmulatedBoard
-from dualbrain.safety.target.frames import encode_frame
-from dualbrain.safety.target.messages import CYCLE, Message, obstacle_frames, padded
+from dualbrain.safety.target.frames import FrameReader, encode_frame
+from dualbrain.safety.target.messages import CYCLE, Message, obstacle_frames, pack_permits, padded
 from dualbrain.safety.target.robot_tables import robot_tables_hash
 from dualbrain.safety.target.session import TargetLostError, TargetSession
 from dualbrain.safety.target.target_filter import EmulatedTarget
@@ -168,8 +170,8 @@ def session(lockstep):
     return lockstep.session
 
 
-def cycle_payload(now=3.0, q=HOME):
-    times = (round(now * 1e6), round(now * 1e6), 0)
+def cycle_payload(now=3.0, q=HOME, conditions=0):
+    times = (round(now * 1e6), round(now * 1e6), int(conditions))
     return CYCLE.pack(*times, *padded(q), *padded([0.0] * 7), *padded([0.1] * 7), 0.02, 0.0, 0.0, 1, *[0.0] * 12)
 
 
@@ -203,6 +205,13 @@ def encoded_frame(session, kind, payload, *, ahead=1, key=None):
             "with obstacles without a beginning",
             lambda session: encoded_frame(session, Message.OBSTACLES, bytes(4 + 132)),
         ),
+        (
+            "with obstacles that are not the next ones",
+            lambda session: (
+                encoded_frame(session, Message.SCENE_BEGIN, b"\2\0")
+                + encoded_frame(session, Message.OBSTACLES, b"\1\0\1\0" + bytes(132))
+            ),
+        ),
         ("with a permit for no obstacle", lambda session: encoded_frame(session, Message.PERMITS, b"\1\0" + bytes(8))),
         (
             "with a held object of 9 spheres",
@@ -213,6 +222,39 @@ def encoded_frame(session, kind, payload, *, ahead=1, key=None):
 )
 def test_a_bad_message_is_refused_and_counted(session, name, change):
     assert refused_by(session, lambda: session._link.write(change(session))) == 1
+
+
+def test_a_new_scene_permits_no_contact(session):
+    """A pair with a permit does not count for h_min; the permit ends with its scene."""
+    centres, radii, _ = SafetyFilter(PANDA).spheres(HOME, 0.02)
+    front = int(np.argmax(centres[:, 0] + radii))
+    position = centres[front] + (radii[front] + 0.028, 0.0, 0.0)  # 8 mm before the foremost sphere of the arm
+    pose = Pose(tuple(position.tolist()), IDENTITY_POSE.quaternion)
+    table = obstacle_table([Obstacle(name="ball", shape=Sphere(0.02), pose=pose)])
+
+    def h_min(permits):
+        for kind, payload in obstacle_frames(table, {}):
+            session.send(kind, payload)
+        if permits:
+            links = range(len(PANDA.links))
+            session.send(Message.PERMITS, pack_permits([(link, 0, 0.05) for link in links]))
+        return session.cycle(cycle_payload()).h_min
+
+    before = h_min(permits=False)
+    assert h_min(permits=True) > before
+    assert h_min(permits=False) == before
+
+
+def test_the_target_itself_zeroes_the_nominal_control_under_a_pause(session):
+    """A host that passes a pause and a motion on does not move the arm."""
+    for kind, payload in obstacle_frames(np.zeros((0, 29)), {}):
+        session.send(kind, payload)
+    for tick in range(8):  # conditions of earlier tests pass
+        session.cycle(cycle_payload(19.0 + 0.1 * tick, conditions=Condition.CONTINUE if tick == 7 else 0))
+    session.send(Message.RESET, bytes(64))
+    paused = session.cycle(cycle_payload(20.0, conditions=Condition.PAUSE))
+    assert (paused.action, paused.u.any()) == (SafetyAction.HOVER, False)
+    assert session.cycle(cycle_payload(20.1)).u[:7].all()
 
 
 def test_after_a_scene_that_was_refused_every_step_brakes(session):
@@ -235,6 +277,12 @@ def test_a_replayed_hello_ends_the_session_and_changes_nothing_else(lockstep):
 def test_tables_of_another_robot_are_refused_by_name(lockstep):
     with pytest.raises(ConfigurationError, match=f"{robot_tables_hash(PANDA, CONFIG):016x}"):
         TargetSession(lockstep.board.link, lockstep.session._shared, 1)
+    stranger = TargetSession.__new__(TargetSession)
+    stranger.__dict__.update(_link=lockstep.board.link, _shared=lockstep.session._shared, _reader=FrameReader())
+    stranger.__dict__.update(_sequence=0, outputs=[])
+    stranger._open(1)
+    stranger.send(Message.CYCLE, cycle_payload())
+    assert stranger._receive(Message.CYCLE_REPLY, stranger._sequence, 0.1) is None, "no session is open"
     restored = TargetSession(lockstep.board.link, lockstep.session._shared, robot_tables_hash(PANDA, CONFIG))
     lockstep.session._key, lockstep.session._sequence = restored._key, restored._sequence
 

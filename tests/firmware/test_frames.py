@@ -75,6 +75,13 @@ def test_each_side_reads_the_frames_of_the_other(library, kind, sequence, payloa
     assert decode_frame(piece, KEY) == Frame(kind, sequence, payload)
 
 
+@pytest.mark.parametrize("size", [236, 253, 254, 255, 508, 1000])
+@pytest.mark.parametrize("last", [b"\0", b"\1"])
+def test_runs_without_a_zero_longer_than_a_block_are_read(library, size, last):
+    payload = bytes([7]) * (size - 1) + last
+    assert read_in_c(library, encode_frame(9, 0x01010101, payload, KEY)) == [Frame(9, 0x01010101, payload)]
+
+
 def test_a_payload_beyond_the_largest_is_not_encoded(library):
     encoded = (ctypes.c_uint8 * (MAX_BYTES + 32))()
     payload = bytes(MAX_PAYLOAD + 1)

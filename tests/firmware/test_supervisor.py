@@ -103,6 +103,16 @@ def test_all_pairs_of_conditions_decide_alike_from_their_first_tick_until_after_
             assert c.update(tick * STEP_US, one) == in_python(python, tick * STEP_US, one), (flags, tick)
 
 
+def test_a_reset_button_that_is_held_since_before_has_no_effect(library):
+    """Only a new press counts, on both sides."""
+    c, python = InC(library), Supervisor()
+    held, estop = int(Condition.RESET), int(Condition.ESTOP)
+    for tick, flags in enumerate([held | estop, held | estop, *[held] * 5, 0, held]):
+        decision = c.update(tick * STEP_US, flags)
+        assert decision == in_python(python, tick * STEP_US, flags)
+        assert (decision[1] == "estop") == (tick < 8)
+
+
 def test_a_clock_that_runs_backward_or_jumps_changes_nothing(library):
     c, python = InC(library), Supervisor()
     flags = int(Condition.INFEASIBLE)
