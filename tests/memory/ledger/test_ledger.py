@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from dualbrain.errors import ConfigurationError, MissingDependencyError
 from dualbrain.memory.ledger.hash_chain import GENESIS, CorruptLedgerError, Head, event_digest
 from dualbrain.memory.ledger.ledger import Ledger, LedgerReader, PendingEvent, StoredVector
+from dualbrain.memory.ledger.store import HeadMovedError
 from dualbrain.memory.ledger.writer_lock import LedgerInUseError
 from tests.memory.ledger import crash_writer
 from tests.memory.memory_samples import INTERPRETER, NOW, open_ledger
@@ -204,6 +205,49 @@ def test_a_failed_append_writes_nothing(tmp_path: Path) -> None:
         assert tuple(ledger.events()) == first
         ledger.append([PendingEvent(kind="note", subject="n", payload={})], now=NOW)
         assert ledger.verify().is_intact
+
+
+def test_an_append_after_a_head_that_has_moved_writes_nothing(tmp_path: Path) -> None:
+    note = [PendingEvent(kind="note", subject="n", payload={})]
+    with open_ledger(tmp_path) as ledger:
+        known = ledger.head()
+        (first,) = ledger.append(note, now=NOW, after=known)
+        with pytest.raises(HeadMovedError, match=r"newest event is 1, not 0") as raised:
+            ledger.append(note, now=NOW, after=known)
+        assert (raised.value.expected, raised.value.found) == (known, Head(1, first.hash))
+        assert tuple(ledger.events()) == (first,)
+        ledger.append(note, now=NOW, after=ledger.head())
+        assert ledger.verify().is_intact
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    kinds=st.sets(st.sampled_from(["note", "weight"])),
+    subject=st.sampled_from([None, "a", "b' OR 1=1 --"]),
+    after=st.integers(0, 8),
+    until=st.one_of(st.none(), st.integers(0, 8)),
+)
+def test_a_query_gives_the_events_that_meet_every_condition(
+    tmp_path_factory: pytest.TempPathFactory, kinds: set[str], subject: str | None, after: int, until: int | None
+) -> None:
+    folder = tmp_path_factory.getbasetemp() / "queries"
+    if not folder.exists():
+        folder.mkdir()
+        with open_ledger(folder) as ledger:
+            for i in range(6):
+                kind, about = ("note", "weight")[i % 2], ("a", "b")[i // 3]
+                ledger.append([PendingEvent(kind=kind, subject=about, payload={})], now=NOW)
+    with LedgerReader(folder / "ledger.db") as reader:
+        found = list(reader.events(*kinds, subject=subject, after=after, until=until))
+        expected = [
+            event
+            for event in reader.events()
+            if (not kinds or event.kind in kinds)
+            and (subject is None or event.subject == subject)
+            and after < event.seq
+            and (until is None or event.seq <= until)
+        ]
+    assert found == expected
 
 
 # --- one writer -----------------------------------------------------------------------------------------------------

@@ -51,13 +51,6 @@ class LedgerReader:
         self.path = path
         self._store: LedgerStore = SqliteStore.open_for_reading(path)
 
-    @classmethod
-    def of_store(cls, store: LedgerStore, path: Path) -> Self:
-        """A reader of an open `store`, with the anchor and the snapshots of the ledger at `path`."""
-        reader = cls.__new__(cls)
-        reader.path, reader._store = path, store
-        return reader
-
     @property
     def schema(self) -> int:
         """Version of the tables."""
