@@ -14,7 +14,8 @@ from cyclopts import Parameter
 
 from dualbrain.cli.common.console import StderrConsole, print_result
 from dualbrain.cli.common.exit_codes import ExitCode
-from dualbrain.cli.evaluation.results import load_results, print_omission
+from dualbrain.cli.evaluation.merge import merge_results
+from dualbrain.cli.evaluation.results import load_results, print_omission, write_table
 from dualbrain.cli.evaluation.suite_options import override_suite
 from dualbrain.core.paths import cache_folder, dualbrain_home
 from dualbrain.errors import ConfigurationError, MissingDependencyError, UsageError
@@ -43,7 +44,10 @@ def evaluate(
     out: Path | None = None,
     jobs: HiddenDefault = 0,
     dry_run: Flag = False,
+    prepare_only: Flag = False,
     plan_only: Flag = False,
+    part: str = "",
+    merge: Flag = False,
     again: str = "",
     json: Flag = False,
 ) -> int:
@@ -71,8 +75,16 @@ def evaluate(
         Number of processes; default: all cores.
     dry_run
         Only print the remaining work and an estimate of its duration.
+    prepare_only
+        Stop before the plan pass: only ε and the ledgers from which all methods with memory start, which parts take
+        over.
     plan_only
         Stop after the plan pass. Its answers can be computed on a machine with a GPU, and the episodes run elsewhere.
+    part
+        Run only part K/N of the evaluation, for example 3/16, into its own folder inside --out: one job of an array on
+        a cluster. A part is all methods on some of the runs.
+    merge
+        Merge the parts inside --out into --out, which can then be reported or resumed like any other results.
     again
         Run one finished episode of the results in --out again, by the key that the report prints, and compare it with
         the recorded one. The suite is that of the results.
@@ -84,28 +96,51 @@ def evaluate(
     no_rendering = choose_graphics(os.environ)  # before MuJoCo is imported, here and in every worker
     from dualbrain.core.storage.resumable_steps import exclusive_folder
     from dualbrain.evaluation.planners.factory import PlannerSources
+    from dualbrain.evaluation.runner.parts.part import Part
     from dualbrain.evaluation.runner.preflight import require_adapters
     from dualbrain.evaluation.runner.runner import STAGES, Runner
-    from dualbrain.evaluation.runner.work_units import build_units
 
     if jobs < 0:
         raise UsageError("--jobs", got=jobs, allowed="at least 1, or 0 for all cores")
+    flags = {"--merge": merge, "--again": again, "--part": part, "--prepare-only": prepare_only}
+    if len(given := [name for name, value in flags.items() if value]) > 1:
+        raise UsageError("options", got=" ".join(given), allowed="only one of them")
+    results = out or Path("runs") / f"evaluate-{Path(suite).stem}"
+    if merge:
+        return merge_results(results, StderrConsole(), as_json=json)
     if again:
-        return _rerun(out or Path("runs") / f"evaluate-{Path(suite).stem}", again, no_rendering, as_json=json)
+        return _rerun(results, again, no_rendering, as_json=json)
     console = StderrConsole()
     on_left_out = partial(_print_left_out, console) if dry_run else None
     chosen = override_suite(suite, methods, episodes, robots, planner, on_left_out=on_left_out)
-    folder = out or Path("runs") / f"evaluate-{chosen.name}"
-    runner = Runner(
-        chosen, folder, clock=time.monotonic, on_progress=lambda progress: console.print(_format_progress(progress))
+    whole = Runner(
+        chosen,
+        out or Path("runs") / f"evaluate-{chosen.name}",
+        clock=time.monotonic,
+        on_progress=lambda progress: console.print(_format_progress(progress)),
     )
+    runner = whole.select_part(Part.parse(part, chosen)) if part else whole
     sources = PlannerSources(cache_folder(), dualbrain_home() / "adapters", os.environ.get("OPENAI_API_KEY", ""))
-    require_adapters(chosen, (unit for stage in STAGES for unit in build_units(chosen, stage)), sources)
+    require_adapters(chosen, (unit for stage in STAGES for unit in runner.units(stage)), sources)
     if dry_run:
         return _dry_run(runner, sources, jobs or os.cpu_count() or 1, console, as_json=json)
     _require_rendering(chosen.methods, no_rendering)
-    with exclusive_folder(folder, wait=False):
-        return _run(runner, sources, jobs or os.cpu_count() or 1, console, plan_only=plan_only, as_json=json)
+    stages = STAGES[:2] if prepare_only else STAGES[:3] if plan_only else STAGES
+    with exclusive_folder(runner.out, wait=False):
+        if part:
+            _prepare_part(whole, runner, console)
+        return _run(runner, stages, sources, jobs or os.cpu_count() or 1, console, as_json=json)
+
+
+def _prepare_part(whole: Runner, part: Runner, console: StderrConsole) -> None:
+    """Take over the preparation in the folder of the whole evaluation; raises if it has another configuration."""
+    from dualbrain.evaluation.runner.parts.preparation import take_over_preparation
+    from dualbrain.evaluation.runner.runner import CONFIG_FILE
+
+    if (whole.out / CONFIG_FILE).is_file():
+        whole.check_config(*_provenance_and_costs(whole.suite))
+    if take_over_preparation(whole, part):
+        console.print(f"pilot episodes and start ledgers taken over from {whole.out}", markup=False, soft_wrap=True)
 
 
 def _require_rendering(methods: tuple[str, ...], no_rendering: str) -> None:
@@ -125,36 +160,41 @@ def _require_rendering(methods: tuple[str, ...], no_rendering: str) -> None:
 
 
 def _run(
-    runner: Runner, sources: PlannerSources, jobs: int, console: StderrConsole, *, plan_only: bool, as_json: bool
+    runner: Runner,
+    stages: Sequence[Stage],
+    sources: PlannerSources,
+    jobs: int,
+    console: StderrConsole,
+    *,
+    as_json: bool,
 ) -> int:
     from dualbrain.cli.evaluation.estimate import warn_of_single_runs
-    from dualbrain.cli.evaluation.results import RUN_DATE_KEY, last_run_date
-    from dualbrain.evaluation.results.parquet import RESULTS_FILE, write_results
+    from dualbrain.evaluation.results.parquet import RESULTS_FILE
     from dualbrain.evaluation.runner.preflight import require_dependencies
-    from dualbrain.evaluation.runner.runner import CONFIG_FILE, STAGES, read_config
+    from dualbrain.evaluation.runner.runner import STAGES
 
     require_dependencies(runner.suite, (unit for stage in STAGES for unit in runner.remaining_units(stage)), sources)
     runner.write_config(*_provenance_and_costs(runner.suite))
     warn_of_single_runs(runner.suite, console)
     complete = False
     try:
-        complete = _run_stages(runner, STAGES[:-1] if plan_only else STAGES, sources, jobs)
+        complete = _run_stages(runner, stages, sources, jobs)
     except KeyboardInterrupt:
         console.print("all finished episodes are stored; the same command resumes the evaluation")
         raise
     finally:  # also after Ctrl-C, so that the finished episodes can be read
-        rows = runner.rows()
-        if rows:
-            config = read_config(runner.out / CONFIG_FILE)
-            write_results(rows, config | {RUN_DATE_KEY: last_run_date(runner.out, config)}, runner.out / RESULTS_FILE)
-    if rows:
-        console.print(
-            f"{len(rows)} episodes in {runner.out / RESULTS_FILE}; make the report with: dualbrain report {runner.out}"
+        n_rows = write_table(runner)
+    if n_rows:
+        following = (
+            f"dualbrain evaluate --merge --out {runner.out.parent} joins it with the other parts"
+            if runner.part
+            else f"make the report with: dualbrain report {runner.out}"
         )
+        console.print(f"{n_rows} episodes in {runner.out / RESULTS_FILE}; {following}", markup=False, soft_wrap=True)
     if not complete:
         console.print(f"incomplete: see {runner.out / 'errors.jsonl'}; the same command retries the failed episodes")
     if as_json:
-        print_result(msgspec.json.encode({"out": str(runner.out), "episodes": len(rows), "whole": complete}).decode())
+        print_result(msgspec.json.encode({"out": str(runner.out), "episodes": n_rows, "whole": complete}).decode())
     return ExitCode.SUCCESS if complete else ExitCode.FAILED_SAFELY
 
 

@@ -16,6 +16,7 @@ from dualbrain.errors import ConfigurationError, DualbrainError
 if TYPE_CHECKING:
     from dualbrain.evaluation.protocol.suite import Suite
     from dualbrain.evaluation.results.episode_row import EpisodeRow
+    from dualbrain.evaluation.runner.runner import Runner
 
 EPISODE_LOG = "fly.jsonl"
 """Log of the pass that runs the episodes."""
@@ -68,6 +69,18 @@ def load_results(folder: Path, on_omission: Callable[[str], None] | None = None)
     return rows, config, suite_from_config(config, path)
 
 
+def write_table(runner: Runner) -> int:
+    """Write the finished episodes of `runner` to the table in its folder; the number of episodes."""
+    from dualbrain.evaluation.results.parquet import RESULTS_FILE, write_results
+    from dualbrain.evaluation.runner.runner import CONFIG_FILE, read_config
+
+    rows = runner.rows()
+    if rows:
+        config = read_config(runner.out / CONFIG_FILE)
+        write_results(rows, config | {RUN_DATE_KEY: last_run_date(runner.out, config)}, runner.out / RESULTS_FILE)
+    return len(rows)
+
+
 def _read_logs(folder: Path, on_omission: Callable[[str], None] | None) -> Results:
     """Rows, configuration and suite from the logs of the runner; raises `ConfigurationError`."""
     from dualbrain.evaluation.runner.runner import CONFIG_FILE, Runner, read_config, suite_from_config
@@ -89,7 +102,7 @@ def _no_results_error(folder: Path) -> ConfigurationError:
     if (folder / CONFIG_FILE).is_file():
         suite = suite_from_config(read_config(folder / CONFIG_FILE), folder / CONFIG_FILE)
         return ConfigurationError.stating(
-            f"{folder} contains no finished episode.", fix=f"Resume the evaluation: {_command(suite, str(folder))}"
+            f"{folder} contains no finished episode.", fix=f"Resume the evaluation: {resume_command(suite, folder)}"
         )
     if (folder / PAGE_FILE).is_file():
         return ConfigurationError.stating(
@@ -126,6 +139,11 @@ def reproduction_command(suite: Suite, folder: Path) -> str:
     return _command(suite, folder.name)
 
 
+def resume_command(suite: Suite, folder: Path, part: str = "") -> str:
+    """Command that resumes `suite` in `folder`, or only its `part` (`K/N`)."""
+    return _command(suite, f"{folder} --part {part}" if part else str(folder))
+
+
 def _command(suite: Suite, out: str) -> str:
     from dualbrain.evaluation.protocol.suite import builtin_suites, load_suite
 
@@ -143,4 +161,4 @@ def _command(suite: Suite, out: str) -> str:
             if override_suite(suite.name, methods, int(options.get("episodes", 0)), robots, planner) == suite:
                 words = [word for name, value in options.items() for word in (f"--{name}", value)]
                 return " ".join(["dualbrain evaluate --suite", suite.name, *words, "--out", out])
-    return f"dualbrain evaluate --suite FILE.toml --out {out}  # FILE.toml: the suite in {out}/config.json"
+    return f"dualbrain evaluate --suite FILE.toml --out {out}  # FILE.toml: the suite in config.json there"

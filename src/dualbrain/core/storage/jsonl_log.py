@@ -54,7 +54,7 @@ class JsonlLog:
         with open_private(self.path, "a+b") as file:
             if file.tell() and not _ends_with_newline(file):
                 file.write(b"\n")
-            file.write(_encode(line))
+            file.write(encode_line(line))
             file.flush()
             os.fsync(file.fileno())
 
@@ -64,7 +64,7 @@ class JsonlLog:
         Raises `FileWriteError` if the archive cannot be written; the previous archive is then unchanged.
         """
         archive.parent.mkdir(parents=True, exist_ok=True)
-        data = lzma.compress(b"".join(map(_encode, self.latest())), preset=XZ_PRESET)
+        data = lzma.compress(b"".join(map(encode_line, self.latest())), preset=XZ_PRESET)
         with atomic_file(archive) as temporary:
             temporary.write_bytes(data)
 
@@ -85,7 +85,7 @@ def _parse(data: bytes) -> JsonlLine | None:
     return line if isinstance(line, dict) else None
 
 
-def _encode(line: JsonlLine) -> bytes:
+def encode_line(line: JsonlLine) -> bytes:
     """One line; NumPy's scalars are written as floats."""
     return json.dumps(line, separators=(",", ":"), default=float).encode() + b"\n"
 

@@ -24,6 +24,7 @@ from dualbrain.evaluation.protocol.method import METHODS
 from dualbrain.evaluation.protocol.suite import Suite
 from dualbrain.evaluation.report.adaptation_cost import AdapterCost
 from dualbrain.evaluation.results.episode_row import EpisodeRow
+from dualbrain.evaluation.runner.parts.part import Part
 from dualbrain.evaluation.runner.provenance import host_info
 from dualbrain.evaluation.runner.work_units import Stage, WorkUnit, build_units
 from dualbrain.evaluation.runner.worker_pool import WorkerPool
@@ -34,6 +35,8 @@ MAX_CONFIG_BYTES = 64 << 20
 CONFIG_FILE, EPSILON_FILE, ERROR_LOG = "config.json", "epsilon.json", "errors"
 HOST_KEY = "host"
 """Part of the configuration that describes the machine of the last start; it may change."""
+PART_KEY = "part"
+"""Entry of the configuration that names the part of the evaluation; not in results of a whole evaluation."""
 EXTENDABLE_PARTS = ("methods", "planners", "adapters")
 """Parts of the configuration to which entries may be added while the existing entries stay as they are."""
 MAX_VALUE_CHARACTERS = 60
@@ -73,10 +76,27 @@ class Runner:
     """Runs a suite into the folder `out`."""
 
     def __init__(
-        self, suite: Suite, out: Path, *, clock: Callable[[], float], on_progress: StageProgressCallback
+        self,
+        suite: Suite,
+        out: Path,
+        *,
+        clock: Callable[[], float],
+        on_progress: StageProgressCallback,
+        part: Part | None = None,
     ) -> None:
-        """`clock` [s] serves to estimate the remaining time; `on_progress` receives each progress report."""
-        self.suite, self.out, self._clock, self._on_progress = suite, out, clock, on_progress
+        """`clock` [s] serves to estimate the remaining time; `on_progress` receives each progress report.
+
+        With a `part`, only its units are run.
+        """
+        self.suite, self.out, self.part, self._clock, self._on_progress = suite, out, part, clock, on_progress
+
+    def select_part(self, part: Part) -> Runner:
+        """A runner of `part` only, in the folder of this part inside the folder of this runner."""
+        return Runner(self.suite, part.folder(self.out), clock=self._clock, on_progress=self._on_progress, part=part)
+
+    def units(self, stage: Stage) -> list[WorkUnit]:
+        """All units of a stage, or those of the part."""
+        return self.part.units(self.suite, stage) if self.part else build_units(self.suite, stage)
 
     def check_config(
         self, provenance: dict[str, Any], adapters: dict[str, AdapterCost] | None = None
@@ -87,8 +107,12 @@ class Runner:
         Methods and their planners may be added to existing results, because their episodes are separate.
         """
         config, path = resolve_config(self.suite, provenance, adapters or {}), self.out / CONFIG_FILE
+        if self.part:
+            config[PART_KEY] = str(self.part)
         if path.exists():
-            _require_same_config(read_config(path), config, path)
+            before = read_config(path)
+            _require_same_part(before, config, path)
+            _require_same_config(before, config, path)
         return config
 
     def write_config(self, provenance: dict[str, Any], adapters: dict[str, AdapterCost] | None = None) -> None:
@@ -101,7 +125,7 @@ class Runner:
         """Unfinished units of a stage, each with the number of its finished episodes."""
         done = {line["key"] for line in self.read_lines(stage)}
         units: list[WorkUnit] = []
-        for unit in build_units(self.suite, stage):
+        for unit in self.units(stage):
             finished = 0
             while finished < unit.n_episodes and unit.row_key(finished) in done:
                 finished += 1
@@ -112,7 +136,7 @@ class Runner:
     def run_stage(self, stage: Stage, pool: WorkerPool) -> bool:
         """Run the unfinished units of a stage; True if the stage is complete afterwards."""
         units = self.remaining_units(stage)
-        total = sum(unit.n_episodes for unit in build_units(self.suite, stage))
+        total = sum(unit.n_episodes for unit in self.units(stage))
         done, log = total - sum(unit.n_episodes - unit.done for unit in units), self.log(stage)
         start, fresh = self._clock(), 0
         for report in pool.run_units(units):
@@ -162,12 +186,12 @@ class Runner:
         Raises `ConfigurationError` if the stored values are damaged, or no pilot episode of a robot succeeded.
         """
         stated = self.suite.memory.epsilon
-        robots = sorted({robot for task in self.suite.tasks for robot in self.suite.robots_of(task)})
+        robots = sorted({unit.robot for unit in self.units("fly")})
         if isinstance(stated, float):
             return dict.fromkeys(robots, stated)
         path = self.out / EPSILON_FILE
         if path.exists():
-            return _read_epsilon(path)
+            return read_epsilon(path)
         found = pilot_epsilon(parse_rows(self.read_lines("pilot")), robots)
         write_atomically(path, msgspec.json.encode(found))
         return found
@@ -175,7 +199,7 @@ class Runner:
     def rows(self, on_omission: OmissionCallback | None = None) -> list[EpisodeRow]:
         """Every finished episode, in the order of the suite; `on_omission` as for `read_lines`."""
         lines = {line["key"]: line for line in self.read_lines("fly", on_omission)}
-        keys = [unit.row_key(order) for unit in build_units(self.suite, "fly") for order in range(unit.n_episodes)]
+        keys = [unit.row_key(order) for unit in self.units("fly") for order in range(unit.n_episodes)]
         return parse_rows(lines[key] for key in keys if key in lines)
 
 
@@ -200,7 +224,7 @@ def _damaged_config(path: Path, error: Exception) -> ConfigurationError:
     return ConfigurationError.stating(sentence, fix=f"Restore a copy, or name another --out. {path}")
 
 
-def _read_epsilon(path: Path) -> dict[str, float]:
+def read_epsilon(path: Path) -> dict[str, float]:
     """The stored ε by robot; raises `ConfigurationError` if the file is damaged."""
     try:
         return msgspec.json.decode(read_bounded_file(path, MAX_CONFIG_BYTES), type=dict[str, float])
@@ -240,11 +264,18 @@ def resolve_config(suite: Suite, provenance: dict[str, Any], adapters: dict[str,
     )
 
 
+def _require_same_part(before: dict[str, Any], now: dict[str, Any], path: Path) -> None:
+    """Raise `ConfigurationError` unless both configurations are of the same part, or both of a whole evaluation."""
+    was, is_now = (f"part {one[PART_KEY]}" if PART_KEY in one else "all parts" for one in (before, now))
+    if was != is_now:
+        raise ConfigurationError.stating(
+            f"The folder holds results of {was} of the evaluation, not of {is_now}.", fix=f"Name another --out. {path}"
+        )
+
+
 def _require_same_config(before: dict[str, Any], now: dict[str, Any], path: Path) -> None:
     """Raise `ConfigurationError` unless `now` equals `before`, perhaps with more methods and planners for them."""
-    differing = sorted(part for part in now if not _is_extension(before.get(part), now[part], part))
-    if differing:
-        differences = "; ".join(_describe_difference(part, before.get(part), now[part]) for part in differing)
+    if differences := describe_config_differences(before, now, extendable=True):
         sentence = f"The folder holds results of another suite, or of other code or versions: {differences}."
         fix = (
             "Name another --out, or go back to the suite, code and versions of these results (methods may be added). "
@@ -253,12 +284,23 @@ def _require_same_config(before: dict[str, Any], now: dict[str, Any], path: Path
         raise ConfigurationError.stating(sentence, fix=fix)
 
 
-def _describe_difference(part: str, before: Any, now: Any) -> str:
+def describe_config_differences(before: dict[str, Any], now: dict[str, Any], *, extendable: bool = False) -> str:
+    """The differences between two configurations, "" without any; entries that only `before` has do not count.
+
+    If `extendable`, methods, planners and adapters may have been added.
+    """
+    differing = sorted(part for part in now if not _is_same(before.get(part), now[part], part, extendable))
+    return "; ".join(_describe_difference(part, before.get(part), now[part], extendable) for part in differing)
+
+
+def _describe_difference(part: str, before: Any, now: Any, extendable: bool) -> str:
     """The difference of one part of the configuration, entry by entry if it has entries."""
     if not (isinstance(before, dict) and isinstance(now, dict)):
         return f"{part} has changed"
-    inner = before if part in EXTENDABLE_PARTS else before | now
-    names = sorted(name for name in inner if name not in now or not _is_extension(before.get(name), now[name], name))
+    inner = before if extendable and part in EXTENDABLE_PARTS else before | now
+    names = sorted(
+        name for name in inner if name not in now or not _is_same(before.get(name), now[name], name, extendable)
+    )
     return "; ".join(
         f"{part}.{name} is {_truncate(now.get(name))}, was {_truncate(before.get(name))}" for name in names
     )
@@ -267,6 +309,10 @@ def _describe_difference(part: str, before: Any, now: Any) -> str:
 def _truncate(value: Any) -> str:
     text = "nothing" if value is None else str(value)
     return text if len(text) <= MAX_VALUE_CHARACTERS else f"{text[:MAX_VALUE_CHARACTERS]}…"
+
+
+def _is_same(before: Any, now: Any, name: str, extendable: bool) -> bool:
+    return _is_extension(before, now, name) if extendable else before == now
 
 
 def _is_extension(before: Any, now: Any, name: str = "") -> bool:

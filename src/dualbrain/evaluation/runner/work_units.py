@@ -54,6 +54,17 @@ class WorkUnit(msgspec.Struct, frozen=True, kw_only=True):
         return f"{self.key} #{order}"
 
 
+def all_clusters(suite: Suite) -> list[str]:
+    """The clusters of the episodes: each run of each task on each robot, whichever methods take part."""
+    places = [(task, robot) for task in suite.tasks for robot in suite.robots_of(task)]
+    return [_cluster(place, run) for run in range(suite.runs) for place in places]
+
+
+def _cluster(place: tuple[Task, str], run: int) -> str:
+    task, robot = place
+    return f"{robot} {task.name} run {run}"
+
+
 def build_units(suite: Suite, stage: Stage) -> list[WorkUnit]:
     """All units of one stage, run by run, so that any prefix compares the methods on the same scenes."""
     if stage == "pilot":
@@ -110,7 +121,7 @@ def _run_units(suite: Suite, stage: Stage, place: tuple[Task, str], method: Meth
     task, robot = place
     seeds = tuple(suite.first + index for index in range(suite.seeds) if index % suite.runs == run)
     repetitions = tuple(range(suite.repetitions))
-    cluster = f"{robot} {task.name} run {run}"
+    cluster = _cluster(place, run)
     common = {"stage": stage, "method": method.name, "robot": robot, "task": task, "cluster": cluster}
     if method.uses_memory or stage == "plan":
         return [WorkUnit(key=f"{method.name} {cluster}", seeds=seeds, repetitions=repetitions, **common)]

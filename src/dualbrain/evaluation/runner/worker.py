@@ -33,6 +33,7 @@ from dualbrain.runtime.inspection.counterfactual import CounterfactualQueries
 PLAN_BATCH_SIZE = 16
 """Requests of the plan stage in one batch: they are answered in parallel where the planner can, and lost by a kill."""
 ANSWERS_FOLDER, RUNS_FOLDER, START_FOLDER, EPISODE_CACHE_FOLDER = "plans", "runs", "start", "once"
+COUNTERFACTUALS_FOLDER = "counterfactuals"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,7 +146,9 @@ class Worker:
 
     def _add_memory_uses(self, run: EpisodeRun, planner: CachingPlanner, case: Case) -> EpisodeRun:
         """`run` with the uses of the exemplars in its prompt, found by requests without each of them."""
-        queries = CounterfactualQueries(planner, load_skill_registry(case.robot), self._config.out / "counterfactuals")
+        queries = CounterfactualQueries(
+            planner, load_skill_registry(case.robot), self._config.out / COUNTERFACTUALS_FOLDER
+        )
         return replace(run, episode=msgspec.structs.replace(run.episode, uses=queries.memory_uses(run.episode)))
 
     def _plan(self, unit: WorkUnit, method: Method) -> Iterator[dict[str, Any]]:

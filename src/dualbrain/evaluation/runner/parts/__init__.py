@@ -1,0 +1,1 @@
+"""Parts of an evaluation that run on different machines, and their merge."""
