@@ -48,11 +48,12 @@ def without_times(rows):
 
 
 @pytest.mark.parametrize("name", ["paper", "cross", "refusals", "first"])
-@pytest.mark.parametrize("count", [1, 3, 4])
+@pytest.mark.parametrize("count", [1, 3, 4, None], ids=["1", "3", "4", "most"])
 def test_parts_divide_the_units_and_hold_all_methods_of_a_cluster(name, count):
     suite = load_suite(name)
     roles = {"base": "base-135m", "prompted": "base-135m", "adapted": "template"}
     suite = msgspec.structs.replace(suite, planners=suite.planners | roles)
+    count = count or len(all_clusters(suite))
     parts = [Part(count, number) for number in range(1, count + 1)]
     for stage in ("plan", "fly"):
         keys = [unit.key for part in parts for unit in part.units(suite, stage)]
@@ -66,9 +67,11 @@ def test_parts_divide_the_units_and_hold_all_methods_of_a_cluster(name, count):
         assert {unit.robot for unit in part.units(suite, "start")} == robots
 
 
-def test_another_set_of_methods_leaves_the_clusters_of_a_part(suite):
-    few = msgspec.structs.replace(suite, methods=("B1",))
-    assert Part(2, 1).clusters(few) == Part(2, 1).clusters(suite)
+def test_another_order_of_tasks_or_fewer_methods_leave_the_clusters_of_a_part():
+    suite = load_suite("paper")
+    other = msgspec.structs.replace(suite, methods=("B1",), tasks=suite.tasks[::-1])
+    for number in (1, 2, 3):
+        assert Part(3, number).clusters(other) == Part(3, number).clusters(suite)
 
 
 @pytest.mark.parametrize("text", ["0/2", "3/2", "1/3", "1", "a/b", "1/0", "-1/2", "", "1/2/3", "1/٢"])
