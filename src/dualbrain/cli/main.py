@@ -181,6 +181,16 @@ export.command(
     Example: `dualbrain export lerobot runs/a runs/b --out data/cubes`, then in Python
     `LeRobotDataset("me/cubes", root="data/cubes")`. Failed runs are exported too: name only those to learn from.""",
 )
+export.command(
+    "dualbrain.cli.evaluation.export_trace:export_trace",
+    name="trace",
+    help="""Write a finished run as an OpenTelemetry trace: retrieval, planner requests, checks by the gate, actions.
+
+    Without --endpoint the spans are printed as JSON, one per line. The ids depend only on the episode, so a second
+    export is the same trace. Instruction, outcome and reasons are part of the trace; prompts and answers are not.
+
+    Example: `dualbrain export trace runs/a --endpoint http://127.0.0.1:4318/v1/traces`.""",
+)
 
 memory = App(name="memory", help="Inspect, audit and edit the episode memory. Every edit can be undone.")
 app.command(memory)

@@ -27,6 +27,7 @@ EXTRAS = {
     "mcp": "mcp",
     "mujoco": "simulation",
     "onnxruntime": "memory",
+    "opentelemetry": "trace",
     "peft": "adapt",
     "pylibfranka": "franka",
     "pypdf": "knowledge",

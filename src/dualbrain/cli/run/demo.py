@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 from dualbrain.cli.common.console import StderrConsole
 from dualbrain.cli.common.spinner import Spinner
@@ -17,6 +18,7 @@ def demo(
     planner: str = PACKAGED_PLANNER,
     headless: bool = False,
     scene: str = "8",
+    out: Path | None = None,
 ) -> int:
     """Run a task while a person's forearm crosses the table. Exit code 0 only if the simulator confirms the success.
 
@@ -30,12 +32,14 @@ def demo(
         Do not open the live view; the simulation then runs in one process, as fast as possible.
     scene
         A number, FAMILY:SEED or a scene file. In scene 8 a forearm crosses the path, and the filter changes the motion.
+    out
+        Folder of the run: configuration, scene, recording, report, images. Default: a new one in runs/.
     """
     with Spinner(StderrConsole(), "loading") as loading:
         from dualbrain.cli.run.execution import RunView, execute_run
         from dualbrain.runtime.config import default_config
 
         shown = not headless
-        config = default_config(instruction)
+        config = default_config(instruction, out=out)
         config = replace(config, scene=scene, planner=planner, tries=DEFAULT_TRIES, measured=shown)
         return execute_run(config, RunView(live_view=shown, keep_open=shown, real_time=shown), loading)
