@@ -133,12 +133,7 @@ class Ledger(LedgerReader):
         self._store.replace_vectors(vectors, lambda head: self._chain(entries, self._last_time, head))
 
     def _chain(self, entries: Sequence[PendingEvent], now: float, head: Head) -> list[ChainedEvent]:
-        chained = list[ChainedEvent]()
-        for entry in entries:
-            event = _build_event(entry, self._run if entry.run is None else make_json_safe(entry.run), now, head)
-            chained.append((event, entry.vector))
-            head = Head(event.seq, event.hash)
-        return chained
+        return chain_events(entries, run=self._run, now=now, head=head)
 
     def start_run(self, run: str, details: object, *, now: float) -> tuple[InterruptedRun, ...]:
         """Begin `run`; records and returns the runs that were interrupted before it."""
@@ -219,6 +214,16 @@ class Ledger(LedgerReader):
         finally:
             super().close()
             self._lock.release()
+
+
+def chain_events(entries: Sequence[PendingEvent], *, run: str, now: float, head: Head) -> list[ChainedEvent]:
+    """The events of `entries`, chained to `head`; those without a run of their own belong to `run`."""
+    chained = list[ChainedEvent]()
+    for entry in entries:
+        event = _build_event(entry, run if entry.run is None else make_json_safe(entry.run), now, head)
+        chained.append((event, entry.vector))
+        head = Head(event.seq, event.hash)
+    return chained
 
 
 def _build_event(entry: PendingEvent, run: str, now: float, head: Head) -> LedgerEvent:

@@ -1,6 +1,7 @@
 """The storage behind a ledger: events with typed queries, appends after a known head, and a projection of vectors.
 
-A store keeps the events and their hashes as they are given. `sqlite.store` is the store in a SQLite file.
+A store keeps the events and their hashes as they are given. A SQLite file (`sqlite.store`) and a PostgreSQL database
+(`postgres.store`) store the same events with the same hashes.
 """
 
 from __future__ import annotations
@@ -55,6 +56,21 @@ class HeadMovedError(DualbrainError):
         super().__init__(
             f"Another writer of the shared memory ledger was faster: its newest event is {found.seq}, not "
             f"{expected.seq}. Nothing was changed. Try again."
+        )
+
+
+class ServerUnreachableError(DualbrainError):
+    """The server of a shared ledger does not answer.
+
+    `attempted` is the first event of an append whose result is unknown; None if nothing was sent.
+    """
+
+    def __init__(self, reason: str, *, attempted: Head | None = None) -> None:
+        """Report the `reason` that the network or the server gives."""
+        self.reason, self.attempted = reason, attempted
+        super().__init__(
+            f"The server of the shared memory ledger does not answer: {reason}. Check the network and the url in the "
+            "file of the ledger, and try again."
         )
 
 

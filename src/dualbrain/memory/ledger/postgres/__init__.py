@@ -1,0 +1,1 @@
+"""The ledger in PostgreSQL, for several robots that share their memories."""
