@@ -180,9 +180,9 @@ def test_an_audit_sums_up_the_use_of_memories(tmp_path: Path) -> None:
         _clean(memory)
         assert audit(memory).utility.rate is None
         record_uses(
-            memory, "b-1", [MemoryUse("a-1", used=True, contributing=True), MemoryUse("a-2", True, False)], now=NOW
+            ledger, "b-1", [MemoryUse("a-1", used=True, contributing=True), MemoryUse("a-2", True, False)], now=NOW
         )
-        record_uses(memory, "b-2", [MemoryUse("a-1", used=False, contributing=False)], now=NOW)
+        record_uses(ledger, "b-2", [MemoryUse("a-1", used=False, contributing=False)], now=NOW)
         found = audit(memory).utility
         assert (found.recalled, found.used, found.contributing) == (3, 2, 1)
         assert str(found) == "of 3 memories in prompts 2 were used, 1 contributed"

@@ -5,11 +5,15 @@ from __future__ import annotations
 import dataclasses
 from collections import deque
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
 
 from dualbrain.core.encoder import Encoder
 from dualbrain.core.text import count_noun
-from dualbrain.errors import ConfigurationError
+from dualbrain.errors import DECODE_ERRORS, ConfigurationError
 from dualbrain.memory.config import MemoryConfig
 from dualbrain.memory.embedding.image_features import ImageFeatures
 from dualbrain.memory.embedding.joint_embedding import Alpha, EpisodeEmbedding, JointEmbedding
@@ -17,9 +21,19 @@ from dualbrain.memory.embedding.posture_features import Posture
 from dualbrain.memory.index.filters import Filter
 from dualbrain.memory.index.index import Index, RankingOptions
 from dualbrain.memory.learning.consolidation import Consolidation
-from dualbrain.memory.ledger.events import CONFIRM, EPISODE, ROLLBACK, STATUS_BY_EVENT_KIND, Status, WeightUpdate
-from dualbrain.memory.ledger.hash_chain import Head, LedgerEvent, verified_events
+from dualbrain.memory.ledger.events import (
+    CONFIRM,
+    EPISODE,
+    ROLLBACK,
+    STATUS_BY_EVENT_KIND,
+    VECTORS,
+    Status,
+    WeightUpdate,
+)
+from dualbrain.memory.ledger.hash_chain import GENESIS, Head, LedgerEvent, verified_events
 from dualbrain.memory.ledger.ledger import Ledger, LedgerReader, PendingEvent, StoredVector
+from dualbrain.memory.ledger.shared.spool import WaitingItem
+from dualbrain.memory.ledger.store import HeadMovedError, ServerUnreachableError
 from dualbrain.memory.retrieval.search import MemoryHit
 from dualbrain.memory.state.derivation import derive_state
 from dualbrain.memory.state.episode_record import EpisodeRecord, decode_stored_episode, retrieved_memories
@@ -27,6 +41,8 @@ from dualbrain.memory.state.snapshot import MemorySnapshot, read_snapshot, write
 from dualbrain.memory.state.state import apply_events
 from dualbrain.records import Episode, Exemplar, RetrievedContext
 
+MAX_MISSES = 3
+"""Number of times that an outcome is computed while other robots may append; then they wait."""
 SNAPSHOT_MIN_EVENTS = 2000
 """After reading more events than this, the memory writes a snapshot for the next start."""
 
@@ -36,7 +52,8 @@ class StoreReport:
     """The changes by storing an episode: its event in the ledger, the new head of the chain and all weight updates.
 
     `n_neighbours` is the number of neighbours whose weights changed, `status` the status of the new memory, and
-    `confirmed_ids` the candidates that its outcome confirmed.
+    `confirmed_ids` the candidates that its outcome confirmed. `is_waiting`: the server of a shared ledger does not
+    answer, and the episode waits on this machine; then `seq` is 0, and no weight has changed yet.
     """
 
     episode_id: str
@@ -46,9 +63,12 @@ class StoreReport:
     n_neighbours: int = 0
     status: Status = "active"
     confirmed_ids: tuple[str, ...] = ()
+    is_waiting: bool = False
 
     def __str__(self) -> str:
         """One line for people, such as "weights: e-13 (new) 0.50 -> 0.58, c-12 0.50 -> 0.58"."""
+        if self.is_waiting:
+            return "the server of the shared memory does not answer: the episode waits on this machine"
         moves = [f"{c.memory}{'' if c.rank else ' (new)'} {c.before:.2f} -> {c.after:.2f}" for c in self.weight_updates]
         moves += [count_noun(self.n_neighbours, "neighbour")] if self.n_neighbours else []
         notes = {
@@ -57,6 +77,14 @@ class StoreReport:
         }.get(self.status, "")
         confirmed = f"; confirms {', '.join(self.confirmed_ids)}" if self.confirmed_ids else ""
         return f"weights: {', '.join(moves) or 'unchanged'}{notes}{confirmed}"
+
+
+class _WaitingEpisode(msgspec.Struct, frozen=True, kw_only=True):
+    """The arguments of `Memory.store` that wait for the server of a shared ledger."""
+
+    episode: Episode
+    state: Posture
+    image: ImageFeatures | None = None
 
 
 class Memory:
@@ -120,14 +148,16 @@ class Memory:
             ConfigurationError: a setting is out of range, `state` does not fit the robot, or `image` has the features
                 of another encoder.
         """
+        self.catch_up()
         query = self.embedding.embed(instruction, summary, state, robot, image)
         compared = self.index.compare(query, alpha or self.config.embedding.alpha)
-        narrowed = dataclasses.replace(where or Filter(), robot=robot, registry=registry)
+        writers = self.ledger.usable_writers
+        narrowed = dataclasses.replace(where or Filter(), robot=robot, registry=registry, writers=writers)
         lambda_s = self.config.lambda_s if lambda_s is None else lambda_s
         ranking = RankingOptions(k, lambda_s, self.config.diversity if diversity is None else diversity)
         warning_ranking = dataclasses.replace(ranking, k=self.config.max_warnings)
         follow, avoid = (dataclasses.replace(narrowed, guidance=guidance) for guidance in ("follow", "avoid"))
-        weights = self.index.contract_weights(compared, robot, registry, self.config.bandwidth)
+        weights = self.index.contract_weights(compared, robot, registry, self.config.bandwidth, writers)
         return RetrievedContext(
             self._exemplars(query, self.index.search(compared, weights, follow, ranking)),
             self._exemplars(query, self.index.search(compared, weights, avoid, warning_ranking)),
@@ -152,6 +182,35 @@ class Memory:
         depend on simulator ground truth. Raises `ConfigurationError` for an id that is in the ledger already, and for
         retrieved memories that are not in it.
         """
+        ledger = self._writable_ledger()
+        episode = msgspec.structs.replace(episode, id=ledger.qualify(episode.id))
+        self.catch_up()
+        try:
+            return self._store(ledger, episode, state, now=now, image=image)
+        except ServerUnreachableError as error:
+            waiting = _WaitingEpisode(episode=episode, state=state, image=image)
+            heads = () if error.attempted is None else (error.attempted,)
+            body = msgspec.Raw(msgspec.json.encode(waiting))
+            ledger.spool.add(WaitingItem(time=now, run=ledger.run, episode=body, attempts=heads))
+            return StoreReport(episode_id=episode.id, seq=0, head=self._seen, weight_updates=(), is_waiting=True)
+
+    def _store(
+        self, ledger: Ledger, episode: Episode, state: Posture, *, now: float, image: ImageFeatures | None
+    ) -> StoreReport:
+        """Store after the newest event, and again if another robot was faster; the last time no other can append."""
+        for _ in range(MAX_MISSES):
+            try:
+                return self._store_once(episode, state, now=now, image=image)
+            except HeadMovedError:
+                self._receive()
+        with ledger.exclusive():
+            self._receive()
+            return self._store_once(episode, state, now=now, image=image)
+
+    def _store_once(
+        self, episode: Episode, state: Posture, *, now: float, image: ImageFeatures | None, run: str | None = None
+    ) -> StoreReport:
+        """Store if the newest event is the one of which this memory has the state, otherwise raise `HeadMovedError`."""
         if any(True for _ in self.ledger.events(EPISODE, subject=episode.id)):
             raise ConfigurationError.stating(
                 f"The ledger already contains an episode {episode.id!r}.", fix="Use a new episode id."
@@ -160,7 +219,8 @@ class Memory:
         if unknown := [name for name in shown if name not in self.state]:
             raise ConfigurationError("retrieved memories", got=unknown, allowed="ids of episodes in this ledger")
         transaction = self.consolidation().build_transaction(episode, state, image, now)
-        events = self.append(transaction.events, now=now)
+        entries = [dataclasses.replace(one, run=run) for one in transaction.events]
+        events = self.append(entries, now=now, after=self._seen)
         first, head = events[0], Head(events[-1].seq, events[-1].hash)
         return StoreReport(
             episode_id=first.subject,
@@ -172,27 +232,113 @@ class Memory:
             confirmed_ids=transaction.confirmed,
         )
 
+    # --- a shared ledger --------------------------------------------------------------------------------------------
+
+    def catch_up(self) -> int:
+        """Apply the events of other robots, and store the episodes that wait for the server of a shared ledger.
+
+        Returns the number of applied events, 0 if the server does not answer or the ledger is not shared. Raises
+        `CorruptLedgerError` if the events of the server do not continue the ledger.
+        """
+        ledger = self.ledger
+        if not (isinstance(ledger, Ledger) and ledger.is_shared):
+            return 0
+        before = self._seen.seq
+        if self._receive():
+            self._store_waiting(ledger)
+        return self._seen.seq - before
+
+    def _receive(self) -> bool:
+        answered = isinstance(self.ledger, Ledger) and self.ledger.receive()
+        self._follow()
+        return answered
+
+    def _follow(self) -> None:
+        """Apply the events of the ledger that follow the newest applied one."""
+        fresh = list(self.ledger.events(after=self._seen.seq))
+        if any(_changes_history(event) or event.kind == VECTORS for event in fresh):
+            self._derive_from_events()
+        elif fresh:
+            vectors = dict(self.ledger.vectors(self._seen.seq))
+            apply_events(fresh, str(self.ledger.path), lambda event: self._apply(event, vectors.get(event.seq)))
+        if fresh:
+            self._seen = Head(fresh[-1].seq, fresh[-1].hash)
+
+    def _store_waiting(self, ledger: Ledger) -> None:
+        """Append what waits, in its order, each item once."""
+        for file in ledger.spool.files():
+            try:
+                self._append_file(ledger, file)
+            except ServerUnreachableError:
+                return
+            except (ConfigurationError, *DECODE_ERRORS) as error:
+                kept = ledger.spool.put_away(file)
+                ledger.notices += (f"An item that waited for the shared ledger was refused: {error} {kept}",)
+            else:
+                ledger.spool.remove(file)
+
+    def _append_file(self, ledger: Ledger, file: Path) -> None:
+        """Append the item in `file`; an attempt of which no answer arrives is noted in the file."""
+        item = ledger.spool.read(file)
+        try:
+            self._append_waiting(ledger, item)
+        except ServerUnreachableError as error:
+            if error.attempted is not None:
+                attempts = (*item.attempts, error.attempted)
+                ledger.spool.replace(file, msgspec.structs.replace(item, attempts=attempts))
+            raise
+
+    def _append_waiting(self, ledger: Ledger, item: WaitingItem) -> None:
+        """Append `item` after the newest event, unless an attempt of which no answer arrived had succeeded."""
+        while not ledger.contains(item.attempts):
+            try:
+                if item.events:
+                    entries = [
+                        PendingEvent(
+                            kind=one.kind, subject=one.subject, payload=msgspec.json.decode(one.payload), run=one.run
+                        )
+                        for one in item.events
+                    ]
+                    self.append(entries, now=item.time, after=self._seen)
+                else:
+                    one = msgspec.json.decode(item.episode, type=_WaitingEpisode)
+                    self._store_once(one.episode, one.state, now=item.time, image=one.image, run=item.run)
+            except HeadMovedError:
+                if not self._receive():
+                    raise ServerUnreachableError("it stopped answering") from None
+            else:
+                return
+
+    # --- append -----------------------------------------------------------------------------------------------------
+
     def consolidation(self) -> Consolidation:
         """The consolidation that computes the events of an outcome from the present state."""
         return Consolidation(self.ledger, self.state, self.index, self.config)
 
-    def append(self, entries: Sequence[PendingEvent], *, now: float) -> tuple[LedgerEvent, ...]:
+    def append(
+        self, entries: Sequence[PendingEvent], *, now: float, after: Head | None = None
+    ) -> tuple[LedgerEvent, ...]:
         """Append events, all or none, and update state and index.
 
-        Raises `ConfigurationError` if the ledger was opened for reading.
+        Raises `ConfigurationError` if the ledger was opened for reading, and `HeadMovedError` if `after` is given and
+        is not the newest event.
         """
+        vectors = [entry.vector for entry in entries]
+        events = self._writable_ledger().append(entries, now=now, after=after)
+        if events[0].previous != self._seen.hash or any(_changes_history(event) for event in events):
+            self._follow()
+        else:
+            vector_by_seq = dict(zip((event.seq for event in events), vectors, strict=True))
+            apply_events(events, str(self.ledger.path), lambda event: self._apply(event, vector_by_seq[event.seq]))
+            self._seen = Head(events[-1].seq, events[-1].hash)
+        return events
+
+    def _writable_ledger(self) -> Ledger:
         if not isinstance(self.ledger, Ledger):
             raise ConfigurationError.stating(
                 "This memory is read-only, because its ledger was opened for reading.", fix="Open it as a `Ledger`."
             )
-        vectors = [entry.vector for entry in entries]
-        events = self.ledger.append(entries, now=now)
-        if any(_changes_history(event) for event in events):
-            self._derive_from_events()
-        else:
-            vector_by_seq = dict(zip((event.seq for event in events), vectors, strict=True))
-            apply_events(events, str(self.ledger.path), lambda event: self._apply(event, vector_by_seq[event.seq]))
-        return events
+        return self.ledger
 
     def _apply(self, event: LedgerEvent, vector: StoredVector | None) -> None:
         rows = self.state.apply(event)
@@ -213,8 +359,12 @@ class Memory:
             if after:
                 deque(verified_events(self.ledger.events(until=after.seq), str(self.ledger.path)), maxlen=0)
             self._derive_from_events()
+        newest = tail[-1] if tail else after
+        self._seen = Head(newest.seq, newest.hash) if newest else Head(0, GENESIS)
         if isinstance(self.ledger, Ledger) and len(tail) > SNAPSHOT_MIN_EVENTS:
-            self.write_snapshot(self.ledger, now=self.ledger.opened_at)
+            with suppress(ServerUnreachableError):
+                self.write_snapshot(self.ledger, now=self.ledger.opened_at)
+        self.catch_up()
 
     def _load_snapshot(self, snapshot: MemorySnapshot, tail: Sequence[LedgerEvent]) -> bool:
         """Load `snapshot` and apply `tail`; False if its embedding differs, or `tail` changes the history."""

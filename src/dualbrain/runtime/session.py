@@ -218,7 +218,7 @@ class Session:
         if uses:
             episode = msgspec.structs.replace(episode, uses=uses)
             self._resources.folder.save_episode(episode)
-            record_uses(self.memory, episode.id, uses, now=self.clocks.now())
+            record_uses(self.ledger, episode.id, uses, now=self.clocks.now())
         return episode
 
     def _versions(self) -> dict[str, str]:

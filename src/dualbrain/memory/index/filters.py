@@ -21,7 +21,8 @@ class Filter:
     """Conditions on a memory; an empty tuple or None sets no condition.
 
     `skills`: the contract of the memory contains all of them; `contract`: digest of the contract. `after` and `before`
-    [s, 1970 UTC] bound the time at which the memory was stored. By default only active memories pass: neither
+    [s, 1970 UTC] bound the time at which the memory was stored. `writers` are the robots that wrote it into a shared
+    ledger. By default only active memories pass: neither
     candidates nor quarantined or forgotten memories.
     """
 
@@ -35,11 +36,12 @@ class Filter:
     statuses: tuple[Status, ...] = ("active",)
     after: float | None = None
     before: float | None = None
+    writers: tuple[str, ...] = ()
 
 
 MAX_CACHED_MASKS = 16
 """Number of filters whose masks are cached."""
-STATIC_COLUMNS = ("scope", "guidance", "skills", "contract", "kind", "source")
+STATIC_COLUMNS = ("scope", "guidance", "skills", "contract", "kind", "source", "writer")
 """Properties of a memory that never change; `scope` is the pair of robot and registry hash."""
 
 
@@ -82,7 +84,15 @@ class Columns:
         self._times[row] = memo.time
         provenance = memo.provenance
         scope = (memo.robot, memo.registry)
-        values = (scope, memo.guidance, provenance.skills, provenance.contract, memo.kind, provenance.source)
+        values = (
+            scope,
+            memo.guidance,
+            provenance.skills,
+            provenance.contract,
+            memo.kind,
+            provenance.source,
+            memo.writer,
+        )
         for name, value in zip(STATIC_COLUMNS, values, strict=True):
             self._columns[name].set(row, value)
         self.set_status(row, memo.status)
@@ -124,10 +134,9 @@ class Columns:
             passed &= columns["skills"].isin(chosen, n)
         if where.contract is not None:
             passed &= columns["contract"].isin({where.contract}, n)
-        if where.outcomes:
-            passed &= columns["kind"].isin(set(where.outcomes), n)
-        if where.sources:
-            passed &= columns["source"].isin(set(where.sources), n)
+        for name, chosen in (("kind", where.outcomes), ("source", where.sources), ("writer", where.writers)):
+            if chosen:
+                passed &= columns[name].isin(set(chosen), n)
         if where.after is not None:
             passed &= self._times[:n] >= where.after
         if where.before is not None:

@@ -90,12 +90,21 @@ class Index:
         query = Query(embedded.vector * scale, embedded.mask, alpha.weight_by_mask(), scale)
         return self.flat_index.compare(query)
 
-    def contract_weights(self, compared: QueryComparison, robot: str, registry: str, bandwidth: float) -> Weights:
+    def contract_weights(
+        self,
+        compared: QueryComparison,
+        robot: str,
+        registry: str,
+        bandwidth: float,
+        writers: tuple[str, ...] = (),
+    ) -> Weights:
         """The weight w̄ of each row near the query, shape (n,), from all memories of this robot and registry.
+
+        With `writers`, only memories of these writers of a shared ledger count.
 
         Memories of one contract are combined with a kernel of bandwidth ℓ (see `retrieval.search.contract_weights`).
         """
-        counted = self._columns.mask(Filter(robot=robot, registry=registry))
+        counted = self._columns.mask(Filter(robot=robot, registry=registry, writers=writers))
         return contract_weights(compared, self.flat_index.weights, self._columns.contract_codes, counted, bandwidth)
 
     def search(

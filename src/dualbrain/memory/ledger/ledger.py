@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
@@ -20,10 +21,13 @@ from dualbrain.memory.ledger.events import EPISODE, VECTORS
 from dualbrain.memory.ledger.hash_chain import Head, LedgerEvent, event_digest
 from dualbrain.memory.ledger.reader import LedgerReader
 from dualbrain.memory.ledger.runs import InterruptedRun
+from dualbrain.memory.ledger.shared.config import is_shared
+from dualbrain.memory.ledger.shared.replicated_store import ReplicatedStore
+from dualbrain.memory.ledger.shared.spool import Spool, WaitingEvent, WaitingItem
 from dualbrain.memory.ledger.sqlite.ledger_files import check_files, translate_os_errors
 from dualbrain.memory.ledger.sqlite.store import SqliteStore
 from dualbrain.memory.ledger.sqlite.tables import MIGRATED, SCHEMA_VERSION
-from dualbrain.memory.ledger.store import ChainedEvent, LedgerStore
+from dualbrain.memory.ledger.store import ChainedEvent, LedgerStore, ServerUnreachableError
 from dualbrain.memory.ledger.vectors import DIGEST_FIELD, StoredVector, digest_changes, vector_digest
 from dualbrain.memory.ledger.writer_lock import LockHolder, WriterLock
 
@@ -90,10 +94,13 @@ class Ledger(LedgerReader):
         except BaseException:
             self._lock.release()
             raise
+        self.spool = Spool(path.with_name(f"{path.name}.spool"))
+        self._run = self.qualify("")
 
     @staticmethod
     def _open_store(path: Path, *, accept_faults: bool) -> LedgerStore:
-        return SqliteStore.open_for_writing(path, accept_faults=accept_faults)
+        opened = ReplicatedStore if is_shared(path) else SqliteStore
+        return opened.open_for_writing(path, accept_faults=accept_faults)
 
     def _check_anchors(self, now: float, run_folders: Sequence[Path], *, accept_faults: bool) -> None:
         """Compare the ledger with its anchors, and record a migration."""
@@ -135,8 +142,62 @@ class Ledger(LedgerReader):
     def _chain(self, entries: Sequence[PendingEvent], now: float, head: Head) -> list[ChainedEvent]:
         return chain_events(entries, run=self._run, now=now, head=head)
 
+    # --- a shared ledger --------------------------------------------------------------------------------------------
+
+    @property
+    def is_shared(self) -> bool:
+        """Whether other robots write this ledger, too."""
+        return isinstance(self._store, ReplicatedStore)
+
+    @property
+    def run(self) -> str:
+        """The current run; of a shared ledger with the name of this robot."""
+        return self._run
+
+    def qualify(self, name: str) -> str:
+        """The `name` of a run or an episode in this ledger: in a shared one, the name of this robot precedes it."""
+        return f"{self._store.config.name}/{name}" if isinstance(self._store, ReplicatedStore) else name
+
+    def receive(self) -> bool:
+        """Copy the events that other robots have appended; returns whether the server answered (False: not shared).
+
+        Raises `CorruptLedgerError` if they do not continue the ledger.
+        """
+        if not isinstance(self._store, ReplicatedStore):
+            return False
+        try:
+            self._store.pull()
+        except ServerUnreachableError:
+            return False
+        return True
+
+    @contextmanager
+    def exclusive(self) -> Generator[None]:
+        """In the body, no other robot can append; raises `ServerUnreachableError`."""
+        with self._store.exclusive() if isinstance(self._store, ReplicatedStore) else nullcontext():
+            yield
+
+    def contains(self, heads: Sequence[Head]) -> bool:
+        """Whether the ledger contains one of the events `heads`."""
+        return any(event.hash == one.hash for one in heads for event in self.events(after=one.seq - 1, until=one.seq))
+
+    def record(self, entries: Sequence[PendingEvent], *, now: float) -> None:
+        """Append events on which nothing depends; they wait in the spool while the server of a shared ledger is away.
+
+        Raises the errors of `append`, and `FileWriteError` if the disk does not keep them.
+        """
+        try:
+            self.append(entries, now=now)
+        except ServerUnreachableError as error:
+            heads = () if error.attempted is None else (error.attempted,)
+            events = tuple(_waiting_event(entry, self._run) for entry in entries)
+            self.spool.add(WaitingItem(time=now, events=events, attempts=heads))
+
+    # --- runs -------------------------------------------------------------------------------------------------------
+
     def start_run(self, run: str, details: object, *, now: float) -> tuple[InterruptedRun, ...]:
         """Begin `run`; records and returns the runs that were interrupted before it."""
+        run = self.qualify(run)
         interrupted = self.interrupted_runs()
         closing = [
             PendingEvent(
@@ -144,28 +205,34 @@ class Ledger(LedgerReader):
             )
             for one in interrupted
         ]
-        self.append([*closing, PendingEvent(kind=runs.STARTED, subject="", payload=details, run=run)], now=now)
+        self.record([*closing, PendingEvent(kind=runs.STARTED, subject="", payload=details, run=run)], now=now)
         self._run = make_json_safe(run)
         return interrupted
 
     def mark_progress(self, what: str, *, now: float) -> None:
         """Record the next step of the run in a few words, so that an interruption can be attributed to a step."""
-        self.append([PendingEvent(kind=runs.MARKED, subject="", payload={"what": what})], now=now)
+        self.record([PendingEvent(kind=runs.MARKED, subject="", payload={"what": what})], now=now)
 
     def end_run(self, details: object, *, now: float) -> None:
         """End the run that `start_run` began."""
-        self.append([PendingEvent(kind=runs.ENDED, subject="", payload=details)], now=now)
-        self._run = ""
+        self.record([PendingEvent(kind=runs.ENDED, subject="", payload=details)], now=now)
+        self._run = self.qualify("")
 
     def interrupted_runs(self) -> tuple[InterruptedRun, ...]:
         """Runs of earlier processes that started and never ended, oldest first.
 
-        Only the writer can know this: a reader cannot distinguish an interrupted run from the current one.
+        Only the writer can know this: a reader cannot distinguish an interrupted run from the current one. Of a shared
+        ledger, only runs of this robot; none while events of them wait for the server.
         """
+        if len(self.spool):
+            return ()
         ended = {event.run for event in self.events(runs.ENDED, runs.INTERRUPTED)}
         started = self.events(runs.STARTED)
-        open_runs = [event for event in started if event.run != self._run and event.run not in ended]
+        open_runs = [event for event in started if event.run not in ended and self._is_earlier(event.run)]
         return tuple(self._describe_interrupted_run(start) for start in open_runs)
+
+    def _is_earlier(self, run: str) -> bool:
+        return run != self._run and run.startswith(self.qualify(""))
 
     def _describe_interrupted_run(self, start: LedgerEvent) -> InterruptedRun:
         events = list(self.events(run=start.run))
@@ -224,6 +291,16 @@ def chain_events(entries: Sequence[PendingEvent], *, run: str, now: float, head:
         chained.append((event, entry.vector))
         head = Head(event.seq, event.hash)
     return chained
+
+
+def _waiting_event(entry: PendingEvent, run: str) -> WaitingEvent:
+    content = make_json_safe(msgspec.to_builtins(entry.payload, str_keys=True))
+    return WaitingEvent(
+        kind=entry.kind,
+        subject=make_json_safe(entry.subject),
+        run=run if entry.run is None else make_json_safe(entry.run),
+        payload=msgspec.Raw(msgspec.json.encode(content)),
+    )
 
 
 def _build_event(entry: PendingEvent, run: str, now: float, head: Head) -> LedgerEvent:

@@ -18,6 +18,8 @@ from dualbrain.memory.ledger.hash_chain import (
     event_digest,
     verify_chain,
 )
+from dualbrain.memory.ledger.shared.config import is_shared
+from dualbrain.memory.ledger.shared.replicated_store import ReplicatedStore
 from dualbrain.memory.ledger.sqlite.store import SqliteStore
 from dualbrain.memory.ledger.sqlite.tables import SCHEMA_VERSION
 from dualbrain.memory.ledger.store import EventQuery, LedgerStore
@@ -34,7 +36,10 @@ RECOMPUTE_VECTORS = "Recompute all vectors from the episodes with `dualbrain mem
 
 
 class LedgerReader:
-    """Read-only view of a ledger; any number of readers may be open, also while a run writes."""
+    """Read-only view of a ledger; any number of readers may be open, also while a run writes.
+
+    For the file of a shared ledger (see `shared.config`) it is a view of the replica on this machine.
+    """
 
     def __init__(self, path: Path) -> None:
         """Open the ledger at `path`.
@@ -49,7 +54,12 @@ class LedgerReader:
             )
             raise MissingDependencyError(f"The memory ledger {path}", fix=fix)
         self.path = path
-        self._store: LedgerStore = SqliteStore.open_for_reading(path)
+        self._store: LedgerStore = _open_for_reading(path)
+
+    @property
+    def usable_writers(self) -> tuple[str, ...]:
+        """The robots whose memories may be retrieved from a shared ledger; empty: all."""
+        return self._store.config.use_memories_of if isinstance(self._store, ReplicatedStore) else ()
 
     @property
     def schema(self) -> int:
@@ -160,3 +170,7 @@ class LedgerReader:
 
     def __exit__(self, kind: type[BaseException] | None, value: object, trace: TracebackType | None) -> None:
         self.close()
+
+
+def _open_for_reading(path: Path) -> LedgerStore:
+    return ReplicatedStore.open_for_reading(path) if is_shared(path) else SqliteStore.open_for_reading(path)

@@ -29,6 +29,7 @@ from dualbrain.memory.ledger.events import (
 )
 from dualbrain.memory.ledger.hash_chain import LedgerEvent, verified_events
 from dualbrain.memory.ledger.ledger import Ledger, LedgerReader, PendingEvent
+from dualbrain.memory.ledger.shared.replicated_store import require_local
 from dualbrain.memory.plasticity.affine_map import IDENTITY, AffineMap
 from dualbrain.memory.state.derivation import derive_state, effective_events
 from dualbrain.memory.state.episode_record import decode_event_header
@@ -78,8 +79,9 @@ def compact_in_place(path: Path, *, holder: str, now: float, timeout_s: float) -
     """Compact the ledger at `path` in place; returns the path of the archive, which is the full ledger.
 
     If the process is killed during the compaction, the full ledger remains at `path`, or is the archive beside the
-    compacted one.
+    compacted one. Raises `ConfigurationError` for a shared ledger.
     """
+    require_local(path, "compacted")
     with Ledger(path, holder=holder, now=now, timeout_s=timeout_s) as full:
         archive = path.with_name(f"{path.name}.archive-{full.head().seq}")
         partial = path.with_name(f"{path.name}.compacting")

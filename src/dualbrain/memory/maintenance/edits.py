@@ -23,7 +23,7 @@ from dualbrain.memory.ledger.events import (
     Rollback,
     StatusChange,
 )
-from dualbrain.memory.ledger.ledger import PendingEvent
+from dualbrain.memory.ledger.ledger import Ledger, PendingEvent
 from dualbrain.memory.memory import Memory
 from dualbrain.memory.state.derivation import effective_events
 from dualbrain.memory.state.history import check_rollback_target
@@ -96,9 +96,10 @@ def record_adapter(memory: Memory, adapter: str, dataset: str, names: Sequence[s
         memory.append([PendingEvent(kind=ADAPTER, subject=adapter, payload=use)], now=now)
 
 
-def record_uses(memory: Memory, episode: str, uses: Sequence[MemoryUse], *, now: float) -> None:
+def record_uses(ledger: Ledger, episode: str, uses: Sequence[MemoryUse], *, now: float) -> None:
     """Record the use of the memories that were in the prompt of `episode`."""
-    memory.append([PendingEvent(kind=USED, subject=episode, payload=MemoryUses(episode, tuple(uses)))], now=now)
+    name = ledger.qualify(episode)
+    ledger.record([PendingEvent(kind=USED, subject=name, payload=MemoryUses(name, tuple(uses)))], now=now)
 
 
 def record_audit(memory: Memory, report: object, *, now: float) -> None:

@@ -56,6 +56,11 @@ class MemoryState(msgspec.Struct, kw_only=True):
         return GUIDANCE_BY_OUTCOME[self.kind]
 
     @property
+    def writer(self) -> str:
+        """The robot that wrote the memory into a shared ledger; "" in a ledger of one robot."""
+        return self.run.partition("/")[0] if "/" in self.run else ""
+
+    @property
     def r(self) -> int:
         """Success label r ∈ {0, 1} (paper 5.1)."""
         return int(self.kind == "succeeded")

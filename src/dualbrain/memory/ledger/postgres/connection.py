@@ -29,10 +29,10 @@ _POLL_S = 0.05
 class ServerConnection(psycopg.Connection[tuple[Any, ...]]):
     """A connection whose statements fail after `STATEMENT_TIMEOUT_S`."""
 
-    def wait(self, gen: Any, interval: float = _POLL_S) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def wait(self, gen: Any, interval: float = _POLL_S, **more: Any) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Run the statement `gen` of psycopg until its end or the time limit; then the connection is closed."""
         try:
-            return super().wait(_limited(gen, time.monotonic() + STATEMENT_TIMEOUT_S), min(interval, _POLL_S))
+            return super().wait(_limited(gen, time.monotonic() + STATEMENT_TIMEOUT_S), min(interval, _POLL_S), **more)
         except TimeoutError as error:
             self.pgconn.finish()
             raise psycopg.OperationalError(f"no answer within {STATEMENT_TIMEOUT_S:g} s") from error

@@ -119,9 +119,13 @@ class PostgresStore:
 
     def append(self, build: EventBuilder, *, after: Head | None = None) -> tuple[LedgerEvent, ...]:
         """See `LedgerStore`. If the server stops answering, `ServerUnreachableError` names the first event."""
+        return tuple(event for event, _ in self.append_chained(build, after=after))
+
+    def append_chained(self, build: EventBuilder, *, after: Head | None = None) -> Sequence[ChainedEvent]:
+        """Like `append`; returns the events with their vectors."""
         with self._writing(build, after) as chained:
             self._insert(chained)
-        return tuple(event for event, _ in chained)
+        return chained
 
     def replace_vectors(self, vectors: Mapping[int, StoredVector], build: EventBuilder) -> None:
         """See `LedgerStore`."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import sqlite3
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Self
@@ -162,6 +162,18 @@ class SqliteStore:
     def _insert_vector(self, seq: int, vector: StoredVector) -> None:
         row = (seq, vector.version, vector.data, vector.mask)
         self.database.execute("INSERT INTO vector (seq, version, data, mask) VALUES (?, ?, ?, ?)", row)
+
+    def copy(
+        self, events: Iterable[LedgerEvent], vectors: Callable[[], Iterable[tuple[int, StoredVector | None]]]
+    ) -> None:
+        """Insert `events` of another store as they are and then its `vectors` (None: remove it), all or none."""
+        with _translate_errors(self.path), transaction(self.database):
+            for event in events:
+                self._insert([(event, None)])
+            for seq, vector in vectors():
+                self.database.execute("DELETE FROM vector WHERE seq = ?", (seq,))
+                if vector is not None:
+                    self._insert_vector(seq, vector)
 
     def find_faults(self) -> tuple[str, ...]:
         """Faults that SQLite finds in the structure of the file, such as an index without some events."""
