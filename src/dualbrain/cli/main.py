@@ -208,6 +208,7 @@ for _name, _function, _help in (
     ("replay", "edit:replay", "Run a remembered contract again in simulation."),
     ("compact", "edit:compact", "Write a shorter ledger with the same weights, and archive the original."),
     ("rebuild", "edit:rebuild", "Recompute all vectors."),
+    ("connect", "connect:connect", "Share a ledger with other robots, on a PostgreSQL server."),
 ):
     memory.command(f"dualbrain.cli.memory.{_function}", name=_name, help=_help)
 

@@ -1,0 +1,86 @@
+"""dualbrain memory connect: the file of a ledger on a PostgreSQL server, which several robots share."""
+
+from __future__ import annotations
+
+import shlex
+import socket
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+from cyclopts import Parameter
+from rich.markup import escape
+
+from dualbrain.cli.common.console import StderrConsole
+from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.core.storage.private_files import create_private_folder, open_private
+from dualbrain.errors import DECODE_ERRORS, UsageError
+
+Flag = Annotated[bool, Parameter(negative="")]
+
+
+def connect(
+    url: str,
+    file: Path,
+    /,
+    *,
+    name: str = "",
+    namespace: str = "dualbrain",
+    use_memories_of: tuple[str, ...] = (),
+    create: Flag = False,
+) -> int:
+    """Write the file of a ledger on a PostgreSQL server, which any command takes as --ledger.
+
+    The file contains no password: the client reads it from ~/.pgpass. An existing file is not replaced.
+
+    Parameters
+    ----------
+    url
+        Address of the server, such as postgresql://robot7@server/lab, without a password.
+    file
+        The file, which ends in .toml and must not exist.
+    name
+        Name under which this robot writes, one for each robot. Default: the name of this machine.
+    namespace
+        Schema with the tables of the ledger.
+    use_memories_of
+        Only memories of these robots are retrieved. Default: of all robots.
+    create
+        Create the tables, unless they exist.
+    """
+    from dualbrain.memory.ledger.shared.config import SharedLedgerConfig, format_shared_config, is_shared
+    from dualbrain.memory.ledger.shared.replicated_store import require_postgres
+
+    if not is_shared(file):
+        raise UsageError("FILE", got=str(file), allowed="a name that ends in .toml")
+    require_postgres()
+    from dualbrain.memory.ledger.postgres.store import PostgresStore
+
+    fields = {
+        "url": url,
+        "name": name or socket.gethostname(),
+        "namespace": namespace,
+        "use_memories_of": use_memories_of,
+    }
+    try:
+        config = msgspec.convert(fields, SharedLedgerConfig)
+    except DECODE_ERRORS as error:
+        raise UsageError.stating(f"{error}.", fix="Names contain letters, digits and . _ -") from error
+    store = PostgresStore.open(config.url, config.namespace, create=create)
+    try:
+        head, missing = store.head(), store.missing_objects
+    finally:
+        store.close()
+    create_private_folder(file.parent)
+    try:
+        with open_private(file, "xb") as out:
+            out.write(format_shared_config(config).encode())
+    except FileExistsError as error:
+        raise UsageError.stating(f"{file} exists already.", fix="Name another file, or remove it.") from error
+    for one in missing:
+        StderrConsole().print(f"[yellow]the {escape(one)} is missing on the server[/]")
+    StderrConsole().print(
+        f"{escape(str(file))}: this robot writes as {config.name}; the ledger has {head.seq} events.\n"
+        f"Try: dualbrain memory list --ledger {escape(shlex.quote(str(file)))}"
+    )
+    return ExitCode.SUCCESS
