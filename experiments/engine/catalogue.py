@@ -31,6 +31,7 @@ from experiments.interfaces.untrusted_bytes.bad_bytes import BadBytes
 from experiments.memory.crash_recovery import CrashRecovery
 from experiments.memory.learning import Learning
 from experiments.memory.poisoning import Poisoning
+from experiments.memory.shared_ledger import SharedLedger
 from experiments.planning.end_to_end import EndToEnd, FilterAblation
 from experiments.planning.family_sweep import FamilySweep
 from experiments.planning.language import Language
@@ -68,6 +69,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         CrossEmbodiment(),
         RobotZoo(),
         CrashRecovery(),
+        SharedLedger(),
         Poisoning(),
         Learning(),
         Faults(),
