@@ -6,11 +6,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from dualbrain.errors import ConfigurationError
 from dualbrain.memory.ledger.hash_chain import CorruptLedgerError
-from dualbrain.memory.ledger.ledger import LedgerReader
+from dualbrain.memory.ledger.ledger import Ledger, LedgerReader, StoredVector
 from dualbrain.memory.ledger.shared import replicated_store
 from dualbrain.memory.ledger.store import EventQuery, ServerUnreachableError
 from dualbrain.memory.maintenance.compaction import compact_in_place
@@ -221,8 +222,31 @@ def test_an_append_whose_answer_is_lost_is_stored_once(lab: Lab, proxy: Proxy, m
         proxy.restore()
         assert names(recall(memory)) == ["one/e"]
         assert len(ledger.spool) == 0
+        assert ledger.notices == ()
         assert [event.kind for event in ledger.events()].count("episode") == 1
         assert ledger.head() == lab.store.head()
+
+
+def test_a_run_whose_end_waits_is_not_interrupted(lab: Lab, proxy: Proxy) -> None:
+    with lab.open("one", url=proxy.url) as ledger:
+        ledger.start_run("r", {}, now=NOW)
+        proxy.cut()
+        ledger.end_run({}, now=NOW)
+    with lab.open("one", url=proxy.url) as ledger:
+        assert ledger.interrupted_runs() == ()
+
+
+def test_vectors_that_one_robot_recomputes_reach_the_others(lab: Lab) -> None:
+    with two_memories(lab) as (first, second):
+        first.store(episode("e"), REST_POSTURE, now=NOW)
+        recall(second)
+        assert isinstance(first.ledger, Ledger)
+        old = dict(first.ledger.vectors())[1]
+        negative = (-np.frombuffer(old.data, "<f4")).astype("<f4")
+        first.ledger.replace_vectors({1: StoredVector(old.version, negative.tobytes(), old.mask)})
+        recall(second)
+        assert dict(second.ledger.vectors()) == dict(first.ledger.vectors())
+        assert np.array_equal(second.index.flat_index.rows[0], negative)
 
 
 def test_a_silent_server_is_given_up_after_a_time(lab: Lab, proxy: Proxy, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,10 +9,11 @@ import pytest
 from dualbrain.errors import ConfigurationError
 from dualbrain.memory.ledger.hash_chain import GENESIS, Head, event_digest, verify_chain
 from dualbrain.memory.ledger.ledger import PendingEvent, chain_events
+from dualbrain.memory.ledger.postgres import connection
 from dualbrain.memory.ledger.postgres.connection import check_address
 from dualbrain.memory.ledger.postgres.store import PAGE, PostgresStore
 from dualbrain.memory.ledger.sqlite.store import SqliteStore
-from dualbrain.memory.ledger.store import EventBuilder, EventQuery, HeadMovedError, LedgerStore
+from dualbrain.memory.ledger.store import EventBuilder, EventQuery, HeadMovedError, LedgerStore, ServerUnreachableError
 from dualbrain.memory.ledger.vectors import StoredVector
 from tests.memory.ledger.shared.robots import Lab
 from tests.memory.memory_samples import NOW
@@ -153,6 +154,19 @@ def test_a_forged_event_with_a_new_hash_is_a_fault_of_the_next_link(lab: Lab) ->
     lab.store.connection.execute(b"ALTER TABLE " + table + b" ENABLE TRIGGER ALL")
     (fault,) = lab.store.find_faults()
     assert "broken at event 3" in fault
+
+
+def test_a_writer_waits_for_the_lock_of_another_before_it_reads_the_head(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connection, "STATEMENT_TIMEOUT_S", 0.3)
+    other = PostgresStore.open(lab.url, lab.namespace)
+    try:
+        with lab.store.exclusive(), pytest.raises(ServerUnreachableError, match=r"timeout|no answer"):
+            other.append(build(*ENTRIES))
+    finally:
+        other.close()
+    assert lab.store.head() == Head(0, GENESIS)
 
 
 def test_a_database_without_tables_is_refused_and_creating_them_twice_changes_nothing(lab: Lab) -> None:
