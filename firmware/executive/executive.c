@@ -14,13 +14,11 @@ void executive_init(executive *e) {
   dbk_prepare(&robot_hull_model);
   dbk_scene_clear(&e->scene);
   scene_make_unusable(e); /* until the host has sent a scene */
-  dbk_init(&e->ctx);
-  dbk_supervisor_init(&e->supervisor);
-  dbk_standstill_init(&e->standstill);
+  dbk_cycle_init(&e->cycle);
   frame_reader_clear(&e->reader);
-  e->session.open = e->session.cycling = e->transferring = e->drive_on = e->yielding = 0;
+  e->session.open = e->session.cycling = e->transferring = e->drive_on = 0;
   e->n_staged = e->n_announced = e->refused = 0;
-  e->pending = e->cycle_us = e->output_us = e->host_now_us = e->last_stamp_us = 0;
+  e->cycle_us = e->output_us = e->host_now_us = e->last_stamp_us = 0;
 }
 
 static void send(uint8_t type, uint32_t sequence, const uint8_t *payload, uint32_t size, const siphash_key *key) {
@@ -69,16 +67,9 @@ static int hello(executive *e, const frame *f) {
   return 1;
 }
 
-static uint64_t result_conditions(const dbk_out *out) {
-  if (out->status < DBK_RELAXED) { return 0; }
-  if (out->status == DBK_RELAXED) { return (out->flags & DBK_RETREAT) ? 0 : DBK_CONDITION_INFEASIBLE; }
-  if (out->status == DBK_FAULT) { return DBK_CONDITION_FILTER_FAULT; }
-  return (out->flags & ~DBK_JERK) == DBK_STALE_SCENE ? DBK_CONDITION_SCENE_STALE : DBK_CONDITION_FILTER_STOPPED;
-}
-
 static void write_reply(const executive *e, const dbk_real *u, uint32_t step_us, uint8_t *b) {
-  const dbk_out *out = &e->out;
-  write_u64(b + REPLY_CONDITIONS, e->pending | (hal_estop_in() ? DBK_CONDITION_ESTOP : 0));
+  const dbk_out *out = &e->cycle.out;
+  write_u64(b + REPLY_CONDITIONS, e->cycle.pending | (hal_estop_in() ? DBK_CONDITION_ESTOP : 0));
   for (uint32_t k = 0; k < MESSAGE_JOINTS; ++k) { write_f32(b + REPLY_U + 4u * k, u[k]); }
   write_f32(b + REPLY_DELTA, out->delta);
   write_f32(b + REPLY_DELTA + 4u, out->delta_rows);
@@ -91,56 +82,38 @@ static void write_reply(const executive *e, const dbk_real *u, uint32_t step_us,
   b[REPLY_STATUS] = (uint8_t)out->status;
   b[REPLY_CERTIFIED] = (uint8_t)out->certified;
   b[REPLY_RELAXED] = (uint8_t)out->relaxed;
-  b[REPLY_ACTION] = e->supervisor.decision.action;
-  b[REPLY_CHECK] = e->supervisor.decision.check;
+  b[REPLY_ACTION] = e->cycle.supervisor.decision.action;
+  b[REPLY_CHECK] = e->cycle.supervisor.decision.check;
   b[REPLY_DRIVE] = e->drive_on;
-  b[REPLY_STANDSTILL] = e->standstill.at_standstill;
+  b[REPLY_STANDSTILL] = e->cycle.standstill.at_standstill;
   b[REPLY_STANDSTILL + 1u] = 0;
   write_u32(b + REPLY_STEP_TIME, step_us);
 }
 
-/* the filter step under the decision in force, and the control that is written */
+/* the filter step under the decision in force, and the drive */
 static void filter(executive *e, const dbk_model *model, dbk_real *u) {
-  if (e->supervisor.decision.action >= DBK_ACTION_HOVER && !e->yielding) {
-    for (int32_t k = 0; k < DBK_MAX_DOF; ++k) { e->in.u_nom[k] = (dbk_real)0; }
-  }
-  (void)dbk_step(model, &e->scene, &e->ctx, &e->in, &e->out);
-  e->pending |= result_conditions(&e->out);
-  const int zero = e->standstill.at_standstill || !e->standstill.drive_wanted;
-  for (int32_t k = 0; k < DBK_MAX_DOF; ++k) {
-    u[k] = zero ? (dbk_real)0 : e->out.u[k];
-    if (zero) { e->ctx.u_prev[k] = e->ctx.u_nom_prev[k] = e->ctx.u_change[k] = (dbk_real)0; }
-  }
-  e->drive_on = e->standstill.drive_wanted;
+  (void)dbk_cycle_filter(&e->cycle, model, &e->scene, u);
+  e->drive_on = e->cycle.standstill.drive_wanted;
   hal_drive_enable(e->drive_on);
-}
-
-/* 1 if the arm may move under a decision because it yields to a contact force */
-static int may_yield(dbk_decision decision, uint32_t options) {
-  if (!(options & CYCLE_YIELDING)) { return 0; }
-  return decision.check < DBK_N_CHECKS && dbk_checks[decision.check].condition == DBK_CONDITION_UNEXPECTED_CONTACT;
 }
 
 /* the decision of this tick from the conditions of the host and of the target */
 static void decide(executive *e, uint64_t now_us, uint64_t stamp_us, uint64_t conditions, uint32_t options) {
-  conditions |= e->pending | (hal_estop_in() ? DBK_CONDITION_ESTOP : 0);
-  e->pending = 0;
-  const dbk_decision decision = dbk_supervisor_update(&e->supervisor, now_us, conditions);
-  e->yielding = (uint8_t)may_yield(decision, options);
-  e->pending = dbk_standstill_apply(&e->standstill, decision, e->yielding, robot_model.n, e->in.q, e->in.v, stamp_us);
+  conditions |= hal_estop_in() ? DBK_CONDITION_ESTOP : 0;
+  (void)dbk_cycle_decide(&e->cycle, robot_model.n, now_us, stamp_us, conditions, (options & CYCLE_YIELDING) != 0u);
 }
 
 static void read_cycle(executive *e, const uint8_t *b) {
   const uint32_t options = read_u32(b + CYCLE_OPTIONS);
-  read_joints(b + CYCLE_Q, e->in.q);
-  read_joints(b + CYCLE_V, e->in.v);
-  read_joints(b + CYCLE_U_NOM, e->in.u_nom);
-  e->in.opening = read_f32(b + CYCLE_OPENING);
-  e->in.state_age = read_f32(b + CYCLE_STATE_AGE);
-  e->in.scene_age = read_f32(b + CYCLE_SCENE_AGE);
-  e->in.mobile = (options & CYCLE_MOBILE) != 0u;
-  for (uint32_t i = 0; i < 9u; ++i) { e->in.base_rotation[i] = read_f32(b + CYCLE_BASE + 4u * i); }
-  for (uint32_t i = 0; i < 3u; ++i) { e->in.base_position[i] = read_f32(b + CYCLE_BASE + 36u + 4u * i); }
+  read_joints(b + CYCLE_Q, e->cycle.in.q);
+  read_joints(b + CYCLE_V, e->cycle.in.v);
+  read_joints(b + CYCLE_U_NOM, e->cycle.in.u_nom);
+  e->cycle.in.opening = read_f32(b + CYCLE_OPENING);
+  e->cycle.in.state_age = read_f32(b + CYCLE_STATE_AGE);
+  e->cycle.in.scene_age = read_f32(b + CYCLE_SCENE_AGE);
+  e->cycle.in.mobile = (options & CYCLE_MOBILE) != 0u;
+  for (uint32_t i = 0; i < 9u; ++i) { e->cycle.in.base_rotation[i] = read_f32(b + CYCLE_BASE + 4u * i); }
+  for (uint32_t i = 0; i < 3u; ++i) { e->cycle.in.base_position[i] = read_f32(b + CYCLE_BASE + 36u + 4u * i); }
 }
 
 static int cycle(executive *e, const frame *f) {
@@ -179,7 +152,7 @@ void executive_receive(executive *e, uint8_t byte) {
   frame_reader_clear(&e->reader);
   if (!accepted) {
     ++e->refused;
-    e->pending |= DBK_CONDITION_FRAMES_REFUSED;
+    e->cycle.pending |= DBK_CONDITION_FRAMES_REFUSED;
   }
 }
 
@@ -189,7 +162,7 @@ static void output_without_host(executive *e, uint64_t since_us, uint64_t now_us
   dbk_real u[DBK_MAX_DOF];
   const uint64_t lost = since_us > STATE_LOST_US ? DBK_CONDITION_STATE_LOST : 0;
   const uint32_t age_us = since_us < UINT32_MAX ? (uint32_t)since_us : UINT32_MAX; /* a 64-bit conversion needs a library */
-  e->in.state_age = (dbk_real)age_us * (dbk_real)1e-6;
+  e->cycle.in.state_age = (dbk_real)age_us * (dbk_real)1e-6;
   decide(e, e->host_now_us + since_us, e->last_stamp_us, DBK_CONDITION_STATE_STALE | lost, 0);
   filter(e, &robot_hull_model, u);
   e->output_us = now_us;

@@ -7,9 +7,7 @@
 #ifndef FIRMWARE_EXECUTIVE_H
 #define FIRMWARE_EXECUTIVE_H
 
-#include "dbk/dbk.h"
-#include "dbk/dbk_standstill.h"
-#include "dbk/dbk_supervisor.h"
+#include "dbk/dbk_cycle.h"
 #include "protocol/frame.h"
 #include "protocol/messages.h"
 
@@ -35,19 +33,14 @@ typedef struct {
   dbk_obstacle staged[DBK_MAX_OBSTACLES];
   uint32_t n_staged, n_announced;
   uint8_t transferring;
-  dbk_ctx ctx;
-  dbk_in in;
-  dbk_out out;
-  dbk_supervisor supervisor;
-  dbk_standstill standstill;
+  dbk_cycle cycle;
   session_state session;
   frame_reader reader;
-  uint64_t pending;                       /* conditions for the next decision */
   uint64_t cycle_us;                      /* time of the last CYCLE by the clock of the target */
   uint64_t output_us;                     /* time of the last output of the watchdog */
   uint64_t host_now_us, last_stamp_us;
   uint32_t refused;
-  uint8_t drive_on, yielding;
+  uint8_t drive_on;
 } executive;
 
 void executive_init(executive *e);

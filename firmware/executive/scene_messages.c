@@ -133,10 +133,10 @@ static int reset_control(executive *e, const frame *f) {
       return 0;
     }
   }
-  dbk_init(&e->ctx);
+  dbk_init(&e->cycle.ctx);
   for (int32_t k = 0; k < robot_model.n; ++k) {
-    e->ctx.u_prev[k] = e->ctx.u_nom_prev[k] = u[k];
-    e->ctx.u_change[k] = change[k];
+    e->cycle.ctx.u_prev[k] = e->cycle.ctx.u_nom_prev[k] = u[k];
+    e->cycle.ctx.u_change[k] = change[k];
   }
   return 1;
 }
