@@ -8,6 +8,7 @@ void import_numpy();                // step.cpp
 void bind_dynamics(nb::module_ &m); // dynamics.cpp
 void bind_units(nb::module_ &m);    // unit_access.cpp
 void bind_testing(nb::module_ &m);  // testing_binding.cpp
+void bind_control_loop(nb::module_ &m); // control_loop_binding.cpp
 
 NB_MODULE(DBK_MODULE, m) {
   import_numpy();
@@ -53,4 +54,5 @@ NB_MODULE(DBK_MODULE, m) {
   bind_dynamics(m);
   bind_units(m);
   bind_testing(m);
+  bind_control_loop(m);
 }

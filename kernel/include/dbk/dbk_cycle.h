@@ -35,7 +35,7 @@ dbk_decision dbk_cycle_decide(dbk_cycle *c, int32_t n, uint64_t now_us, uint64_t
 /* The filter step under the decision in force. Returns 1 if `u` is the control of a standstill, which is zero. */
 int dbk_cycle_filter(dbk_cycle *c, const dbk_model *model, const dbk_scene *scene, dbk_real u[DBK_MAX_DOF]);
 
-/* starts the filter anew at the last control `u`, which did not change in the last period */
+/* restarts the filter at the last control `u`, which did not change in the last period */
 void dbk_cycle_restart_filter(dbk_cycle *c, const dbk_real u[DBK_MAX_DOF]);
 
 #ifdef __cplusplus

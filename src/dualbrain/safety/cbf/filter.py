@@ -20,6 +20,7 @@ from dualbrain.robots.interface import RobotState
 from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.batch import BatchResult, run_batch
 from dualbrain.safety.cbf.compiled import _kernel64_wide as dynamics
+from dualbrain.safety.cbf.compiled._kernel import Kernel
 from dualbrain.safety.cbf.config import FilterConfig
 from dualbrain.safety.cbf.kernel import (
     MAX_OBSTACLES,
@@ -250,6 +251,20 @@ class SafetyFilter:
             held_error=self._held_error,
             grasp_changes=self._grasp_changes,
         )
+
+    def kernel_scene(self) -> tuple[Kernel, float]:
+        """The compiled kernel with the scene in force, and the stamp of the scene [s], for a control loop in C.
+
+        Raises:
+            ConfigurationError: the base is mobile, or there are Python barriers, which need Python in every step.
+        """
+        if self._needs_state:
+            raise ConfigurationError.stating(
+                f"A control loop in C needs a fixed base and no Python barriers; {self.robot_model.name} has "
+                f"{'a mobile base' if self._mobile else 'Python barriers'}.",
+                fix="Use the control loop in Python (SafetyController).",
+            )
+        return self._kernel, self._stamp
 
     def is_permitted(self, kind: int, i: int, j: int) -> bool:
         """Whether contact of the pair of a row with these indices (`BarrierRow`) is permitted, so that h may be < 0."""

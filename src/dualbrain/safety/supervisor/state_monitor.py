@@ -94,10 +94,10 @@ class StateMonitor:
             if last is not None and state.sequence > last.sequence + 1:
                 flags |= C.STATE_MISSED
             flags |= self._plausibility_conditions(state)
-        return flags | self._age_conditions(now)
+        return flags | self.check_age(now)
 
-    def _age_conditions(self, now: float) -> int:
-        """Bits for the age of the last plausible state; implausible states do not count as received."""
+    def check_age(self, now: float) -> int:
+        """Bits for the age of the last plausible state at `now` [s]; implausible states do not count as received."""
         age = now - self._last_plausible.stamp if self._last_plausible else 0.0
         if age > self.timing.state_lost_after:
             return C.STATE_STALE | C.STATE_LOST
