@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from dualbrain.safety.cbf.obstacles import Contact, NearSpeed, Obstacle, PersonLimits, SpeedAndSeparation
     from dualbrain.safety.cbf.result import FilterResult, FilterStatus
     from dualbrain.safety.cbf.rows import BarrierRow, ConstraintRow, PythonBarrier, Rank
+    from dualbrain.safety.control_thread import ControlThread, ControlThreadConfig, ControlThreadStatus
     from dualbrain.safety.integration.derating import derate
     from dualbrain.safety.integration.gym_env import FilteredEnv
     from dualbrain.safety.integration.intervention_log import (
@@ -82,6 +83,7 @@ _MODULES = {
         "PythonBarrier",
         "Rank",
     ),
+    "safety.control_thread": ("ControlThread", "ControlThreadConfig", "ControlThreadStatus"),
     "safety.integration.derating": ("derate",),
     "safety.integration.gym_env": ("FilteredEnv",),
     "safety.integration.intervention_log": (
@@ -152,6 +154,9 @@ __all__ = [
     "BodyRegion",
     "ConstraintRow",
     "Contact",
+    "ControlThread",
+    "ControlThreadConfig",
+    "ControlThreadStatus",
     "Evidence",
     "FilterConfig",
     "FilterResult",
