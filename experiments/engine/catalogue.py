@@ -20,6 +20,7 @@ from experiments.evaluation.outcome_confusion import OutcomeConfusion
 from experiments.gatekeeper.adversary_over_mcp import AdversaryOverMcp
 from experiments.gatekeeper.check_cost import CheckCost
 from experiments.gatekeeper.commander_failure import CommanderFailure
+from experiments.gatekeeper.control_thread import ControlThreadTiming
 from experiments.gatekeeper.faults import Faults
 from experiments.gatekeeper.tick import TickTiming
 from experiments.interfaces.bad_input import BadInput
@@ -81,6 +82,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         FuzzDocuments(),
         ContractDelay(),
         TickTiming(),
+        ControlThreadTiming(),
         Language(),
         AblationCurve(),
         Retention(),
