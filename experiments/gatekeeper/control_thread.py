@@ -75,12 +75,16 @@ class ControlThreadTiming:
         heads = ("variant", "minutes", "ticks", "late > 0.2 ms", "share by minute", "periods without a tick")
         heads += ("median [µs]", "99.9 % [µs]", "longest [µs]", "longest tick [µs]")
         body = [_table_row(title, [row for row in rows if row["variant"] == name]) for name, title in VARIANTS.items()]
+        late = sum(row["late"] for row in rows if row["variant"] == "fifo")
+        verdict = (
+            f"The claim does **not** hold on this machine: {late} ticks were late." if late else "No tick was late."
+        )
         refused = sum(not row["real_time"] for row in rows if row["variant"] == "fifo")
         notes = [
             "Delays are those of the begin of a tick after its time; median and 99.9 % are medians of the minutes."
         ]
         notes += [f"SCHED_FIFO was refused in {refused} units."] if refused else []
-        return [*markdown_table(heads, [row for row in body if row]), "", *notes]
+        return [verdict, "", *markdown_table(heads, [row for row in body if row]), *notes]
 
 
 def _table_row(title: str, rows: list[Row]) -> tuple[str, ...]:
