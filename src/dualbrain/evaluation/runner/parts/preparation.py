@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterable
 from pathlib import Path
 
+from dualbrain.core.storage.atomic_files import write_atomically
 from dualbrain.core.storage.private_files import create_private_folder
 from dualbrain.evaluation.runner.runner import CONFIG_FILE, EPSILON_FILE, Runner
 from dualbrain.evaluation.runner.work_units import Stage
@@ -29,7 +29,7 @@ def take_over_preparation(whole: Runner, part: Runner) -> bool:
     copy_new_files(whole.out, part.out, (START_FOLDER, ANSWERS_FOLDER))
     for name in (*(whole.log(stage).path.name for stage in PREPARED_STAGES), EPSILON_FILE):
         if (whole.out / name).is_file():
-            shutil.copyfile(whole.out / name, part.out / name)
+            write_atomically(part.out / name, (whole.out / name).read_bytes())
     return True
 
 
@@ -40,9 +40,7 @@ def copy_new_files(source: Path, target: Path, folders: Iterable[str]) -> None:
             to = target / path.relative_to(source)
             if path.is_file() and not _is_temporary(path) and not to.exists():
                 create_private_folder(to.parent)
-                partial = to.with_name(f".{to.name}.partial")
-                shutil.copyfile(path, partial)
-                partial.replace(to)
+                write_atomically(to, path.read_bytes())
 
 
 def _is_temporary(path: Path) -> bool:
