@@ -17,7 +17,7 @@ typedef struct {
   void *stack;
   uint64_t period_us;
   int32_t priority, running;
-  /* what was granted, and errno of what was refused (0: nothing) */
+  /* granted permissions, and errno of a refused one (0: none was refused) */
   int32_t fifo, fifo_error, memory_lock, lock_error;
   /* written by the thread */
   uint64_t last_tick_us, skipped, late, late_limit_us;

@@ -265,7 +265,7 @@ class Memory:
             self._seen = Head(fresh[-1].seq, fresh[-1].hash)
 
     def _store_waiting(self, ledger: Ledger) -> None:
-        """Append what waits, in its order, each item once."""
+        """Append the waiting items in their order, each once."""
         for file in ledger.spool.files():
             try:
                 self._append_file(ledger, file)

@@ -289,7 +289,7 @@ def _record_type(fields: Sequence[tuple[str, str, int, int]], size: int) -> np.d
 
 
 def _warnings(fifo_error: int, lock_error: int) -> tuple[str, ...]:
-    """What was not permitted, the effect, and the remedy."""
+    """Refused permissions, each with its effect and its remedy."""
     found: tuple[str, ...] = ()
     if fifo_error:
         found += (
