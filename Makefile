@@ -5,12 +5,13 @@ VENV := .venv
 BIN := $(VENV)/bin
 PLANNER ?= base-135m
 INSTRUCTION ?= put the red cube in the bowl
+ROBOT ?= panda
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
 KERNEL_SOURCES := CMakeLists.txt $(shell find kernel -name '*.c' -o -name '*.h' -o -name '*.cpp')
 
-.PHONY: help demo test setup format check kernel pytest smoke docs wheel experiments bench analysis clean
+.PHONY: help demo test setup format check kernel pytest smoke evidence docs wheel experiments bench analysis clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -48,6 +49,11 @@ smoke: setup  ## the evaluation protocol from end to end, six episodes without a
 	@rm -rf build/smoke
 	$(BIN)/dualbrain evaluate --suite smoke --out build/smoke
 	$(BIN)/dualbrain report build/smoke --gallery 0
+
+evidence: setup  ## tests of the safety requirements, and the evidence folder of ROBOT at SITE, in build/evidence
+	@rm -rf build/evidence build/evidence_tests.xml
+	-$(BIN)/python -m pytest -q -m "" --junitxml=build/evidence_tests.xml $$($(BIN)/dualbrain evidence tests)
+	$(BIN)/dualbrain evidence write $(ROBOT) $(if $(SITE),--site $(SITE)) --tests build/evidence_tests.xml --out build/evidence
 
 docs: setup  ## the documentation site, in build/site; warnings are errors
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet

@@ -4,7 +4,8 @@
 
 Finished units are skipped, so an experiment that was stopped or killed continues where it was. Progress goes to stderr,
 tables to stdout. `--write-docs` renders them into docs/experiments/<group>/<name>.md, below the marker line; the text
-above that line is written by hand and stays.
+above that line is written by hand and stays. The documents of the evidence package are copied from the pages
+and from SAFETY.md.
 
 `--keep` packs a log into experiments/logs, where it is committed: an experiment of many hours continues from there in
 another checkout, and its tables can be made again (`--tables`; `xzcat` shows the rows). `--fresh` ignores it.
@@ -25,6 +26,7 @@ from dualbrain.evaluation.runner.worker_pool import ProcessPool
 from dualbrain.planner.registry import DEFAULT_PLANNER
 from experiments.engine.catalogue import EXPERIMENTS
 from experiments.engine.documents import write_index, write_pages
+from experiments.engine.evidence_documents import write_copies
 from experiments.engine.experiment import Experiment, Options, group_of, unit_runner
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -54,6 +56,7 @@ def main() -> int:
     if arguments.write_docs:
         write_pages([EXPERIMENTS[name] for name in names], arguments.folder, ROOT / "docs")
         write_index(EXPERIMENTS.values(), ROOT / "docs")
+        write_copies(ROOT)
     return 0 if complete else 1
 
 

@@ -159,6 +159,16 @@ app.command(
     common clusters, and the p value corrected for multiple comparisons (Holm). `--all` prints every metric.""",
 )
 
+evidence = App(name="evidence", help="Write and verify the evidence for a safety engineer: one folder.")
+app.command(evidence)
+evidence.command(
+    "dualbrain.cli.evaluation.evidence:write", name="write", help="Write the evidence for a robot at a site."
+)
+evidence.command("dualbrain.cli.evaluation.evidence:verify", name="verify", help="Compare a folder with its manifest.")
+evidence.command(
+    "dualbrain.cli.evaluation.evidence:list_tests", name="tests", help="List the tests of the requirements, for pytest."
+)
+
 app.command("dualbrain.cli.scenes.commands:list_scenes", name="scenes", help="List the scene families of a robot.")
 scene = App(name="scene", help="Show one scene, or arrange a new one in a page.")
 app.command(scene)

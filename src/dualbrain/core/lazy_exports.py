@@ -16,6 +16,7 @@ EXTRAS = {
     "casadi": "symbolic",
     "collada": "import",
     "cyclonedds": "ros2",
+    "cyclonedx_py": "evidence",
     "example_robot_data": "simulation",
     "gguf": "planner",
     "gymnasium": "gym",

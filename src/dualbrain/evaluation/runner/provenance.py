@@ -19,6 +19,7 @@ REPORTING = (
     "cli",
     "visualization",
     "evaluation/report",
+    "evaluation/evidence",
     "evaluation/analysis/hypotheses.py",
     "evaluation/analysis/statistics.py",
 )

@@ -1,0 +1,57 @@
+"""Software bill of materials (CycloneDX 1.6): the installed Python packages and the model files of the manifest."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from typing import Any
+
+import msgspec
+
+from dualbrain.core.weights import MANIFEST, WeightFile
+from dualbrain.errors import ConfigurationError, MissingDependencyError
+
+TIMEOUT_S = 120.0
+"""Time limit for reading the installed packages [s]."""
+
+
+def write_bill_of_materials() -> bytes:
+    """The bill of materials of this environment as JSON.
+
+    The tool cyclonedx-py lists the packages with version and licence. Every model file of the manifest is a component
+    with licence, SHA-256 and the wheels that contain it.
+
+    Raises:
+        MissingDependencyError: cyclonedx-bom is not installed.
+        ConfigurationError: The tool failed.
+    """
+    command = [sys.executable, "-m", "cyclonedx_py", "environment", "--of", "JSON", "--sv", "1.6", sys.prefix]
+    done = subprocess.run(command, capture_output=True, timeout=TIMEOUT_S, check=False)
+    if done.returncode != 0:
+        reason = done.stderr.decode(errors="replace").strip().splitlines()[-1:] or ["no reason given"]
+        if "No module named" in reason[0]:
+            raise MissingDependencyError("The tool cyclonedx-py", fix="pip install 'dualbrain[evidence]'")
+        raise ConfigurationError.stating(
+            f"The installed packages could not be listed: {reason[0]}.", fix="Check the environment with `pip check`."
+        )
+    bill = msgspec.json.decode(done.stdout, type=dict[str, Any])
+    bill.setdefault("components", []).extend(model_component(file) for file in MANIFEST.values())
+    return msgspec.json.format(msgspec.json.encode(bill), indent=1) + b"\n"
+
+
+def model_component(file: WeightFile) -> dict[str, Any]:
+    """The component of a model file; it is named whether or not it is in the cache."""
+    wheels = {part.requirement: part.wheel.sha256 for part in file.parts}
+    return {
+        "type": "machine-learning-model",
+        "bom-ref": f"model:{file.name}",
+        "name": file.name,
+        "version": file.sha256[:12],
+        "hashes": [{"alg": "SHA-256", "content": file.sha256}],
+        "licenses": [{"license": {"name": file.licence}}],
+        "properties": [
+            {"name": "dualbrain:file", "value": file.filename},
+            {"name": "dualbrain:size", "value": str(file.size)},
+            *({"name": f"dualbrain:wheel:{name}", "value": digest} for name, digest in wheels.items()),
+        ],
+    }

@@ -1,0 +1,186 @@
+"""Pages of the evidence as Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from dualbrain.core.markdown import markdown_table
+from dualbrain.evaluation.evidence.copied_documents import read_figures
+from dualbrain.evaluation.evidence.requirement import Requirement, read_hazards, read_requirements
+from dualbrain.evaluation.evidence.site_measures import NO_SITE, describe_site_measure, list_entries
+from dualbrain.evaluation.evidence.subject import Subject
+from dualbrain.evaluation.evidence.test_report import RequirementStatus, TestReport, requirement_status
+from dualbrain.robots.importer.output.markdown import bound_rows, missing_information
+
+NO_REPORT: RequirementStatus = "no test report"
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayedRun:
+    """A run that was recomputed: its recording, the number of controls, and the comparison in words."""
+
+    recording: str
+    controls: int
+    comparison: str
+    identical: bool
+
+
+def requirement_statuses(report: TestReport | None) -> dict[str, RequirementStatus]:
+    """Status of each requirement by id."""
+    if report is None:
+        return dict.fromkeys(read_requirements(), NO_REPORT)
+    return {
+        name: requirement_status(report.status(test) for test in one.tests) for name, one in read_requirements().items()
+    }
+
+
+def hazard_log(subject: Subject, statuses: Mapping[str, RequirementStatus]) -> str:
+    """One section per hazard: cause, measures, the state at this site, requirements with status, remaining hazard."""
+    lines = [
+        "# Hazard log",
+        "",
+        "Hazards that the software addresses, and those that it does not. The log rates no risk: severity, exposure "
+        "and avoidability depend on the installation, and belong to its risk assessment. Hazards of the robot itself, "
+        "of its tool and of its surroundings (electrical, thermal, noise …) are not part of the log.",
+    ]
+    for name, one in read_hazards().items():
+        rows = [
+            ("cause", one.cause),
+            ("measures", one.measures),
+            *(
+                [("at this site", describe_site_measure(one.site, subject.site, subject.robot_model, subject.record))]
+                if one.site
+                else []
+            ),
+            ("requirements", ", ".join(f"{key} ({statuses[key]})" for key in one.requirements) or "none"),
+            ("remaining hazard", one.residual),
+            ("severity, exposure, avoidability", "to be assessed at the installation"),
+        ]
+        lines += ["", f"## {name} {one.hazard}", "", *markdown_table(("", ""), rows)]
+    return _page(lines)
+
+
+def requirement_trace(report: TestReport | None, statuses: Mapping[str, RequirementStatus]) -> str:
+    """Every requirement with its code, its tests with their results, and its experiments."""
+    lines = ["# Requirements, tests and results", "", _trace_note(report)]
+    summary = [(name, one.statement, statuses[name]) for name, one in read_requirements().items()]
+    lines += ["", *markdown_table(("id", "requirement", "tests"), summary)]
+    for name, one in read_requirements().items():
+        lines += ["", f"## {name}", "", one.statement, "", *_reference_table(one, report)]
+    return _page(lines)
+
+
+def _trace_note(report: TestReport | None) -> str:
+    if report is None:
+        return (
+            "No test report was given, so no requirement has a result. `make evidence` runs the tests and includes it."
+        )
+    began = ", ".join(time for time in report.began if time) or "not stated"
+    return (
+        f"Results are those of the test report (began: {began}), which is included. It does not name the revision that "
+        "was tested; it must come from the same revision as this package. *incomplete*: a test was skipped, or is not "
+        "in the report."
+    )
+
+
+def _reference_table(one: Requirement, report: TestReport | None) -> list[str]:
+    rows = [("code", f"src/dualbrain/{path}", "") for path in one.code]
+    rows += [("test", test, NO_REPORT if report is None else report.status(test)) for test in one.tests]
+    rows += [("experiment", name, f"revision {read_figures()[name].facts['revision']}") for name in one.experiments]
+    return markdown_table(("kind", "reference", "result"), rows)
+
+
+def robot_limits(subject: Subject) -> str:
+    """Every limit of the robot at this site with its provenance, the tracking model, and missing information."""
+    robot_model = subject.robot_model
+    tracking = robot_model.tracking
+    errors = ", ".join(f"{error:.6g}" for error in sorted(set(tracking.position_errors(robot_model.n))))
+    lines = [
+        "# Limits of the robot",
+        "",
+        f"Robot model {robot_model.name}, from {robot_model.source}; licence {robot_model.licence}. "
+        f"{len(robot_model.spheres)} collision spheres, {len(robot_model.self_pairs.kept)} pairs of own parts. "
+        "The limits are those of the model after narrowing by the site file.",
+        "",
+        *markdown_table(("joint", "bound", "value", "provenance"), bound_rows(robot_model)),
+        "",
+        "## Tracking model",
+        "",
+        f"y = q + lag v follows the commanded velocity: lag {tracking.lag * 1e3:.3g} ms, position error {errors} rad "
+        f"(m for prismatic joints), drive {tracking.drive or 'not named'}. Provenance: {tracking.provenance}.",
+        "",
+        "## Missing information",
+        "",
+        *([f"- {line}" for line in missing_information(robot_model, None)] or ["None."]),
+        "",
+        "## Site file",
+        "",
+    ]
+    if subject.site is None:
+        lines += [f"None: {NO_SITE}. Planes, keep-out boxes, limits near persons and permissions are not stated."]
+    else:
+        lines += markdown_table(("entry", "value", "line"), list_entries(subject.site))
+    return _page([*lines, "", f"Commissioning: {subject.record}."])
+
+
+def experiment_figures() -> str:
+    """The figures of every experiment that a requirement names, with date and revision."""
+    lines = [
+        "# Measured figures",
+        "",
+        "Results of the experiments that the requirements name, as committed with the software. They were measured in "
+        "simulation or on fakes of interfaces, each at the stated revision, which may be older than this version. "
+        "No experiment was run for this robot at this site.",
+    ]
+    for name, figures in read_figures().items():
+        lines += ["", f"## {name}: {figures.title}", "", f"Claim: {figures.claim}", ""]
+        lines += [*markdown_table(("", ""), list(figures.facts.items())), "", _deeper(figures.results)]
+    return _page(lines)
+
+
+def replay_page(runs: Sequence[ReplayedRun]) -> str:
+    """How to recompute a recorded run, and the runs that were recomputed for this evidence."""
+    lines = [
+        "# Replay",
+        "",
+        "Every control of a recorded run can be recomputed from its recorded inputs and compared bit for bit:",
+        "",
+        "```",
+        "dualbrain replay RUN/episode.mcap     # exit code 0: identical",
+        "dualbrain memory verify               # the chain of hashes of the ledger",
+        "dualbrain doctor                      # versions and kernel hash of this installation",
+        "```",
+        "",
+        "A replay needs the same kernel (its hash is in software.md and in the recording), not the same machine. To "
+        "investigate an incident, copy the folder of the run before anything else. `config.json` states the start, "
+        "`scene.json` the scene, `episode.json` the decisions, `episode.mcap` every input and control.",
+        "",
+        "## Runs recomputed for this evidence",
+        "",
+    ]
+    rows = [(run.recording, str(run.controls), run.comparison) for run in runs]
+    lines += markdown_table(("recording", "controls", "result"), rows) if rows else ["None were given (`--run`)."]
+    return _page(lines)
+
+
+def software_page(facts: Mapping[str, str]) -> str:
+    """Versions and hashes of the software."""
+    return _page(
+        [
+            "# Software",
+            "",
+            "Versions and hashes of this installation. `sbom.cdx.json` lists all packages and model files.",
+            "",
+            *markdown_table(("", ""), list(facts.items())),
+        ]
+    )
+
+
+def _deeper(text: str) -> str:
+    """Markdown with its headings one level below those of the page."""
+    return "\n".join(f"#{line}" if line.startswith("#") else line for line in text.splitlines())
+
+
+def _page(lines: Sequence[str]) -> str:
+    return "\n".join(lines).rstrip() + "\n"

@@ -1,0 +1,133 @@
+"""The evidence states robot, site, results and limits; a change of any file is detected."""
+
+import json
+import re
+
+import pytest
+
+from dualbrain.core.weights import MANIFEST
+from dualbrain.errors import ConfigurationError, UsageError
+from dualbrain.evaluation.evidence import evidence_folder, pages
+from dualbrain.evaluation.evidence.bill_of_materials import model_component
+from dualbrain.evaluation.evidence.evidence_folder import changed_files, write_evidence
+from dualbrain.evaluation.evidence.requirement import read_hazards, read_requirements, required_tests
+from dualbrain.evaluation.evidence.subject import EvidenceInputs, load_subject
+from dualbrain.evaluation.evidence.test_report import TestReport
+from dualbrain.robots.loader import BUILTIN_ROBOTS
+from dualbrain.visualization.html.evidence_page import render_evidence_page
+
+SITE = """
+[robot]
+tool_speed = 0.25
+[[plane]]
+name = "table"
+point = [0, 0, 0]
+inward = [0, 0, 1]
+[person.operator]
+monitoring = "barrier"
+[commander.planner]
+skills = ["home", "hold", "decline"]
+"""
+PASSED = TestReport(dict.fromkeys(required_tests(), "passed"), ("2026-01-01T00:00:00",))
+
+
+@pytest.fixture
+def site(tmp_path):
+    (tmp_path / "lab.toml").write_text(SITE)
+    return tmp_path / "lab.toml"
+
+
+@pytest.fixture
+def written(tmp_path, site, monkeypatch):
+    """An evidence folder, without the slow list of the installed packages."""
+    monkeypatch.setattr(evidence_folder, "write_bill_of_materials", lambda: b"{}")
+    out = tmp_path / "evidence"
+    summary = write_evidence(EvidenceInputs(robot="panda", site=site), out, now=0.0, render=render_evidence_page)
+    return out, summary
+
+
+def test_every_file_is_in_the_manifest_and_every_change_is_detected(written):
+    out, _ = written
+    assert changed_files(out) == []
+    files = [path for path in out.rglob("*") if path.is_file() and path.name != "manifest.json"]
+    for path in files:
+        content = path.read_bytes()
+        path.write_bytes(content + b" ")
+        assert changed_files(out) == [str(path.relative_to(out))]
+        path.write_bytes(content)
+    (out / "added.txt").touch()
+    files[0].unlink()
+    assert changed_files(out) == sorted(["added.txt", str(files[0].relative_to(out))])
+
+
+def test_without_a_test_report_no_requirement_counts_as_passed(written):
+    out, summary = written
+    assert summary.statuses == {"no test report": len(read_requirements())}
+    assert "(passed)" not in (out / "hazard_log.md").read_text("utf-8")
+
+
+def test_the_first_page_states_what_the_evidence_is_not(written):
+    out, _ = written
+    text = (out / "README.md").read_text("utf-8")
+    for words in ("no certificate", "no risk assessment", "no performance level", "not a signature"):
+        assert words in text
+
+
+def test_the_html_page_contains_every_page_and_no_markup_of_texts(written):
+    out, _ = written
+    html = (out / "evidence.html").read_text("utf-8")
+    for name in read_hazards():
+        assert f"<h2>{name} " in html
+    assert "<img" not in html
+    assert "&lt;script" in render_evidence_page(["# <script>a</script>\n\n<script>b</script>"])
+    assert "<script" not in render_evidence_page(["# <script>a</script>\n\n<script>b</script>"])
+
+
+def test_entries_of_the_site_are_named_with_their_lines(site):
+    subject = load_subject(EvidenceInputs(robot="panda", site=site))
+    log = pages.hazard_log(subject, pages.requirement_statuses(PASSED))
+    for words in (
+        "plane table (lab.toml:4)",
+        "operator: barrier (lab.toml:8)",
+        "planner: home, hold, decline (lab.toml:10)",
+    ):
+        assert words in log
+    assert "tool speed 0.25 m/s" in log
+    assert "(passed)" in log
+    assert "no test report" not in log
+
+
+def test_a_failed_test_fails_its_requirements_alone():
+    failing = required_tests()[0]
+    statuses = pages.requirement_statuses(TestReport({**PASSED.statuses, failing: "failed"}, ()))
+    expected = {name for name, one in read_requirements().items() if failing in one.tests}
+    assert {name for name, status in statuses.items() if status == "failed"} == expected
+    assert expected
+
+
+@pytest.mark.parametrize("robot", BUILTIN_ROBOTS)
+def test_every_packaged_robot_has_its_limits_with_provenance(robot):
+    subject = load_subject(EvidenceInputs(robot=robot))
+    page = pages.robot_limits(subject)
+    for joint in subject.robot_model.joints:
+        assert f"| {joint.name} | velocity | {joint.velocity.value:g} {joint.velocity.unit} | " in page
+    assert not re.search(r"\| *\|$", page.partition("## Tracking model")[0].partition("| --- |")[2], re.MULTILINE)
+
+
+def test_a_commissioning_record_needs_driver_and_site(tmp_path):
+    with pytest.raises(UsageError):
+        load_subject(EvidenceInputs(robot="fr3", commissioned=tmp_path / "a.json"))
+
+
+def test_a_missing_recording_is_a_configuration_error_and_nothing_is_written(tmp_path):
+    inputs = EvidenceInputs(robot="panda", runs=(tmp_path / "run",))
+    with pytest.raises(ConfigurationError):
+        write_evidence(inputs, tmp_path / "out", now=0.0, render=render_evidence_page)
+    assert not (tmp_path / "out").exists()
+
+
+def test_every_model_file_is_a_component_with_licence_and_digest():
+    for file in MANIFEST.values():
+        component = json.loads(json.dumps(model_component(file)))
+        assert component["hashes"] == [{"alg": "SHA-256", "content": file.sha256}]
+        assert component["licenses"][0]["license"]["name"] == file.licence
