@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import socket
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 from cyclopts import Parameter
@@ -15,6 +15,9 @@ from dualbrain.cli.common.console import StderrConsole
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.core.storage.private_files import create_private_folder, open_private
 from dualbrain.errors import DECODE_ERRORS, UsageError
+
+if TYPE_CHECKING:
+    from dualbrain.memory.ledger.store import LedgerStore
 
 Flag = Annotated[bool, Parameter(negative="")]
 
@@ -28,10 +31,12 @@ def connect(
     namespace: str = "dualbrain",
     use_memories_of: tuple[str, ...] = (),
     create: Flag = False,
+    same_robot: Flag = False,
 ) -> int:
     """Write the file of a ledger on a PostgreSQL server, which any command takes as --ledger.
 
-    The file contains no password: the client reads it from ~/.pgpass. An existing file is not replaced.
+    The file contains no password: the client reads it from ~/.pgpass. An existing file is not replaced, and a name
+    under which a robot has written already is refused.
 
     Parameters
     ----------
@@ -47,6 +52,8 @@ def connect(
         Only memories of these robots are retrieved. Default: of all robots.
     create
         Create the tables, unless they exist.
+    same_robot
+        The robot that wrote under this name before is this one, for example on a new disk.
     """
     from dualbrain.memory.ledger.shared.config import SharedLedgerConfig, format_shared_config, is_shared
     from dualbrain.memory.ledger.shared.replicated_store import require_postgres
@@ -69,6 +76,8 @@ def connect(
     store = PostgresStore.open(config.url, config.namespace, create=create)
     try:
         head, missing = store.head(), store.missing_objects
+        if not same_robot:
+            _require_unused_name(store, config.name)
     finally:
         store.close()
     create_private_folder(file.parent)
@@ -84,3 +93,16 @@ def connect(
         f"Try: dualbrain memory list --ledger {escape(shlex.quote(str(file)))}"
     )
     return ExitCode.SUCCESS
+
+
+def _require_unused_name(store: LedgerStore, name: str) -> None:
+    """Raise `UsageError` if the ledger has a run of a robot called `name`."""
+    from dualbrain.memory.ledger.runs import STARTED
+    from dualbrain.memory.ledger.store import EventQuery
+
+    runs = [event.run for event in store.events(EventQuery(kinds=(STARTED,))) if event.run.startswith(f"{name}/")]
+    if runs:
+        raise UsageError.stating(
+            f"A robot has written {len(runs)} runs under the name {name}, the last one {runs[-1]}.",
+            fix="Give this robot another --name, or --same-robot if it is the same one.",
+        )

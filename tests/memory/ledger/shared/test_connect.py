@@ -94,3 +94,15 @@ def test_a_role_with_the_documented_grants_appends_and_changes_nothing_else(lab:
             store.connection.execute(f"ALTER TABLE {lab.namespace}.event DISABLE TRIGGER ALL".encode())
     finally:
         store.close()
+
+
+def test_a_name_under_which_a_robot_has_written_is_refused(lab: Lab, tmp_path: Path) -> None:
+    with lab.open("arm-7") as ledger:
+        ledger.start_run("a", {}, now=NOW)
+    for name in ("arm", "arm-70"):
+        assert connect(lab.url, tmp_path / f"{name}.toml", name=name, namespace=lab.namespace) == ExitCode.SUCCESS
+    with pytest.raises(UsageError, match=r"under the name arm-7.*arm-7/a.*--same-robot"):
+        connect(lab.url, tmp_path / "again.toml", name="arm-7", namespace=lab.namespace)
+    assert not (tmp_path / "again.toml").exists()
+    path = tmp_path / "new_disk.toml"
+    assert connect(lab.url, path, name="arm-7", namespace=lab.namespace, same_robot=True) == ExitCode.SUCCESS
