@@ -18,8 +18,9 @@ from dualbrain.memory.config import MemoryConfig
 from dualbrain.memory.embedding.image_features import ImageFeatures
 from dualbrain.memory.embedding.joint_embedding import Alpha, EpisodeEmbedding, JointEmbedding
 from dualbrain.memory.embedding.posture_features import Posture
+from dualbrain.memory.index.engine_index import open_index
 from dualbrain.memory.index.filters import Filter
-from dualbrain.memory.index.index import Index, RankingOptions
+from dualbrain.memory.index.index import RankingOptions, RetrievalScope
 from dualbrain.memory.learning.consolidation import Consolidation
 from dualbrain.memory.ledger.events import (
     CONFIRM,
@@ -149,24 +150,22 @@ class Memory:
                 of another encoder.
         """
         self.catch_up()
-        query = self.embedding.embed(instruction, summary, state, robot, image)
-        compared = self.index.compare(query, alpha or self.config.embedding.alpha)
+        embedded = self.embedding.embed(instruction, summary, state, robot, image)
         writers = self.ledger.usable_writers
         narrowed = dataclasses.replace(where or Filter(), robot=robot, registry=registry, writers=writers)
         lambda_s = self.config.lambda_s if lambda_s is None else lambda_s
         ranking = RankingOptions(k, lambda_s, self.config.diversity if diversity is None else diversity)
         warning_ranking = dataclasses.replace(ranking, k=self.config.max_warnings)
         follow, avoid = (dataclasses.replace(narrowed, guidance=guidance) for guidance in ("follow", "avoid"))
-        weights = self.index.contract_weights(compared, robot, registry, self.config.bandwidth, writers)
-        return RetrievedContext(
-            self._exemplars(query, self.index.search(compared, weights, follow, ranking)),
-            self._exemplars(query, self.index.search(compared, weights, avoid, warning_ranking)),
-        )
+        scope = RetrievalScope(robot=robot, registry=registry, bandwidth=self.config.bandwidth, writers=writers)
+        query = self.index.query(embedded, alpha or self.config.embedding.alpha)
+        exemplars, warnings = self.index.retrieve(query, scope, [(follow, ranking), (avoid, warning_ranking)])
+        return RetrievedContext(self._exemplars(embedded, exemplars), self._exemplars(embedded, warnings))
 
-    def _exemplars(self, query: EpisodeEmbedding, hits: Sequence[MemoryHit]) -> tuple[Exemplar, ...]:
+    def _exemplars(self, embedded: EpisodeEmbedding, hits: Sequence[MemoryHit]) -> tuple[Exemplar, ...]:
         return tuple(
             self.read_episode(self.state.memories[hit.row].id).to_exemplar(
-                hit, rank, self.index.block_cosines(hit.row, query)
+                hit, rank, self.index.block_cosines(hit.row, embedded)
             )
             for rank, hit in enumerate(hits, start=1)
         )
@@ -368,7 +367,7 @@ class Memory:
 
     def _load_snapshot(self, snapshot: MemorySnapshot, tail: Sequence[LedgerEvent]) -> bool:
         """Load `snapshot` and apply `tail`; False if its embedding differs, or `tail` changes the history."""
-        self.state, self.index = snapshot.state, Index(self.embedding)
+        self.state, self.index = snapshot.state, open_index(self.embedding, self.ledger)
         if not self.index.is_compatible(snapshot) or any(_changes_history(event) for event in tail):
             return False
         self.index.load(snapshot)
@@ -378,7 +377,7 @@ class Memory:
 
     def _derive_from_events(self) -> None:
         """Derive state and index from all events in effect."""
-        self.state, self.index = derive_state(self.ledger), Index(self.embedding)
+        self.state, self.index = derive_state(self.ledger), open_index(self.embedding, self.ledger)
         vectors = dict(self.ledger.vectors())
         for memo in self.state.memories:
             self.index.add(memo, vectors.get(memo.seq))
@@ -393,7 +392,7 @@ class Memory:
                 versions=versions,
                 state=self.state,
                 rows=self.index.flat_index.rows,
-                masks=self.index.flat_index.masks,
+                masks=self.index.masks,
             ),
             now=now,
         )

@@ -29,7 +29,7 @@ def test_the_neighbourhood_follows_the_gaussian_of_the_paper(tmp_path: Path, kin
             memory.store(episode(name, "declined", instruction=words), REST_POSTURE, now=NOW)
         report = memory.store(episode("new", kind, instruction="put the red cube in the bowl"), REST_POSTURE, now=NOW)
         scale = np.sqrt(memory.embedding.expand_alpha(memory.config.embedding.alpha) / 0.9).astype(float)
-        rows = memory.index.flat_index.rows.astype(float) * scale
+        rows = memory.index.rows.astype(float) * scale
         distances = ((rows - rows[3]) ** 2).sum(axis=1)
         factor = np.where(distances <= 0.81, np.exp(-distances / (2 * 0.3**2)), 0.0)
         expected = 0.5 + xi * 0.05 * factor

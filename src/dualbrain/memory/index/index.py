@@ -6,7 +6,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from dualbrain.core.encoder import Float32Array
 from dualbrain.errors import ConfigurationError
 from dualbrain.memory.embedding.image_encoder import IMAGE_ENCODER_ID
 from dualbrain.memory.embedding.joint_embedding import Alpha, EpisodeEmbedding, JointEmbedding
@@ -15,7 +17,15 @@ from dualbrain.memory.ledger.events import EPISODE
 from dualbrain.memory.ledger.hash_chain import verified_events
 from dualbrain.memory.ledger.ledger import Ledger, LedgerReader, StoredVector
 from dualbrain.memory.retrieval.mmr import select_diverse
-from dualbrain.memory.retrieval.search import FlatIndex, MemoryHit, Query, QueryComparison, Weights, contract_weights
+from dualbrain.memory.retrieval.search import (
+    FlatIndex,
+    Mask,
+    MemoryHit,
+    Query,
+    QueryComparison,
+    Weights,
+    contract_weights,
+)
 from dualbrain.memory.state.episode_record import decode_stored_episode
 from dualbrain.memory.state.snapshot import MemorySnapshot
 from dualbrain.memory.state.state import LedgerState, MemoryState
@@ -33,14 +43,42 @@ class RankingOptions:
     diversity: float = 0.0
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RetrievalScope:
+    """The memories whose weights count for a contract: of a robot, a registry and, if any are named, of `writers`.
+
+    Memories of one contract are combined with a kernel of bandwidth ℓ (see `retrieval.search.contract_weights`).
+    """
+
+    robot: str
+    registry: str
+    bandwidth: float
+    writers: tuple[str, ...] = ()
+
+    @property
+    def counted(self) -> Filter:
+        """The filter of these memories."""
+        return Filter(robot=self.robot, registry=self.registry, writers=self.writers)
+
+
 class Index:
-    """Search index with one row per memory, in the order of the state."""
+    """Search index with one row per memory, in the order of the state. All vectors are in RAM, and a scan is exact."""
 
     def __init__(self, embedding: JointEmbedding) -> None:
         """Create an index without rows."""
         self.embedding = embedding
         self.flat_index = FlatIndex(embedding.dim)
-        self._columns = Columns()
+        self.columns = Columns()
+
+    @property
+    def rows(self) -> Float32Array:
+        """All vectors, shape (n, dim); read-only."""
+        return self.flat_index.rows
+
+    @property
+    def masks(self) -> NDArray[np.uint8]:
+        """Mask of the blocks of each row, shape (n,)."""
+        return self.flat_index.masks
 
     def add(self, memo: MemoryState, vector: StoredVector | None) -> None:
         """Append `memo` with its vector; for robots without limits in this memory the row is zero.
@@ -58,15 +96,18 @@ class Index:
                     fix="Use the previous encoder and settings, or recompute all vectors: `dualbrain memory rebuild`.",
                 )
             row, mask = np.frombuffer(vector.data, "<f4"), vector.mask
+        self._add_row(memo, row, mask)
+
+    def _add_row(self, memo: MemoryState, row: Float32Array, mask: int) -> None:
         self.flat_index.add(row, memo.weight, mask)
-        self._columns.add(memo)
+        self.columns.add(memo)
 
     def load(self, snapshot: MemorySnapshot) -> None:
         """Append the rows of a snapshot to an index without rows."""
         weights = np.array([memo.weight for memo in snapshot.state.memories])
         self.flat_index.load(snapshot.rows, weights, snapshot.masks)
         for memo in snapshot.state.memories:
-            self._columns.add(memo)
+            self.columns.add(memo)
 
     def is_compatible(self, snapshot: MemorySnapshot) -> bool:
         """Whether the rows of `snapshot` were computed by this embedding."""
@@ -82,50 +123,32 @@ class Index:
         """Copy weight and status of some `rows` from `state`."""
         for row in rows:
             self.flat_index.set_weight(row, state.memories[row].weight)
-            self._columns.set_status(row, state.memories[row].status)
+            self.columns.set_status(row, state.memories[row].status)
 
-    def compare(self, embedded: EpisodeEmbedding, alpha: Alpha) -> QueryComparison:
-        """Compute the cosine of the query with every row, with the blocks weighted by `alpha`."""
+    def query(self, embedded: EpisodeEmbedding, alpha: Alpha) -> Query:
+        """The query with its blocks weighted by `alpha`."""
         scale = self.embedding.expand_alpha(alpha)
-        query = Query(embedded.vector * scale, embedded.mask, alpha.weight_by_mask(), scale)
-        return self.flat_index.compare(query)
+        return Query(embedded.vector * scale, embedded.mask, alpha.weight_by_mask(), scale)
 
-    def contract_weights(
-        self,
-        compared: QueryComparison,
-        robot: str,
-        registry: str,
-        bandwidth: float,
-        writers: tuple[str, ...] = (),
-    ) -> Weights:
-        """The weight w̄ of each row near the query, shape (n,), from all memories of this robot and registry.
+    def retrieve(
+        self, query: Query, scope: RetrievalScope, searches: Sequence[tuple[Filter, RankingOptions]]
+    ) -> list[tuple[MemoryHit, ...]]:
+        """For each search the best memories that pass its filter, ranked by similarity and the weight w̄."""
+        compared, counted = self.flat_index.compare(query), self.columns.mask(scope.counted)
+        codes = self.columns.contract_codes
+        weights = contract_weights(compared, self.flat_index.weights, codes, counted, scope.bandwidth)
+        return [
+            rank_rows(self.flat_index, compared, self.columns.mask(where), ranking, weights)
+            for where, ranking in searches
+        ]
 
-        With `writers`, only memories of these writers of a shared ledger count.
-
-        Memories of one contract are combined with a kernel of bandwidth ℓ (see `retrieval.search.contract_weights`).
-        """
-        counted = self._columns.mask(Filter(robot=robot, registry=registry, writers=writers))
-        return contract_weights(compared, self.flat_index.weights, self._columns.contract_codes, counted, bandwidth)
-
-    def search(
-        self, compared: QueryComparison, weights: Weights, where: Filter, ranking: RankingOptions
-    ) -> tuple[MemoryHit, ...]:
-        """The best memories that pass `where`, ranked by similarity and `weights`, shape (n,)."""
-        eligible = self._columns.mask(where)
-        if ranking.diversity == 0.0:
-            return self.flat_index.top_k(compared, eligible, ranking.k, ranking.lambda_s, weights)
-        return select_diverse(
-            self.flat_index, compared, eligible, ranking.k, ranking.lambda_s, ranking.diversity, weights
-        )
-
-    def find_similar(
-        self, compared: QueryComparison, where: Filter, min_cosine: float, max_count: int
-    ) -> list[tuple[int, float]]:
+    def find_similar(self, query: Query, where: Filter, min_cosine: float, max_count: int) -> list[tuple[int, float]]:
         """At most `max_count` rows that pass `where` with a cosine of at least `min_cosine`, and their cosines.
 
         The nearest row is first; among equals the newest.
         """
-        rows = np.flatnonzero(self._columns.mask(where) & (compared.cosine >= min_cosine))
+        compared = self.flat_index.compare(query)
+        rows = np.flatnonzero(self.columns.mask(where) & (compared.cosine >= min_cosine))
         if rows.size > max_count > 0:
             rough = compared.cosine[rows]
             rows = rows[rough >= np.partition(rough, -max_count)[-max_count] - COSINE_ERROR_BOUND]
@@ -135,8 +158,21 @@ class Index:
 
     def block_cosines(self, row: int, embedded: EpisodeEmbedding) -> dict[str, float]:
         """The cosine of each block that both the row and the query have."""
-        mask = int(self.flat_index.masks[row]) & embedded.mask
-        return self.embedding.block_cosines(self.flat_index.rows[row], embedded.vector, mask)
+        stored = self.embedding_of(row)
+        return self.embedding.block_cosines(stored.vector, embedded.vector, stored.mask & embedded.mask)
+
+    def embedding_of(self, row: int) -> EpisodeEmbedding:
+        """The vector and the mask of one row."""
+        return EpisodeEmbedding(self.rows[row], int(self.masks[row]))
+
+
+def rank_rows(
+    flat_index: FlatIndex, compared: QueryComparison, eligible: Mask, ranking: RankingOptions, weights: Weights
+) -> tuple[MemoryHit, ...]:
+    """The best of the `eligible` rows, shape (n,), with these `weights`, shape (n,), and the diversity of `ranking`."""
+    if ranking.diversity == 0.0:
+        return flat_index.top_k(compared, eligible, ranking.k, ranking.lambda_s, weights)
+    return select_diverse(flat_index, compared, eligible, ranking.k, ranking.lambda_s, ranking.diversity, weights)
 
 
 def to_stored_vector(embedded: EpisodeEmbedding, version: str) -> StoredVector:

@@ -137,10 +137,10 @@ class Consolidation:
         if episode.outcome.kind != "succeeded" or status != "active":
             return []
         where = Filter(robot=episode.robot, registry=episode.registry, guidance="follow", statuses=("candidate",))
-        compared = self._index.compare(embedded, self._config.embedding.alpha)
+        query = self._index.query(embedded, self._config.embedding.alpha)
         near = [
             self._state.memories[row]
-            for row, _ in self._index.find_similar(compared, where, self._config.trust.min_similarity, MAX_CANDIDATES)
+            for row, _ in self._index.find_similar(query, where, self._config.trust.min_similarity, MAX_CANDIDATES)
         ]
         same = [memo for memo in near if same_plan(self._contract(memo), episode.contract)]
         return sorted(same, key=lambda memo: memo.seq)
@@ -151,8 +151,7 @@ class Consolidation:
     def _evidence(self, memo: MemoryState) -> OutcomeEvidence:
         data, row = self._ledger.event(memo.seq).payload, self._state.rows[memo.id]
         followed = self._find_followed(self._contract(memo), decode_shown_exemplar_ids(data))
-        embedded = EpisodeEmbedding(self._index.flat_index.rows[row], int(self._index.flat_index.masks[row]))
-        neighbours = self._find_neighbours(embedded, memo)
+        neighbours = self._find_neighbours(self._index.embedding_of(row), memo)
         Delta = _executed_intervention(memo.kind, memo.Delta)
         return OutcomeEvidence(
             cause=memo.id,
@@ -189,8 +188,8 @@ class Consolidation:
         where = Filter(
             robot=one.robot, registry=one.registry, contract=provenance.contract, statuses=("active", "candidate")
         )
-        compared = self._index.compare(embedded, self._config.embedding.alpha)
-        found = self._index.find_similar(compared, where, 1.0 - rule.radius / 2.0, rule.reach + 1)
+        query = self._index.query(embedded, self._config.embedding.alpha)
+        found = self._index.find_similar(query, where, 1.0 - rule.radius / 2.0, rule.reach + 1)
         names = [(self._state.memories[row].id, max(0.0, 2.0 - 2.0 * cosine)) for row, cosine in found]
         return [(name, distance) for name, distance in names if name != one.id][: rule.reach]
 

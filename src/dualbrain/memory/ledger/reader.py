@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -10,6 +11,7 @@ from typing import Any, Self
 from dualbrain.core.text import make_json_safe
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError, MissingDependencyError
 from dualbrain.memory.ledger.anchors import anchor_path
+from dualbrain.memory.ledger.events import EPISODE, VECTORS
 from dualbrain.memory.ledger.hash_chain import (
     ChainReport,
     CorruptLedgerError,
@@ -18,7 +20,7 @@ from dualbrain.memory.ledger.hash_chain import (
     event_digest,
     verify_chain,
 )
-from dualbrain.memory.ledger.shared.config import is_shared
+from dualbrain.memory.ledger.shared.config import SharedLedgerConfig, is_shared
 from dualbrain.memory.ledger.shared.replicated_store import ReplicatedStore
 from dualbrain.memory.ledger.sqlite.store import SqliteStore
 from dualbrain.memory.ledger.sqlite.tables import SCHEMA_VERSION
@@ -60,6 +62,11 @@ class LedgerReader:
     def usable_writers(self) -> tuple[str, ...]:
         """The robots whose memories may be retrieved from a shared ledger; empty: all."""
         return self._store.config.use_memories_of if isinstance(self._store, ReplicatedStore) else ()
+
+    @property
+    def shared_config(self) -> SharedLedgerConfig | None:
+        """The configuration of a shared ledger, None for a ledger of one robot."""
+        return self._store.config if isinstance(self._store, ReplicatedStore) else None
 
     @property
     def schema(self) -> int:
@@ -132,6 +139,23 @@ class LedgerReader:
         if missing := sorted(seq for seq, digest in recorded.items() if digest and seq not in found):
             fault = "its vector is missing"
             raise CorruptLedgerError(fault, seq=missing[0], path=str(self.path), fix=RECOMPUTE_VECTORS)
+
+    def selected_vectors(self, seqs: Sequence[int]) -> dict[int, StoredVector]:
+        """The vectors of the episodes with these event numbers, each after a check of its recorded digest.
+
+        An episode without a vector is left out. Raises `CorruptLedgerError` for a vector that was changed or added.
+        """
+        found = dict(self._store.selected_vector_rows(seqs))
+        events = (event for seq in found for event in self.events(EPISODE, after=seq - 1, until=seq))
+        try:
+            recorded = recorded_digests(chain(events, self.events(VECTORS)))
+        except DECODE_ERRORS as error:
+            fault = f"an event with digests of vectors is unreadable: {error}"
+            raise CorruptLedgerError(fault, seq=None, path=str(self.path)) from error
+        for seq, row in found.items():
+            if fault := find_vector_fault(row, recorded.get(seq)):
+                raise CorruptLedgerError(fault, seq=seq, path=str(self.path), fix=RECOMPUTE_VECTORS)
+        return {seq: StoredVector(*row) for seq, row in found.items()}  # pyright: ignore[reportArgumentType]
 
     def stored_vectors(self) -> Iterator[tuple[int, StoredVector]]:
         """Event number and vector of each episode without any check, for a comparison with recomputed vectors."""

@@ -98,6 +98,10 @@ class LedgerStore(Protocol):
         """Event number and unchecked vector of each episode after event `after`."""
         ...
 
+    def selected_vector_rows(self, seqs: Sequence[int]) -> Iterator[tuple[int, VectorRow]]:
+        """Event number and unchecked vector of each episode in `seqs` that has one, in ascending order."""
+        ...
+
     def append(self, build: EventBuilder, *, after: Head | None = None) -> tuple[LedgerEvent, ...]:
         """Append the events that `build` chains to the head, all or none, durably.
 

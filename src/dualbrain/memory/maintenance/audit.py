@@ -131,7 +131,7 @@ def _similar_pairs(memory: Memory, min_cosine: float) -> Iterator[tuple[MemorySt
     memos, index = memory.state.memories, memory.index
     alpha = memory.config.embedding.alpha
     scale, shares = memory.embedding.expand_alpha(alpha), alpha.weight_by_mask()
-    rows, masks = index.flat_index.rows, index.flat_index.masks
+    rows, masks = index.rows, index.masks
     active = np.array([memo.status not in ("quarantined", "forgotten") for memo in memos], bool)
     for start in range(0, len(memos), ROWS_PER_BLOCK):
         block = slice(start, min(start + ROWS_PER_BLOCK, len(memos)))

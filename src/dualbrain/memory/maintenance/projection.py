@@ -31,7 +31,7 @@ def project_memories(memory: Memory) -> MemoryProjection:
     Distances between points approximate those of the joint embedding. The sign of each axis is fixed (its entry of
     largest magnitude is positive), so that the same memory has the same projection.
     """
-    state, rows = memory.state, memory.index.flat_index.rows
+    state, rows = memory.state, memory.index.rows
     scale = np.sqrt(memory.embedding.expand_alpha(memory.config.embedding.alpha)).astype(np.float64)
     chosen = np.unique(np.linspace(0, max(0, len(rows) - 1), min(len(rows), MAX_PCA_SAMPLES)).round().astype(np.intp))
     sample = rows[chosen].astype(np.float64) * scale

@@ -246,7 +246,7 @@ def test_vectors_that_one_robot_recomputes_reach_the_others(lab: Lab) -> None:
         first.ledger.replace_vectors({1: StoredVector(old.version, negative.tobytes(), old.mask)})
         recall(second)
         assert dict(second.ledger.vectors()) == dict(first.ledger.vectors())
-        assert np.array_equal(second.index.flat_index.rows[0], negative)
+        assert np.array_equal(second.index.rows[0], negative)
 
 
 def test_a_silent_server_is_given_up_after_a_time(lab: Lab, proxy: Proxy, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -104,6 +104,14 @@ class PostgresStore:
             row = self.connection.execute(query, (time,)).fetchone()
         return (row[0] if row else 0) or 0
 
+    def selected_vector_rows(self, seqs: Sequence[int]) -> Iterator[tuple[int, VectorRow]]:
+        """See `LedgerStore`."""
+        select = sql.SQL("SELECT seq, version, data, mask FROM {} WHERE seq = ANY(%s) ORDER BY seq")
+        with translated_errors():
+            rows = self.connection.execute(select.format(self._embedding), (list(seqs),)).fetchall()
+        for seq, version, data, mask in rows:
+            yield seq, (version, bytes(data), mask)
+
     def vector_rows(self, after: int) -> Iterator[tuple[int, VectorRow]]:
         """See `LedgerStore`; rows are read page by page."""
         select = sql.SQL("SELECT seq, version, data, mask FROM {} WHERE seq > %s ORDER BY seq LIMIT {}")

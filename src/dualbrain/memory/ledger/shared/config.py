@@ -14,6 +14,8 @@ from dualbrain.errors import DECODE_ERRORS, ConfigurationError, MissingDependenc
 SHARED_SUFFIX = ".toml"
 """Suffix of a file that names a shared ledger instead of containing one."""
 MAX_FILE_BYTES = 1 << 16
+SCAN = "scan"
+"""The index that keeps all vectors in RAM and scans them."""
 RobotName = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
 Namespace = Annotated[str, msgspec.Meta(pattern=r"^[a-z_][a-z0-9_]{0,47}$")]
 
@@ -23,13 +25,15 @@ class SharedLedgerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
 
     `url` is a connection URI without a password. `name` is the name under which this robot writes. `namespace` is the
     schema with the tables, so that one database may contain several ledgers. Only memories of the robots in
-    `use_memories_of` are retrieved (empty: of all robots of the ledger).
+    `use_memories_of` are retrieved (empty: of all robots of the ledger). `index` is "scan" for an index in RAM,
+    "pgvector", or "milvus:ADDRESS" (see `memory.index.engines`).
     """
 
     url: str
     name: RobotName
     namespace: Namespace = "dualbrain"
     use_memories_of: tuple[RobotName, ...] = ()
+    index: Annotated[str, msgspec.Meta(pattern=r"^(scan|pgvector|milvus:.+)$")] = SCAN
 
 
 def is_shared(path: Path) -> bool:
@@ -60,5 +64,6 @@ def format_shared_config(config: SharedLedgerConfig) -> str:
         f"name = {json.dumps(config.name)}  # the name under which this robot writes; one for each robot",
         f"namespace = {json.dumps(config.namespace)}  # the schema with the tables",
         f"use_memories_of = {json.dumps(list(config.use_memories_of))}  # empty: of all robots",
+        f'index = {json.dumps(config.index)}  # or "pgvector", "milvus:ADDRESS": vectors outside of RAM',
     ]
     return "\n".join(lines) + "\n"

@@ -7,7 +7,7 @@ copied again. While the server does not answer, reads continue and appends raise
 from __future__ import annotations
 
 import time
-from collections.abc import Generator, Iterable, Iterator, Mapping
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
@@ -97,6 +97,10 @@ class ReplicatedStore:
     def vector_rows(self, after: int) -> Iterator[tuple[int, VectorRow]]:
         """See `LedgerStore`."""
         return self.replica.vector_rows(after)
+
+    def selected_vector_rows(self, seqs: Sequence[int]) -> Iterator[tuple[int, VectorRow]]:
+        """See `LedgerStore`."""
+        return self.replica.selected_vector_rows(seqs)
 
     # --- the server -------------------------------------------------------------------------------------------------
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import sqlite3
@@ -131,6 +132,15 @@ class SqliteStore:
         with _translate_errors(self.path):
             query = "SELECT seq, version, data, mask FROM vector WHERE seq > ? ORDER BY seq"
             for seq, version, data, mask in self.database.execute(query, (after,)):
+                yield seq, (version, data, mask)
+
+    def selected_vector_rows(self, seqs: Sequence[int]) -> Iterator[tuple[int, VectorRow]]:
+        """See `LedgerStore`."""
+        with _translate_errors(self.path):
+            query = (
+                "SELECT seq, version, data, mask FROM vector WHERE seq IN (SELECT value FROM json_each(?)) ORDER BY seq"
+            )
+            for seq, version, data, mask in self.database.execute(query, (json.dumps(list(seqs)),)):
                 yield seq, (version, data, mask)
 
     def append(self, build: EventBuilder, *, after: Head | None = None) -> tuple[LedgerEvent, ...]:

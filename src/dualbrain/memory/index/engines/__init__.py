@@ -1,0 +1,1 @@
+"""Vector engines: programs that store vectors outside of this process and find those nearest to a query."""
