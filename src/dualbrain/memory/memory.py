@@ -18,7 +18,7 @@ from dualbrain.memory.config import MemoryConfig
 from dualbrain.memory.embedding.image_features import ImageFeatures
 from dualbrain.memory.embedding.joint_embedding import Alpha, EpisodeEmbedding, JointEmbedding
 from dualbrain.memory.embedding.posture_features import Posture
-from dualbrain.memory.index.engine_index import open_index
+from dualbrain.memory.index.engine_index import connect_engine, create_index
 from dualbrain.memory.index.filters import Filter
 from dualbrain.memory.index.index import RankingOptions, RetrievalScope
 from dualbrain.memory.learning.consolidation import Consolidation
@@ -105,6 +105,7 @@ class Memory:
         """
         self.config, self.ledger = config, ledger
         self.embedding = JointEmbedding(encoder, config.limits, config.embedding)
+        self._engine = connect_engine(ledger, self.embedding.dim)
         self._start()
 
     def __len__(self) -> int:
@@ -367,7 +368,7 @@ class Memory:
 
     def _load_snapshot(self, snapshot: MemorySnapshot, tail: Sequence[LedgerEvent]) -> bool:
         """Load `snapshot` and apply `tail`; False if its embedding differs, or `tail` changes the history."""
-        self.state, self.index = snapshot.state, open_index(self.embedding, self.ledger)
+        self.state, self.index = snapshot.state, create_index(self.embedding, self.ledger, self._engine)
         if not self.index.is_compatible(snapshot) or any(_changes_history(event) for event in tail):
             return False
         self.index.load(snapshot)
@@ -377,7 +378,8 @@ class Memory:
 
     def _derive_from_events(self) -> None:
         """Derive state and index from all events in effect."""
-        self.state, self.index = derive_state(self.ledger), open_index(self.embedding, self.ledger)
+        self.state = derive_state(self.ledger)
+        self.index = create_index(self.embedding, self.ledger, self._engine)
         vectors = dict(self.ledger.vectors())
         for memo in self.state.memories:
             self.index.add(memo, vectors.get(memo.seq))

@@ -45,7 +45,9 @@ def memory(tmp_path_factory):
                 registry="bbbb2222" if number % 7 == 0 else "aaaa1111",
                 second_opinion="none" if number % 9 == 0 else "agrees",
             )
-            posture = None if number % 10 == 0 else dataclasses.replace(REST_POSTURE, q=tuple(rng.normal(0, 0.5, 2).tolist()))
+            posture = (
+                None if number % 10 == 0 else dataclasses.replace(REST_POSTURE, q=tuple(rng.normal(0, 0.5, 2).tolist()))
+            )
             memory.store(one, posture, now=NOW + number)
         yield memory
 
@@ -59,7 +61,7 @@ def with_engine(memory, engine):
     return index
 
 
-def queries(memory, number=12):
+def queries(memory, number=6):
     rng = np.random.default_rng(5)
     for k in range(number):
         words = f"{rng.choice(VERBS)} the {rng.choice(OBJECTS)}"
@@ -137,6 +139,21 @@ def test_without_an_engine_the_vectors_of_the_ledger_are_searched(memory):
         for query in queries(memory, 3):
             assert_same_hits(index.retrieve(query, SCOPE, BOTH), memory.index.retrieve(query, SCOPE, BOTH))
     assert len(engine.vectors) == len(memory)
+
+
+def test_a_row_that_the_engine_lacks_is_read_from_the_ledger(memory, monkeypatch):
+    """As with a role that may only read the table of the engine."""
+    monkeypatch.setattr(engine_index, "FIRST_COUNT", 4)
+    search = [(BOTH[0][0], RankingOptions(1, 1.0))]
+    for query in queries(memory):
+        best = memory.index.retrieve(query, SCOPE, search)
+        engine = NumpyEngine()
+        with_engine(memory, engine).update_engine()
+        lacking = memory.state.memories[best[0][0].row].seq
+        engine.vectors = {key: vector for key, vector in engine.vectors.items() if key[0] != lacking}
+        index = with_engine(memory, engine)
+        monkeypatch.setattr(engine, "add", engine.refuse)
+        assert_same_hits(index.retrieve(query, SCOPE, search), best)
 
 
 def test_a_wrong_vector_in_the_engine_changes_no_score(memory):

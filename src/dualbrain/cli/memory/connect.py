@@ -30,6 +30,7 @@ def connect(
     name: str = "",
     namespace: str = "dualbrain",
     use_memories_of: tuple[str, ...] = (),
+    index: str = "scan",
     create: Flag = False,
     same_robot: Flag = False,
 ) -> int:
@@ -50,6 +51,8 @@ def connect(
         Schema with the tables of the ledger.
     use_memories_of
         Only memories of these robots are retrieved. Default: of all robots.
+    index
+        Where the vectors are searched: `scan` in RAM, `pgvector` on the server, or `milvus:ADDRESS`.
     create
         Create the tables, unless they exist.
     same_robot
@@ -68,11 +71,14 @@ def connect(
         "name": name or socket.gethostname(),
         "namespace": namespace,
         "use_memories_of": use_memories_of,
+        "index": index,
     }
     try:
         config = msgspec.convert(fields, SharedLedgerConfig)
     except DECODE_ERRORS as error:
-        raise UsageError.stating(f"{error}.", fix="Names contain letters, digits and . _ -") from error
+        raise UsageError.stating(
+            f"{error}.", fix="Names contain letters, digits and . _ -; --index is as in --help."
+        ) from error
     store = PostgresStore.open(config.url, config.namespace, create=create)
     try:
         head, missing = store.head(), store.missing_objects

@@ -13,7 +13,7 @@ the vectors of the ledger, which are compared with their digests.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,7 +122,8 @@ class EngineIndex(Index):
         self.update_engine()
         counted = self.columns.mask(scope.counted)
         bounds = _weight_bounds(self.flat_index.weights, self.columns.contract_codes, counted)
-        return [self._search(query, scope.bandwidth, counted, bounds, *search) for search in searches]
+        vectors = _VectorCache(self._vectors, self.embedding.dim)
+        return [self._search(query, scope.bandwidth, counted, bounds, vectors, *search) for search in searches]
 
     def _search(
         self,
@@ -130,6 +131,7 @@ class EngineIndex(Index):
         bandwidth: float,
         counted: Mask,
         bounds: Weights,
+        vectors: _VectorCache,
         where: Filter,
         ranking: RankingOptions,
     ) -> tuple[MemoryHit, ...]:
@@ -142,7 +144,7 @@ class EngineIndex(Index):
             known = self._with_contracts(seen & eligible, counted, codes)
             part = np.flatnonzero(known)
             flat = FlatIndex(self.embedding.dim)
-            flat.load(self._vectors(part), self.flat_index.weights[part], self.masks[part])
+            flat.load(vectors.read(part), self.flat_index.weights[part], self.masks[part])
             compared = flat.compare(query)
             weights = contract_weights(compared, flat.weights, codes[part], counted[part], bandwidth)
             best = flat.top_k(compared, eligible[part], depth, ranking.lambda_s, weights)
@@ -223,10 +225,11 @@ class EngineIndex(Index):
         eligible = self.columns.mask(where)
         if not eligible.any():
             return []
+        vectors = _VectorCache(self._vectors, self.embedding.dim)
         for seen, last_cosine in self._rounds(query, eligible):
             rows = np.flatnonzero(seen & eligible)
             flat = FlatIndex(self.embedding.dim)
-            flat.load(self._vectors(rows), self.flat_index.weights[rows], self.masks[rows])
+            flat.load(vectors.read(rows), self.flat_index.weights[rows], self.masks[rows])
             cosines = flat.cosines(np.arange(len(rows)), query)
             near = np.flatnonzero(flat.compare(query).cosine >= min_cosine)
             order = near[np.lexsort((-rows[near], -cosines[near]))][:max_count]
@@ -234,6 +237,23 @@ class EngineIndex(Index):
             if not (eligible & ~seen).any() or threshold > last_cosine.max() + COSINE_ERROR_BOUND:
                 return [(int(rows[i]), float(cosines[i])) for i in order]
         raise AssertionError("the last round contains every row")
+
+
+class _VectorCache:
+    """Vectors of the rows of one query, each read once."""
+
+    def __init__(self, read: Callable[[RowNumbers], Float32Array], dim: int) -> None:
+        self._read, self._known = read, np.empty(0, np.intp)
+        self._vectors: Float32Array = np.empty((0, dim), np.float32)
+
+    def read(self, rows: RowNumbers) -> Float32Array:
+        """The vectors of `rows`, which are in ascending order, shape (n_rows, dim)."""
+        missing = np.setdiff1d(rows, self._known, assume_unique=True)
+        if missing.size:
+            known = np.concatenate([self._known, missing])
+            order = np.argsort(known)
+            self._known, self._vectors = known[order], np.concatenate([self._vectors, self._read(missing)])[order]
+        return self._vectors[np.searchsorted(self._known, rows)]
 
 
 class _RowNumbers:
@@ -254,18 +274,36 @@ class _RowNumbers:
         return self._array[: self._count]
 
 
-def open_index(embedding: JointEmbedding, ledger: LedgerReader) -> Index:
-    """The index that the file of a shared ledger names; the scan in RAM if its engine does not answer."""
+def connect_engine(ledger: LedgerReader, dim: int) -> VectorEngine | None:
+    """The engine that the file of a shared ledger names, until the ledger is closed.
+
+    None for an index in RAM, also if the engine does not answer; then the ledger has a notice.
+    """
     config = ledger.shared_config
     if config is None or config.index == SCAN:
-        return Index(embedding)
+        return None
     try:
-        engine = open_engine(config.index, url=config.url, namespace=config.namespace, dim=embedding.dim)
-        return EngineIndex(embedding, engine, ledger)
+        engine = open_engine(config.index, url=config.url, namespace=config.namespace, dim=dim)
     except EngineUnreachableError as error:
-        if isinstance(ledger, Ledger):
-            ledger.notices += (f"The index {config.index} does not answer; all vectors are read into memory. {error}",)
-        return Index(embedding)
+        _note_unreachable(ledger, error)
+        return None
+    ledger.resources.callback(engine.close)
+    return engine
+
+
+def create_index(embedding: JointEmbedding, ledger: LedgerReader, engine: VectorEngine | None) -> Index:
+    """An index without rows, with `engine` if it answers."""
+    if engine is not None:
+        try:
+            return EngineIndex(embedding, engine, ledger)
+        except EngineUnreachableError as error:
+            _note_unreachable(ledger, error)
+    return Index(embedding)
+
+
+def _note_unreachable(ledger: LedgerReader, error: EngineUnreachableError) -> None:
+    if isinstance(ledger, Ledger):
+        ledger.notices += (f"The engine of the index does not answer; all vectors are kept in memory. {error}",)
 
 
 def _weight_bounds(weights: Weights, codes: NDArray[np.int32], counted: Mask) -> Weights:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Generator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
@@ -76,7 +76,8 @@ class Ledger(LedgerReader):
         be written, `AnchorMismatchError` if it was shortened, rewritten or replaced, and `CorruptLedgerError` if it is
         damaged or contains tables, triggers or views that dualbrain did not create.
         """
-        self.path, self.opened_at, self._run = path, now, ""
+        self.path, self.resources = path, ExitStack()
+        self.opened_at, self._run = now, ""
         self._last_time, self._closed = now, False
         self._anchored: Head | None = None
         self.notices: tuple[str, ...] = ()

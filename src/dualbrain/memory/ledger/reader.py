@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import chain
+from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -11,7 +11,7 @@ from typing import Any, Self
 from dualbrain.core.text import make_json_safe
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError, MissingDependencyError
 from dualbrain.memory.ledger.anchors import anchor_path
-from dualbrain.memory.ledger.events import EPISODE, VECTORS
+from dualbrain.memory.ledger.events import VECTORS
 from dualbrain.memory.ledger.hash_chain import (
     ChainReport,
     CorruptLedgerError,
@@ -29,6 +29,7 @@ from dualbrain.memory.ledger.vectors import (
     DIGEST_EVENT_KINDS,
     StoredVector,
     VectorReport,
+    episode_digest,
     find_vector_fault,
     recorded_digests,
 )
@@ -55,7 +56,7 @@ class LedgerReader:
                 f"`dualbrain memory verify --ledger {path} --accept REASON`."
             )
             raise MissingDependencyError(f"The memory ledger {path}", fix=fix)
-        self.path = path
+        self.path, self.resources = path, ExitStack()
         self._store: LedgerStore = _open_for_reading(path)
 
     @property
@@ -145,17 +146,25 @@ class LedgerReader:
 
         An episode without a vector is left out. Raises `CorruptLedgerError` for a vector that was changed or added.
         """
-        found = dict(self._store.selected_vector_rows(seqs))
-        events = (event for seq in found for event in self.events(EPISODE, after=seq - 1, until=seq))
+        rebuilt = self._rebuilt_digests()
+        found = dict[int, StoredVector]()
+        for seq, row, payload in self._store.selected_vector_rows(seqs):
+            try:
+                digest = rebuilt.get(seq, episode_digest(payload))
+            except DECODE_ERRORS as error:
+                raise CorruptLedgerError(f"it is unreadable: {error}", seq=seq, path=str(self.path)) from error
+            if fault := find_vector_fault(row, digest):
+                raise CorruptLedgerError(fault, seq=seq, path=str(self.path), fix=RECOMPUTE_VECTORS)
+            found[seq] = StoredVector(*row)  # pyright: ignore[reportArgumentType]
+        return found
+
+    def _rebuilt_digests(self) -> dict[int, str]:
+        """Digests that were recorded when vectors were recomputed."""
         try:
-            recorded = recorded_digests(chain(events, self.events(VECTORS)))
+            return recorded_digests(self.events(VECTORS))
         except DECODE_ERRORS as error:
             fault = f"an event with digests of vectors is unreadable: {error}"
             raise CorruptLedgerError(fault, seq=None, path=str(self.path)) from error
-        for seq, row in found.items():
-            if fault := find_vector_fault(row, recorded.get(seq)):
-                raise CorruptLedgerError(fault, seq=seq, path=str(self.path), fix=RECOMPUTE_VECTORS)
-        return {seq: StoredVector(*row) for seq, row in found.items()}  # pyright: ignore[reportArgumentType]
 
     def stored_vectors(self) -> Iterator[tuple[int, StoredVector]]:
         """Event number and vector of each episode without any check, for a comparison with recomputed vectors."""
@@ -186,8 +195,9 @@ class LedgerReader:
             raise CorruptLedgerError(fault, seq=None, path=str(self.path)) from error
 
     def close(self) -> None:
-        """Close the storage."""
-        self._store.close()
+        """Close the storage, and the `resources` that others have registered."""
+        with self.resources:
+            self._store.close()
 
     def __enter__(self) -> Self:
         return self

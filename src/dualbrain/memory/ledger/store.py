@@ -98,8 +98,8 @@ class LedgerStore(Protocol):
         """Event number and unchecked vector of each episode after event `after`."""
         ...
 
-    def selected_vector_rows(self, seqs: Sequence[int]) -> Iterator[tuple[int, VectorRow]]:
-        """Event number and unchecked vector of each episode in `seqs` that has one, in ascending order."""
+    def selected_vector_rows(self, seqs: Sequence[int]) -> Iterator[tuple[int, VectorRow, bytes]]:
+        """Event number, unchecked vector and payload of each episode in `seqs` that has a vector, in their order."""
         ...
 
     def append(self, build: EventBuilder, *, after: Head | None = None) -> tuple[LedgerEvent, ...]:

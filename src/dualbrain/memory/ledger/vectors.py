@@ -62,9 +62,14 @@ def recorded_digests(events: Iterable[LedgerEvent]) -> dict[int, str]:
     for event in events:
         if event.kind == VECTORS:
             digests.update(msgspec.json.decode(event.payload, type=VectorDigests).digests)
-        elif digest := msgspec.json.decode(event.payload, type=_EpisodeDigest).vector_sha256:
+        elif digest := episode_digest(event.payload):
             digests[event.seq] = digest
     return digests
+
+
+def episode_digest(payload: bytes) -> str | None:
+    """The recorded digest in the `payload` of an episode event, None if it has none; raises one of `DECODE_ERRORS`."""
+    return msgspec.json.decode(payload, type=_EpisodeDigest).vector_sha256 or None
 
 
 def find_vector_fault(row: tuple[object, object, object], digest: str | None) -> str:

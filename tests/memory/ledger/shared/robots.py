@@ -18,16 +18,16 @@ class Lab:
     folder: Path
     store: PostgresStore
 
-    def path(self, name: str, *, url: str = "", use_memories_of: tuple[str, ...] = ()) -> Path:
+    def path(self, name: str, *, url: str = "", use_memories_of: tuple[str, ...] = (), index: str = "scan") -> Path:
         """The file of the robot `name`."""
         config = SharedLedgerConfig(
-            url=url or self.url, name=name, namespace=self.namespace, use_memories_of=use_memories_of
+            url=url or self.url, name=name, namespace=self.namespace, use_memories_of=use_memories_of, index=index
         )
         (self.folder / name).mkdir(exist_ok=True)
         path = self.folder / name / "lab.toml"
         path.write_text(format_shared_config(config), "utf-8")
         return path
 
-    def open(self, name: str, *, url: str = "", use_memories_of: tuple[str, ...] = ()) -> Ledger:
+    def open(self, name: str, *, url: str = "", use_memories_of: tuple[str, ...] = (), index: str = "scan") -> Ledger:
         """The ledger of the robot `name`, opened for writing."""
-        return Ledger(self.path(name, url=url, use_memories_of=use_memories_of), holder="a test", now=NOW)
+        return Ledger(self.path(name, url=url, use_memories_of=use_memories_of, index=index), holder="a test", now=NOW)

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from dualbrain.errors import ConfigurationError
+from dualbrain.memory.index.engine_index import EngineIndex
+from dualbrain.memory.index.engines.pgvector import PgvectorEngine
 from dualbrain.memory.ledger.hash_chain import CorruptLedgerError
 from dualbrain.memory.ledger.ledger import Ledger, LedgerReader, StoredVector
 from dualbrain.memory.ledger.shared import replicated_store
@@ -334,3 +336,26 @@ def test_a_reader_follows_while_no_process_writes_and_a_shared_ledger_is_not_com
         assert list(reader.events()) == list(lab.store.events(EventQuery()))
     with pytest.raises(ConfigurationError, match="cannot be compacted"):
         compact_in_place(lab.path("two"), holder="a test", now=NOW, timeout_s=0.0)
+
+
+def test_with_the_index_on_the_server_retrieval_is_that_of_the_scan_also_while_it_is_away(
+    lab: Lab, proxy: Proxy
+) -> None:
+    with lab.open("scan") as first, lab.open("engine", url=proxy.url, index="pgvector") as second:
+        scan = open_memory(first)
+        for number in range(40):
+            words = f"put the {('red cube', 'mug', 'plate', 'screw')[number % 4]} in the bowl"
+            one = episode(f"e-{number}", instruction=words, kind="failed" if number % 3 == 0 else "succeeded")
+            scan.store(one, REST_POSTURE, now=NOW + number)
+        memory = open_memory(second)
+        assert isinstance(memory.index, EngineIndex)
+        assert recall(memory) == recall(scan)
+        memory.store(episode("e-new"), REST_POSTURE, now=NOW + 100)
+        assert recall(memory) == recall(scan)
+        proxy.cut()
+        assert recall(memory) == recall(scan)
+    with lab.open("engine", index="pgvector") as again:
+        engine = PgvectorEngine(lab.url, lab.namespace, open_memory(again).embedding.dim)
+        seqs, _ = engine.stored()
+        engine.close()
+        assert len(seqs) == 41

@@ -11,6 +11,7 @@ import time
 from collections.abc import Generator
 from contextlib import contextmanager
 
+import msgspec
 import numpy as np
 import psycopg
 from psycopg import sql
@@ -114,7 +115,7 @@ class PgvectorEngine:
 
 def _encode(vector: Float32Array) -> str:
     """The text form of a vector, from which the same float32 numbers are read."""
-    return "[" + ",".join(map(repr, map(float, vector))) + "]"
+    return msgspec.json.encode(vector.tolist()).decode()
 
 
 @contextmanager

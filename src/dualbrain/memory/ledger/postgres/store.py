@@ -104,13 +104,16 @@ class PostgresStore:
             row = self.connection.execute(query, (time,)).fetchone()
         return (row[0] if row else 0) or 0
 
-    def selected_vector_rows(self, seqs: Sequence[int]) -> Iterator[tuple[int, VectorRow]]:
+    def selected_vector_rows(self, seqs: Sequence[int]) -> Iterator[tuple[int, VectorRow, bytes]]:
         """See `LedgerStore`."""
-        select = sql.SQL("SELECT seq, version, data, mask FROM {} WHERE seq = ANY(%s) ORDER BY seq")
+        select = sql.SQL(
+            "SELECT v.seq, version, data, mask, payload FROM {} AS v JOIN {} AS e USING (seq) "
+            "WHERE seq = ANY(%s) ORDER BY seq"
+        )
         with translated_errors():
-            rows = self.connection.execute(select.format(self._embedding), (list(seqs),)).fetchall()
-        for seq, version, data, mask in rows:
-            yield seq, (version, bytes(data), mask)
+            rows = self.connection.execute(select.format(self._embedding, self._event), (list(seqs),)).fetchall()
+        for seq, version, data, mask, payload in rows:
+            yield seq, (version, bytes(data), mask), bytes(payload)
 
     def vector_rows(self, after: int) -> Iterator[tuple[int, VectorRow]]:
         """See `LedgerStore`; rows are read page by page."""

@@ -98,7 +98,7 @@ class ReplicatedStore:
         """See `LedgerStore`."""
         return self.replica.vector_rows(after)
 
-    def selected_vector_rows(self, seqs: Sequence[int]) -> Iterator[tuple[int, VectorRow]]:
+    def selected_vector_rows(self, seqs: Sequence[int]) -> Iterator[tuple[int, VectorRow, bytes]]:
         """See `LedgerStore`."""
         return self.replica.selected_vector_rows(seqs)
 

@@ -134,14 +134,15 @@ class SqliteStore:
             for seq, version, data, mask in self.database.execute(query, (after,)):
                 yield seq, (version, data, mask)
 
-    def selected_vector_rows(self, seqs: Sequence[int]) -> Iterator[tuple[int, VectorRow]]:
+    def selected_vector_rows(self, seqs: Sequence[int]) -> Iterator[tuple[int, VectorRow, bytes]]:
         """See `LedgerStore`."""
+        query = (
+            "SELECT vector.seq, version, data, mask, payload FROM json_each(?) AS chosen "
+            "CROSS JOIN vector ON vector.seq = chosen.value JOIN event ON event.seq = vector.seq"
+        )
         with _translate_errors(self.path):
-            query = (
-                "SELECT seq, version, data, mask FROM vector WHERE seq IN (SELECT value FROM json_each(?)) ORDER BY seq"
-            )
-            for seq, version, data, mask in self.database.execute(query, (json.dumps(list(seqs)),)):
-                yield seq, (version, data, mask)
+            for seq, version, data, mask, payload in self.database.execute(query, (json.dumps(sorted(seqs)),)):
+                yield seq, (version, data, mask), payload
 
     def append(self, build: EventBuilder, *, after: Head | None = None) -> tuple[LedgerEvent, ...]:
         """See `LedgerStore`."""
