@@ -7,7 +7,6 @@ import signal
 import socket
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from ipaddress import ip_address
 from pathlib import Path
 from threading import Thread
 from types import FrameType
@@ -21,6 +20,7 @@ from starlette.routing import BaseRoute
 from dualbrain.agent_server.access_control import LOOPBACK_HOSTS, MCP_PATH, AccessControl, AccessPolicy
 from dualbrain.agent_server.contract_text import MAX_MESSAGE_BYTES
 from dualbrain.agent_server.listener import check_tls_files, open_listener
+from dualbrain.core.untrusted.loopback import is_loopback
 from dualbrain.errors import ConfigurationError
 
 STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
@@ -59,14 +59,6 @@ class HttpConfig:
                 f"The server would listen on {self.host} without TLS, where others can read the token.",
                 fix="Use 127.0.0.1, or name --tls-cert and --tls-key.",
             )
-
-
-def is_loopback(host: str) -> bool:
-    """Whether `host` is an address of this machine only."""
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 def serve_http(

@@ -121,6 +121,19 @@ app.command(
 
     Example: `dualbrain console --scene 8`, then open the printed address. See docs/how-to/agents/console.md.""",
 )
+app.command(
+    "dualbrain.cli.servers.metrics:metrics",
+    name="metrics",
+    help="""Serve metrics of a running gatekeeper to Prometheus: ticks, interventions, filter, supervisor, contracts.
+
+    The command is an observer on the gatekeeper's socket: it has no key, commands nothing, and runs outside the control
+    loop, which counts every tick itself. The page is served on the loopback interface only. While the gatekeeper does
+    not answer, `dualbrain_up` is 0, and the command connects again once it does.
+
+    Example: `dualbrain gatekeeper` in one terminal, `dualbrain metrics` in another, then
+    `curl http://127.0.0.1:9107/metrics`. The page docs/reference/safety/metrics.md lists all metrics and configures
+    Prometheus.""",
+)
 app.command("dualbrain.cli.run.fault:fault", name="fault", help="Inject one fault into a simulated task.")
 app.command(
     "dualbrain.cli.adapters.adapt:adapt", name="adapt", help="Fine-tune an adapter of the planner on recorded episodes."
@@ -281,7 +294,7 @@ for _name, _function, _help in (
     ("rollback", "registry:rollback", "Return to the previous adapter."),
     ("history", "registry:history", "List promotions and rollbacks."),
     ("measure", "measure:measure", "Measure a candidate and the current adapter for a promotion."),
-    ("export", "export:export", "Export an adapter for peft, vLLM or llama.cpp."),
+    ("export", "export:export", "Export an adapter for peft, vLLM, llama.cpp or the Hugging Face Hub."),
     ("diff", "export:diff", "Compare two adapters."),
     ("make", "make:make", "Reproduce a packaged adapter."),
 ):

@@ -25,7 +25,7 @@ from dualbrain.safety.barriers.workspace import plane
 from dualbrain.safety.cbf.filter import FilterResult, SafetyFilter
 from dualbrain.safety.cbf.grasped_object import cover_with_spheres
 from dualbrain.safety.cbf.obstacles import Contact, Obstacle, PersonLimits, check_scene, obstacle_from_checked_object
-from dualbrain.safety.supervisor.actions import NO_ACTION, SupervisorDecision
+from dualbrain.safety.supervisor.actions import NO_ACTION, SafetyAction, SupervisorDecision
 from dualbrain.safety.supervisor.conditions import Condition
 from dualbrain.safety.supervisor.controller import SafetyController
 from dualbrain.safety.supervisor.timing import SIMULATED, Timing
@@ -49,6 +49,14 @@ class WorldInterface(Protocol):
 
     def advance(self) -> None:
         """Let one control period pass."""
+        ...
+
+
+class ResultObserver(Protocol):
+    """Observes the result of every tick; it runs inside the tick and must be fast."""
+
+    def __call__(self, result: FilterResult, action: SafetyAction, *, in_contract: bool) -> None:
+        """Receive the result of the filter, the supervisor's action, and whether a contract runs."""
         ...
 
 
@@ -92,12 +100,14 @@ class LoopObserver:
     """Callbacks of a control loop; none of them can change what the loop does.
 
     `on_tick` gets a snapshot every `snapshot_period`, `on_phase` the name of a new phase and the objects in it by role,
-    `mark_part` the name of the part of a tick that has just ended.
+    `mark_part` the name of the part of a tick that has just ended. `on_result` gets the result and the supervisor's
+    action of every tick, and whether a contract runs.
     """
 
     on_tick: Callable[[TickSnapshot], None] | None = None
     on_phase: Callable[[str, dict[str, str | None]], None] | None = None
     mark_part: Callable[[str], None] = lambda part: None
+    on_result: ResultObserver | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -316,6 +326,8 @@ class ControlLoop:
         self.log.tick(
             now, self.state, nominal.u, result, action, nominal.phase, order=decision.action, scale_applied=scale
         )
+        if self.observer.on_result is not None:
+            self.observer.on_result(result, decision.action, in_contract=action >= 0)
         self._mark_part("record")
         if self.observer.on_tick and self._ticks % self._snapshot_ticks == 0:
             snapshot = TickSnapshot(

@@ -30,6 +30,7 @@ EXTRAS = {
     "onnxruntime": "memory",
     "opentelemetry": "trace",
     "peft": "adapt",
+    "prometheus_client": "metrics",
     "pylibfranka": "franka",
     "pypdf": "knowledge",
     "rtde_control": "ur",

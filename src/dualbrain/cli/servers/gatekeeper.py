@@ -149,13 +149,13 @@ def operate(
             "The command `speed` needs the speed scale.", fix="For example: dualbrain operate speed --speed 25%"
         )
     if act == "estop":
-        return _stop_all() if socket is None and run is None else _stop(socket or _run_address(run)[0])
-    where = socket or (_run_address(run)[0] if run is not None else dualbrain_home() / "gatekeeper.sock")
-    secrets = keys or (_run_address(run)[1] if run is not None else dualbrain_home() / "keys")
+        return _stop_all() if socket is None and run is None else _stop(socket or run_address(run)[0])
+    where = socket or (run_address(run)[0] if run is not None else dualbrain_home() / "gatekeeper.sock")
+    secrets = keys or (run_address(run)[1] if run is not None else dualbrain_home() / "keys")
     return _send_command(where, secrets, act, parse_fraction(speed) if speed else 1.0)
 
 
-def _run_address(run: Path | None) -> tuple[Path, Path]:
+def run_address(run: Path | None) -> tuple[Path, Path]:
     """Socket and keys of the gatekeeper of a run; raises `ConfigurationError` if the run folder names none."""
     from dualbrain.errors import ConfigurationError
 

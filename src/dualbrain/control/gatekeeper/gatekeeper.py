@@ -26,6 +26,8 @@ from dualbrain.control.gatekeeper.protocol.authentication import Keys, verify_co
 from dualbrain.control.gatekeeper.protocol.messages import (
     CheckReport,
     CheckRequest,
+    CountsReport,
+    CountsRequest,
     EventReport,
     Heartbeat,
     Hello,
@@ -43,6 +45,7 @@ from dualbrain.control.gatekeeper.protocol.messages import (
 )
 from dualbrain.control.gatekeeper.protocol.server import DISCONNECTED, FLOOD, Connection, SocketServer
 from dualbrain.control.gatekeeper.robot_link.interface import RobotLink
+from dualbrain.control.gatekeeper.timing.tick_counts import TickCounter
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.recorder import Recorder
 from dualbrain.control.recording.recording_pause import UNATTENDED_TIME, RecordingPause
@@ -120,6 +123,7 @@ class Gatekeeper:
         self._gate, self._registry = gate, skill_registry(robot_model)
         self._trace = Trace(robot_model.n) if trace is None else trace
         self._log = FlightLog(self._trace, recorder, self._broadcast_event)
+        self._counter = TickCounter()
         self._commander: Connection | None = None
         self._had_commander = False
         self._recording_pause = RecordingPause()
@@ -150,7 +154,12 @@ class Gatekeeper:
                 unrecorded=settings.unrecorded,
                 persons=settings.persons,
             ),
-            LoopObserver(on_tick=self._broadcast_tick, on_phase=robot.set_phase, mark_part=mark_part),
+            LoopObserver(
+                on_tick=self._broadcast_tick,
+                on_phase=robot.set_phase,
+                mark_part=mark_part,
+                on_result=self._counter.count_tick,
+            ),
             LoopInputs(external_conditions=self._service_connections, clock=robot.clock),
         )
         self.executor = ContractExecutor(self.loop)
@@ -196,6 +205,7 @@ class Gatekeeper:
         self._busy = True
         outcome = self.executor.execute(contract)
         self._busy = False
+        self._counter.count_outcome(outcome.kind)
         self._on_outcome(outcome)
         if self._proposer in self.server.connections and self._proposer:
             self._proposer.send(OutcomeReport(outcome, dict(self._log.binding)))
@@ -276,10 +286,14 @@ class Gatekeeper:
                 self._authenticate(connection, message, now)
             case OperatorCommand():
                 self._apply_operator_command(connection, message)
-            case Heartbeat() | SceneRequest() | Propose() | CheckRequest() if connection.role == "stranger":
+            case Heartbeat() | SceneRequest() | Propose() | CheckRequest() | CountsRequest() if (
+                connection.role == "stranger"
+            ):
                 connection.fault = f"{type(message).__name__} before authentication"
             case SceneRequest():
                 connection.send(self._scene_report())
+            case CountsRequest():
+                connection.send(CountsReport(self._counter.counts(*self.robot.timing_faults())))
             case Propose():
                 self._submit_contract(connection, sequence, message, now)
             case CheckRequest():
@@ -355,6 +369,7 @@ class Gatekeeper:
                 self._gate.submit(request)
         if reason:
             self._refused_until = now + FAULT_HOLD_TIME
+            self._counter.count_verdict("not_considered")
             self._log.note(self.robot.read().stamp, "verdict", f"not considered: {reason}")
             connection.send(RequestRefused(reason))
 
@@ -428,6 +443,7 @@ class Gatekeeper:
                 proposer.send(CheckReport(sequence=request.sequence, rejected=rejected, gate_s=reply.seconds))
             self._submit_waiting_request()
             return
+        self._counter.count_verdict("accepted" if rejected is None else f"rejected_{rejected.stage}")
         if proposer is not None:
             proposer.send(VerdictReport(sequence=request.sequence, rejected=rejected, gate_s=reply.seconds))
         if isinstance(verdict, Accepted) and proposer is self._commander and proposer is not None:

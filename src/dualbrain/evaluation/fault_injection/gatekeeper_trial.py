@@ -94,6 +94,10 @@ class LockstepRobot:
         """No timing conditions, because nothing is late in lockstep."""
         return 0
 
+    def timing_faults(self) -> tuple[int, int]:
+        """No faults, because nothing is late in lockstep."""
+        return 0, 0
+
     def set_phase(self, phase: str, roles: dict[str, str | None]) -> None:
         """Report the phase to the monitor and the injector."""
         self.world.set_phase(phase, roles)

@@ -9,10 +9,10 @@ import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from ipaddress import ip_address
 from typing import Any
 from urllib.parse import urlsplit
 
+from dualbrain.core.untrusted.loopback import is_loopback
 from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.planner import protocol
 from dualbrain.planner.backends.http_chat import ChatResponse, parse_completion, request_completion, strip_fence
@@ -193,17 +193,10 @@ def _require_https_for_key(config: ServerConfig) -> None:
     """Raise `ConfigurationError` for a key that would leave this machine over unencrypted http."""
     address = urlsplit(config.url)
     host = address.hostname or ""
-    if config.key and address.scheme == "http" and not _is_loopback(host):
+    if config.key and address.scheme == "http" and not is_loopback(host):
         fix = "Use an https address, a tunnel to a port of this machine, or no key (OPENAI_API_KEY=)."
         allowed = "https, or http to this machine"
         raise ConfigurationError("planner address for a key", got=f"http://{host}", allowed=allowed, fix=fix)
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 def _require_key(key: str) -> None:

@@ -19,6 +19,8 @@ from dualbrain.control.gatekeeper.protocol.messages import (
     Challenge,
     CheckReport,
     CheckRequest,
+    CountsReport,
+    CountsRequest,
     EventReport,
     Heartbeat,
     Hello,
@@ -38,6 +40,7 @@ from dualbrain.control.gatekeeper.protocol.messages import (
     encode_body,
     kind_code,
 )
+from dualbrain.control.gatekeeper.timing.tick_counts import TickCounts
 from dualbrain.errors import ConfigurationError, DualbrainError
 
 HEARTBEAT_PERIOD = 0.05
@@ -181,6 +184,14 @@ class GatekeeperClient:
         """The current scene and joint state; other messages remain in their queue. Raises `ConnectionLostError`."""
         self.send(SceneRequest())
         return self._wait_for_scene(REPLY_TIMEOUT)
+
+    def request_counts(self, timeout: float = REPLY_TIMEOUT) -> TickCounts:
+        """The counts of all ticks so far, within `timeout` [s]. Raises `ConnectionLostError`.
+
+        A gatekeeper of an older version closes the connection: "kind 17 is not known".
+        """
+        self.send(CountsRequest())
+        return self.expect(CountsReport, timeout).counts
 
     def _wait_for_scene(self, timeout: float) -> SceneReport:
         deadline = time.monotonic() + timeout

@@ -1,9 +1,9 @@
 """Messages on the socket: strictly typed MessagePack; an unknown field, type or kind is refused.
 
-A client sends `Hello`, `Heartbeat`, `Propose`, `OperatorCommand`, `SceneRequest` and `CheckRequest`. The gatekeeper
-sends `Challenge`, `Welcome`, `StatusReport`, `VerdictReport`, `OutcomeReport`, `SceneReport`, `EventReport`,
-`TickReport`, `RequestRefused` and `CheckReport`. A contract is sent as raw bytes, which only the gatekeeper's own gate
-parses.
+A client sends `Hello`, `Heartbeat`, `Propose`, `OperatorCommand`, `SceneRequest`, `CheckRequest` and `CountsRequest`.
+The gatekeeper sends `Challenge`, `Welcome`, `StatusReport`, `VerdictReport`, `OutcomeReport`, `SceneReport`,
+`EventReport`, `TickReport`, `RequestRefused`, `CheckReport` and `CountsReport`. A contract is sent as raw bytes, which
+only the gatekeeper's own gate parses.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import msgspec
 
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.control.gatekeeper.protocol.frames import Frame
+from dualbrain.control.gatekeeper.timing.tick_counts import TickCounts
 from dualbrain.errors import DECODE_ERRORS
 from dualbrain.records import Outcome, Scene
 
@@ -70,6 +71,14 @@ class CheckRequest(Message, frozen=True):
     """Request for the gate's verdict on a contract, as raw bytes, that is not executed."""
 
     contract: bytes
+
+
+class CountsRequest(Message, frozen=True):
+    """Request for a `CountsReport`; every role may send it.
+
+    The counts are a message of their own and not a field of `StatusReport`, because a client of an older version
+    refuses a message with a field that it does not know.
+    """
 
 
 class Challenge(Message, frozen=True):
@@ -182,6 +191,12 @@ class CheckReport(Message, frozen=True, kw_only=True):
     refused: str = ""
 
 
+class CountsReport(Message, frozen=True):
+    """The counts of all ticks since the start of the gatekeeper."""
+
+    counts: TickCounts
+
+
 _KIND_CODES: dict[type[Message], int] = {
     Hello: 1,
     Heartbeat: 2,
@@ -199,9 +214,19 @@ _KIND_CODES: dict[type[Message], int] = {
     RequestRefused: 14,
     CheckRequest: 15,
     CheckReport: 16,
+    CountsRequest: 17,
+    CountsReport: 18,
 }
 """Codes on the socket: fixed, so that a new kind changes no other one."""
-CLIENT_MESSAGES: tuple[type[Message], ...] = (Hello, Heartbeat, Propose, OperatorCommand, SceneRequest, CheckRequest)
+CLIENT_MESSAGES: tuple[type[Message], ...] = (
+    Hello,
+    Heartbeat,
+    Propose,
+    OperatorCommand,
+    SceneRequest,
+    CheckRequest,
+    CountsRequest,
+)
 SERVER_MESSAGES = tuple(kind for kind in _KIND_CODES if kind not in CLIENT_MESSAGES)
 _DECODERS = {code: msgspec.msgpack.Decoder(kind, strict=True) for kind, code in _KIND_CODES.items()}
 _ENCODER = msgspec.msgpack.Encoder()

@@ -24,6 +24,10 @@ class RobotLink(RobotInterface, WorldInterface, Protocol):
         """Timing `Condition` bits since the last call."""
         ...
 
+    def timing_faults(self) -> tuple[int, int]:
+        """Number of ticks so far that took too long, and of joint states that never arrived."""
+        ...
+
     def set_phase(self, phase: str, roles: dict[str, str | None]) -> None:
         """Report a new phase and its objects by role; a simulation's monitor derives the permitted contacts from it."""
         ...

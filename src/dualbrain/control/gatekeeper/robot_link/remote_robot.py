@@ -109,6 +109,10 @@ class RemoteRobot:
         """Timing `Condition` bits since the last call."""
         return self.tick_timer.conditions()
 
+    def timing_faults(self) -> tuple[int, int]:
+        """Number of ticks so far that took too long, and of joint states that never arrived."""
+        return self.tick_timer.late, self.tick_timer.missed
+
     # --- for the simulated robot ---------------------------------------------------------------------------------
 
     def set_phase(self, phase: str, roles: dict[str, str | None]) -> None:

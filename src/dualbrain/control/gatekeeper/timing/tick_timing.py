@@ -47,7 +47,7 @@ class TickTimer:
         self._state_received_at: float | None = None
         self._command_sent = True
         self._recent_overruns: deque[bool] = deque(maxlen=self._window)
-        self._n_late = self._overruns = 0
+        self.late = self._overruns = 0
         self._ticks = self.missed = 0
         self._conditions = 0
 
@@ -82,7 +82,7 @@ class TickTimer:
         self._overruns += late - (self._recent_overruns[0] if len(self._recent_overruns) == self._window else False)
         self._recent_overruns.append(late)
         if late:
-            self._n_late += 1
+            self.late += 1
             self._conditions |= Condition.TICK_OVERRUN
         if self._overruns > self._timing.max_overrun_fraction * self._window:
             self._conditions |= Condition.TICKS_OVERRUN
@@ -99,7 +99,7 @@ class TickTimer:
         return TickTimingSummary(
             ticks=self._ticks,
             missed=self.missed,
-            late=self._n_late,
+            late=self.late,
             interval=interval,
             work=work,
             latency=latency,
