@@ -3,9 +3,8 @@
 import msgspec
 import pytest
 
-from dualbrain.core.markdown import markdown_table
+from dualbrain.core.markdown import escape_markdown, markdown_table
 from dualbrain.records import Episode
-from dualbrain.visualization.evaluation.markdown_page import escape_markdown
 from dualbrain.visualization.html.page import Html, badge, document, element, join, section, table
 from dualbrain.visualization.live.panel import final_html, lines_html
 from tests.core.untrusted.test_visible_text import HIDDEN, TERMINAL_ATTACKS

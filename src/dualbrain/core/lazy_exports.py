@@ -21,6 +21,7 @@ EXTRAS = {
     "gguf": "planner",
     "gymnasium": "gym",
     "httpx": "planner",
+    "huggingface_hub": "adapt",
     "llguidance": "planner",
     "lxml": "import",
     "matplotlib": "view",

@@ -1,10 +1,13 @@
-"""Markdown tables."""
+"""Markdown: tables, and untrusted text in it."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 
 from dualbrain.core.untrusted.visible_text import visible_text
+
+MARKDOWN_SPECIAL_CHARACTERS = re.compile(r"([\\`*_{}\[\]<>#|!&])")
 
 
 def markdown_table(head: Sequence[object], rows: Iterable[Sequence[object]], *, pipe: str = "/") -> list[str]:
@@ -15,3 +18,8 @@ def markdown_table(head: Sequence[object], rows: Iterable[Sequence[object]], *, 
     cells = ([visible_text(str(cell).replace("|", pipe).replace("\n", " ")) for cell in line] for line in (head, *rows))
     first, *others = ["| " + " | ".join(line) + " |" for line in cells]
     return [first, "| " + " | ".join(["---"] * len(head)) + " |", *others]
+
+
+def escape_markdown(text: str) -> str:
+    """Untrusted text with every Markdown character escaped and every hidden character visible, on one line."""
+    return MARKDOWN_SPECIAL_CHARACTERS.sub(r"\\\1", visible_text(" ".join(text.split())))

@@ -273,7 +273,7 @@ def test_perplexity_agrees_with_torch(home):
     assert found == pytest.approx(math.exp(-mean), rel=0.02)
 
 
-@pytest.mark.parametrize("form", ["peft", "gguf", "merged"])
+@pytest.mark.parametrize("form", ["peft", "hub", "gguf", "merged"])
 def test_an_exported_adapter_computes_the_same(home, form):
     one = AdapterRegistry(home / "adapters").ids()[0]
     upper = PeftModel.from_pretrained(
@@ -286,7 +286,7 @@ def test_an_exported_adapter_computes_the_same(home, form):
         assert file.stat().st_mode == (home / "plain").stat().st_mode
     base = home / "cache" / "tiny.gguf"
     match form:
-        case "peft":
+        case "peft" | "hub":
             config = json.loads((home / "out" / "adapter_config.json").read_text())
             assert (config["bias"], config["use_dora"], config["modules_to_save"], config["r"]) == (
                 "none",

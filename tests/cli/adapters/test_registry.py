@@ -17,7 +17,7 @@ from dualbrain.adaptation.adapters.card import (
 )
 from dualbrain.adaptation.adapters.packaged import packaged_folder
 from dualbrain.adaptation.adapters.promotion import Measurement
-from dualbrain.adaptation.adapters.registry import AdapterRegistry
+from dualbrain.adaptation.adapters.registry import ADAPTER_FILES, AdapterRegistry
 from dualbrain.adaptation.config import AdaptConfig
 from dualbrain.adaptation.serving.open_planner import shadow_log_path
 from dualbrain.adaptation.serving.shadow import ShadowRecord
@@ -442,3 +442,22 @@ def test_an_empty_registry_is_not_an_error(run_command):
         "damaged": {},
         "measured_elsewhere": {},
     }
+
+
+def test_an_export_for_the_hub_has_the_weights_and_a_card_and_states_a_measurement(run_command, name, tmp_path):
+    measured = tmp_path / "measured.json"
+    measured.write_bytes(msgspec.json.encode(Measurement(trial_results(name, 30), trial_results("", 31))))
+    options = ("--form", "hub", "--measured", "measured.json")
+    assert run_command("adapters", "export", name[:8], "hub", *options)[0] == ExitCode.SUCCESS
+    assert {file.name for file in (tmp_path / "hub").iterdir()} == {*ADAPTER_FILES, "README.md"}
+    assert (tmp_path / "hub" / WEIGHTS_FILE).read_bytes() == b"weights"
+    assert read_adapter_card(tmp_path / "hub") == read_adapter_card(tmp_path / "adapters" / name)
+    config = json.loads((tmp_path / "hub" / "adapter_config.json").read_text())
+    assert config == {"base_model_name_or_path": "HuggingFaceTB/SmolLM2-135M-Instruct"}
+    assert "**Not promoted**" in (tmp_path / "hub" / "README.md").read_text()
+    measured.write_bytes(msgspec.json.encode(Measurement(trial_results("o" * 64, 30), trial_results("", 31))))
+    code, _, err = run_command("adapters", "export", name[:8], "other", *options)
+    assert (code, "The measurement is of oooo" in err) == (ExitCode.SETUP, True)
+    assert not (tmp_path / "other").exists()
+    code, _, err = run_command("adapters", "export", name[:8], "other", "--measured", "measured.json")
+    assert (code, "with --form hub only" in err) == (ExitCode.USAGE, True)

@@ -8,21 +8,23 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from dualbrain.cli.adapters.registry import open_adapter_registry
+from dualbrain.cli.adapters.registry import open_adapter_registry, read_decision
 from dualbrain.cli.common.console import StderrConsole, print_result
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.memory.open_memory import print_json
 from dualbrain.core.paths import cache_folder
-from dualbrain.errors import ConfigurationError
+from dualbrain.errors import ConfigurationError, UsageError
 
 if TYPE_CHECKING:
     from dualbrain.adaptation.conversion.peft_lora import LoraPair
 
 Flag = Annotated[bool, Parameter(negative="")]
-ExportFormat = Literal["peft", "gguf", "merged"]
+ExportFormat = Literal["peft", "gguf", "merged", "hub"]
 
 
-def export(name: str, out: Path, /, *, form: ExportFormat = "peft", robot: str = "panda") -> int:
+def export(
+    name: str, out: Path, /, *, form: ExportFormat = "peft", measured: Path | None = None, robot: str = "panda"
+) -> int:
     """Write an adapter for other programs, after verifying it; adapters below it in its stack are included.
 
     The output is complete or absent, with permissions according to the umask.
@@ -32,10 +34,14 @@ def export(name: str, out: Path, /, *, form: ExportFormat = "peft", robot: str =
     name
         The beginning of an id, `champion`, the name of a packaged adapter, or a folder that training wrote.
     out
-        A new folder (peft), or a new file (gguf, merged).
+        A new folder (peft, hub), or a new file (gguf, merged).
     form
         peft: a folder that peft and vLLM load on the dequantised base. gguf: a GGUF-LoRA file for llama.cpp on the
-        unchanged base. merged: base and adapter as one GGUF in float16, for programs that cannot load adapters.
+        unchanged base. merged: base and adapter as one GGUF in float16, for programs that cannot load adapters. hub:
+        as peft, with a model card for the Hugging Face Hub; nothing is uploaded.
+    measured
+        With the form hub: results of `dualbrain adapters measure`, which the card states, also if they are against the
+        adapter. Without it the card states the comparison of the adapter's promotion, if there was one.
     robot
         The robot of `champion`.
     """
@@ -45,8 +51,13 @@ def export(name: str, out: Path, /, *, form: ExportFormat = "peft", robot: str =
 
     if out.exists():
         raise ConfigurationError.stating("The export path exists already.", fix=f"Name a new file or folder. {out}")
+    if measured is not None and form != "hub":
+        raise UsageError("--measured", got=measured, allowed="with --form hub only, for the model card")
     folder = resolve_folder(name, open_adapter_registry(), robot)
-    if form == "peft" and _is_on_base_model(folder):
+    if form == "hub":
+        with atomic_folder(out) as temporary:
+            _write_hub_folder(folder, measured, temporary)
+    elif form == "peft" and _is_on_base_model(folder):
         with atomic_folder(out) as temporary:
             for file in filter(Path.is_file, folder.iterdir()):
                 shutil.copyfile(file, temporary / file.name)
@@ -65,6 +76,37 @@ def export(name: str, out: Path, /, *, form: ExportFormat = "peft", robot: str =
             (write_gguf_lora if form == "gguf" else write_merged_gguf)(pairs, stack.gguf, out)
     StderrConsole().print(f"written: {out}")
     return ExitCode.SUCCESS
+
+
+def _write_hub_folder(folder: Path, measured: Path | None, out: Path) -> None:
+    """Write the adapter in `folder`, with all adapters below it, and its model card to `out`."""
+    import msgspec
+
+    from dualbrain.adaptation.adapters.card import CONFIG_FILE, hash_weights
+    from dualbrain.adaptation.adapters.model_card import hub_model_name, model_card
+    from dualbrain.adaptation.adapters.registry import ADAPTER_FILES
+    from dualbrain.adaptation.adapters.stacking import read_layers
+    from dualbrain.adaptation.conversion.concatenated_lora import concatenate_adapters, write_peft_adapter
+
+    layers, registry = read_layers(folder), open_adapter_registry()
+    cards, base = [layer.card for layer in layers], hub_model_name(layers[0].card.base)
+    if len(layers) == 1:
+        for file in ADAPTER_FILES:
+            shutil.copyfile(folder / file, out / file)
+        config = msgspec.json.decode((out / CONFIG_FILE).read_bytes(), type=dict[str, object])
+        config["base_model_name_or_path"] = base
+        (out / CONFIG_FILE).write_bytes(msgspec.json.format(msgspec.json.encode(config), indent=2))
+    else:
+        write_peft_adapter(concatenate_adapters([layer.folder for layer in layers]), out, base=base)
+    decision = registry.last_decision(cards[-1].id) if measured is None else read_decision(measured)
+    if decision is not None and decision.candidate != cards[-1].id:
+        got, needed = decision.candidate[:16] or "the bare base", cards[-1].id[:16]
+        raise ConfigurationError.stating(
+            f"The measurement is of {got} and not of {needed}.",
+            fix="Measure this adapter: `dualbrain adapters measure`.",
+        )
+    history = [entry for entry in registry.entries() if entry.adapter == cards[-1].id]
+    (out / "README.md").write_text(model_card(cards, hash_weights(out), decision, history), encoding="utf-8")
 
 
 def _is_on_base_model(folder: Path) -> bool:

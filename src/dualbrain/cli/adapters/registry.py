@@ -21,6 +21,7 @@ from dualbrain.planner.registry import DEFAULT_PLANNER
 MAX_MEASUREMENT_BYTES = 64 << 20
 
 if TYPE_CHECKING:
+    from dualbrain.adaptation.adapters.promotion import PromotionDecision
     from dualbrain.adaptation.adapters.registry import AdapterRegistry
 
 Flag = Annotated[bool, Parameter(negative="")]
@@ -178,6 +179,22 @@ def _runtime_mismatch(registry: AdapterRegistry, one: str) -> str:
     return f"serves in {here}, but was measured in {measured or 'a runtime that was not recorded'}: {fix}"
 
 
+def read_decision(measured: Path) -> PromotionDecision:
+    """The decision of the promotion gate about the measurement in the file `measured`; raises `ConfigurationError`."""
+    import numpy as np
+
+    from dualbrain.adaptation.adapters.promotion import Measurement, Tolerances, decide_promotion
+
+    try:
+        results = msgspec.json.decode(read_bounded_file(measured, MAX_MEASUREMENT_BYTES), type=Measurement)
+    except DECODE_ERRORS as error:
+        fix = f"Write them with `dualbrain adapters measure`. {measured}"
+        raise ConfigurationError.stating(f"The results of the measurement cannot be read: {error}.", fix=fix) from error
+    return decide_promotion(
+        results.candidate, results.champion, Tolerances(), np.random.default_rng(0), dataset=results.dataset
+    )
+
+
 def count_shadow_answers(registry: AdapterRegistry, adapter_id: str, champion: str) -> int:
     """Number of complete answers of an adapter in the shadow of `champion`, or of any serving planner if that is "".
 
@@ -224,20 +241,10 @@ def promote(name: str, /, *, measured: Path, shadow: Count = MIN_SHADOW_ANSWERS)
     shadow
         Number of complete shadow answers that it needs; 0 waives them, which the log records.
     """
-    import numpy as np
-
     from dualbrain.adaptation.adapters.naming import ADAPTER_PREFIX
-    from dualbrain.adaptation.adapters.promotion import Measurement, Tolerances, decide_promotion
     from dualbrain.adaptation.adapters.registry import NotPromotedError
 
-    try:
-        results = msgspec.json.decode(read_bounded_file(measured, MAX_MEASUREMENT_BYTES), type=Measurement)
-    except DECODE_ERRORS as error:
-        fix = f"Write them with `dualbrain adapters measure`. {measured}"
-        raise ConfigurationError.stating(f"The results of the measurement cannot be read: {error}.", fix=fix) from error
-    decision = decide_promotion(
-        results.candidate, results.champion, Tolerances(), np.random.default_rng(0), dataset=results.dataset
-    )
+    decision = read_decision(measured)
     registry = open_adapter_registry()
     registry.require_decision_about(one := registry.find(name.removeprefix(ADAPTER_PREFIX)), decision)
     require_runtime(registry, one, decision.runtime)

@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from dualbrain.core.markdown import escape_markdown
 from dualbrain.core.untrusted.visible_text import visible_text
 from dualbrain.evaluation.report.captions import headline
 from dualbrain.evaluation.report.summary import describe_methods
@@ -24,7 +25,6 @@ from dualbrain.visualization.html.page import Html, palette_css
 PAGE_FILE = "report.md"
 CHARTS_TITLE, TRACES_PREFIX = "Charts and images", "Traces of one case: "
 FAILURE_IMAGE_PATTERN = re.compile(r"\((failure_[0-9]+\.jpg)\)")
-MARKDOWN_SPECIAL_CHARACTERS = re.compile(r"([\\`*_{}\[\]<>#|!&])")
 
 
 def write_markdown_page(folder: Path, data: ReportData) -> None:
@@ -101,11 +101,6 @@ def standalone_svg(chart: Html) -> str:
     start = chart.index(">") + 1
     svg = f"{chart[:start]}<style>{palette_css()}</style>{background}{chart[start:]}\n"
     return visible_text(svg, keep_lines=True)
-
-
-def escape_markdown(text: str) -> str:
-    """Untrusted text with every Markdown character escaped and every hidden character visible, on one line."""
-    return MARKDOWN_SPECIAL_CHARACTERS.sub(r"\\\1", visible_text(" ".join(text.split())))
 
 
 def _caption_lines(row: EpisodeRow, caption: str) -> list[str]:
