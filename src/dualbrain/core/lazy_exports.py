@@ -34,6 +34,7 @@ EXTRAS = {
     "prometheus_client": "metrics",
     "pylibfranka": "franka",
     "pypdf": "knowledge",
+    "ray": "ray",
     "rtde_control": "ur",
     "safetensors": "planner",
     "scipy": "simulation",

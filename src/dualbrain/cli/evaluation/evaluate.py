@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 import time
-from contextlib import closing
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 from cyclopts import Parameter
@@ -26,10 +28,16 @@ if TYPE_CHECKING:
     from dualbrain.evaluation.planners.factory import PlannerSources
     from dualbrain.evaluation.protocol.suite import Suite
     from dualbrain.evaluation.runner.runner import Runner, Stage
+    from dualbrain.evaluation.runner.worker import WorkerConfig
 
 Flag = Annotated[bool, Parameter(negative="")]
 HiddenDefault = Annotated[int, Parameter(show_default=False)]
 """A number whose default 0 has the meaning that its help states."""
+WorkerPlace = Literal["processes", "ray"]
+INHERITED_VARIABLES = ("MUJOCO_GL", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+"""Environment variables that workers on other machines take over, if they are set here."""
+MAX_ROUNDS = 3
+"""Most rounds of a pass on a Ray cluster: units of a worker that died are run again in the next one."""
 REQUIRED_STAGES = ("pilot", "start")
 """Passes that later passes depend on. An answer that the plan pass did not get is requested during the episode."""
 
@@ -43,6 +51,7 @@ def evaluate(
     planner: str = "",
     out: Path | None = None,
     jobs: HiddenDefault = 0,
+    pool: WorkerPlace = "processes",
     dry_run: Flag = False,
     prepare_only: Flag = False,
     plan_only: Flag = False,
@@ -72,7 +81,10 @@ def evaluate(
     out
         Folder of the results; default runs/evaluate-SUITE. Episodes that it already contains are not run again.
     jobs
-        Number of processes; default: all cores.
+        Number of processes; default: all cores, or all CPUs of the Ray cluster.
+    pool
+        processes: processes of this machine. ray: workers on a running Ray cluster with token authentication, found by
+        RAY_ADDRESS or on this machine; all nodes must share the folder --out. See docs/how-to/evaluate.md.
     dry_run
         Only print the remaining work and an estimate of its duration.
     prepare_only
@@ -126,10 +138,30 @@ def evaluate(
         return _dry_run(runner, sources, jobs or os.cpu_count() or 1, console, as_json=json)
     _require_rendering(chosen.methods, no_rendering)
     stages = STAGES[:2] if prepare_only else STAGES[:3] if plan_only else STAGES
-    with exclusive_folder(runner.out, wait=False):
+    with _open_place(pool) as (on_ray, n_cpus), exclusive_folder(runner.out, wait=False):
         if part:
             _prepare_part(whole, runner, console)
-        return _run(runner, stages, sources, jobs or os.cpu_count() or 1, console, as_json=json)
+        return _run(runner, stages, sources, Workers(jobs or n_cpus, on_ray=on_ray), console, as_json=json)
+
+
+@dataclass(frozen=True, slots=True)
+class Workers:
+    """Number of workers, and whether they run on the connected Ray cluster."""
+
+    jobs: int
+    on_ray: bool = False
+
+
+@contextmanager
+def _open_place(pool: WorkerPlace) -> Iterator[tuple[bool, int]]:
+    """The place of the workers while the body runs: whether it is a Ray cluster, and its number of CPUs."""
+    if pool == "processes":
+        yield False, os.cpu_count() or 1
+        return
+    from dualbrain.evaluation.runner.ray_cluster.connection import connected
+
+    with connected(os.environ, Path.home()) as n_cpus:
+        yield True, n_cpus
 
 
 def _prepare_part(whole: Runner, part: Runner, console: StderrConsole) -> None:
@@ -163,7 +195,7 @@ def _run(
     runner: Runner,
     stages: Sequence[Stage],
     sources: PlannerSources,
-    jobs: int,
+    workers: Workers,
     console: StderrConsole,
     *,
     as_json: bool,
@@ -171,14 +203,18 @@ def _run(
     from dualbrain.cli.evaluation.estimate import warn_of_single_runs
     from dualbrain.evaluation.results.parquet import RESULTS_FILE
     from dualbrain.evaluation.runner.preflight import require_dependencies
-    from dualbrain.evaluation.runner.runner import STAGES
+    from dualbrain.evaluation.runner.runner import CONFIG_FILE, STAGES
 
     require_dependencies(runner.suite, (unit for stage in STAGES for unit in runner.remaining_units(stage)), sources)
     runner.write_config(*_provenance_and_costs(runner.suite))
+    if workers.on_ray:
+        from dualbrain.evaluation.runner.ray_cluster.connection import check_nodes
+
+        check_nodes((runner.out / CONFIG_FILE).resolve())
     warn_of_single_runs(runner.suite, console)
     complete = False
     try:
-        complete = _run_stages(runner, stages, sources, jobs)
+        complete = _run_stages(runner, stages, sources, workers)
     except KeyboardInterrupt:
         console.print("all finished episodes are stored; the same command resumes the evaluation")
         raise
@@ -206,27 +242,42 @@ def _provenance_and_costs(suite: Suite) -> tuple[Any, Any]:
     return collect_provenance(), adapter_costs(suite, dualbrain_home() / "adapters", suite.robots[0])
 
 
-def _run_stages(runner: Runner, stages: Sequence[Stage], sources: PlannerSources, jobs: int) -> bool:
+def _run_stages(runner: Runner, stages: Sequence[Stage], sources: PlannerSources, workers: Workers) -> bool:
     """Run the passes in their order; whether all are complete."""
     whole = True
     for stage in stages:
-        whole = _run_stage(runner, stage, sources, jobs) and whole
+        whole = _run_stage(runner, stage, sources, workers) and whole
         if not whole and stage in REQUIRED_STAGES:
             break
     return whole
 
 
-def _run_stage(runner: Runner, stage: Stage, sources: PlannerSources, jobs: int) -> bool:
+def _run_stage(runner: Runner, stage: Stage, sources: PlannerSources, workers: Workers) -> bool:
     """Run one pass; whether it is complete."""
     from dualbrain.evaluation.runner.worker import WorkerConfig
     from dualbrain.evaluation.runner.worker_pool import ProcessPool, SerialPool
 
     epsilon = {} if stage == "pilot" else runner.epsilon()
-    config = WorkerConfig(suite=runner.suite, out=runner.out, sources=sources, clock=time.perf_counter, epsilon=epsilon)
-    if jobs > 1:
-        return runner.run_stage(stage, ProcessPool(config.make_worker, jobs))
+    out = runner.out.resolve()  # a worker on a cluster has another working directory
+    config = WorkerConfig(suite=runner.suite, out=out, sources=sources, clock=time.perf_counter, epsilon=epsilon)
+    if workers.on_ray:
+        return _run_stage_on_ray(runner, stage, config, workers.jobs)
+    if workers.jobs > 1:
+        return runner.run_stage(stage, ProcessPool(config.make_worker, workers.jobs))
     with closing(config.make_worker()) as worker:
         return runner.run_stage(stage, SerialPool(worker))
+
+
+def _run_stage_on_ray(runner: Runner, stage: Stage, config: WorkerConfig, jobs: int) -> bool:
+    """Run one pass on the connected cluster, again after the death of workers; whether it is complete."""
+    from dualbrain.evaluation.runner.ray_cluster.pool import RayPool
+
+    environment = {name: os.environ[name] for name in INHERITED_VARIABLES if name in os.environ}
+    pool = RayPool(config.make_worker, jobs, environment=environment)
+    for _ in range(MAX_ROUNDS):
+        if runner.run_stage(stage, pool) or not pool.lost_workers:
+            break
+    return not runner.remaining_units(stage)
 
 
 def _print_left_out(console: StderrConsole, methods: tuple[str, ...]) -> None:

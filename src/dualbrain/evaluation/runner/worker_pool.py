@@ -82,7 +82,7 @@ class SerialPool(Generic[U]):
     def run_units(self, units: Iterable[U]) -> Iterator[UnitReport[U]]:
         """Reports unit by unit."""
         for unit in units:
-            yield from _report_unit(self._run_unit, unit)
+            yield from report_unit(self._run_unit, unit)
 
 
 class ProcessPool(Generic[U]):
@@ -168,7 +168,7 @@ class ProcessPool(Generic[U]):
         pipe.send(unit)
 
 
-def _report_unit(run_unit: UnitRunner[U], unit: U) -> Iterator[UnitReport[U]]:
+def report_unit(run_unit: UnitRunner[U], unit: U) -> Iterator[UnitReport[U]]:
     """The lines of a unit and its end; an exception is reported and ends this unit only."""
     try:
         for line in run_unit(unit):
@@ -188,7 +188,7 @@ def _worker_main(pipe: Any, make_runner: Callable[[], UnitRunner[Any]], niceness
     while True:
         try:
             unit: Any = pipe.recv()
-            for report in _report_unit(run_unit, unit):
+            for report in report_unit(run_unit, unit):
                 pipe.send(report)
         except (EOFError, BrokenPipeError):
             return

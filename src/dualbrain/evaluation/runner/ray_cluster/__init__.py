@@ -1,0 +1,1 @@
+"""Units of an evaluation on a Ray cluster."""
