@@ -33,6 +33,7 @@ EXTRAS = {
     "peft": "adapt",
     "prometheus_client": "metrics",
     "pylibfranka": "franka",
+    "pymilvus": "milvus",
     "pypdf": "knowledge",
     "ray": "ray",
     "rtde_control": "ur",

@@ -33,7 +33,7 @@ from dualbrain.memory.retrieval.search import FlatIndex, Mask, MemoryHit, Query,
 from dualbrain.memory.state.snapshot import MemorySnapshot
 from dualbrain.memory.state.state import MemoryState
 
-FIRST_COUNT, GROWTH = 64, 4
+FIRST_COUNT, GROWTH = 256, 4
 """Number of rows of the first request for each group, and the factor of each further one."""
 BATCH = 2000
 """Vectors that are read from the ledger at once."""
