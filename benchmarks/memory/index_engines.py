@@ -62,7 +62,7 @@ SEARCHES = [
 ]
 VERBS = ("put", "lift", "push", "hand over", "stack", "turn", "move", "bring")
 OBJECTS = ("red cube", "mug", "bowl", "screw", "plate", "blue box", "bottle", "spoon", "wrench", "battery")
-SCENES = ("neighbour across, low", "person crossing, overhead", "shelf above", "free table", "tall bottle beside")
+SCENES = ("neighbour across, low", "person crossing, overhead", "cupboard above", "free table", "tall bottle beside")
 
 
 def main() -> int:

@@ -1,4 +1,4 @@
-"""An index with a vector engine has the results of the scan, whatever the engine contains and whether it answers."""
+"""An index with a vector engine has the results of the scan, also if the engine lacks rows or does not answer."""
 
 import dataclasses
 
@@ -17,7 +17,7 @@ from tests.memory.index.engines_under_test import NumpyEngine
 from tests.memory.memory_samples import CONFIG, NOW, REST_POSTURE, episode, grasp_contract, open_ledger, open_memory
 
 VERBS, OBJECTS = ("put", "lift", "push", "hand me"), ("red cube", "mug", "bowl", "screw", "plate", "blue box")
-SCENES = ("neighbour_across low", "person: crossing, overhead", "cube: object, shelf above", "free table")
+SCENES = ("neighbour_across low", "person: crossing, overhead", "cube: object, box above", "free table")
 KINDS = ("succeeded", "succeeded", "failed", "rejected")
 SCOPE = RetrievalScope(robot="arm", registry="aaaa1111", bandwidth=BANDWIDTH)
 BOTH = [
