@@ -29,6 +29,8 @@ OTHER_FORMS_HINT = "a GGUF file or URL also works"
 
 LANGUAGES_MARK = "&languages="
 """In the fragment of an address: the languages that the model reads, such as `#model-name&languages=en,de`."""
+PROMPT_MARK = "&prompt="
+"""Before the name of the prompt that a server's model was trained on."""
 
 
 def planner_names() -> tuple[str, ...]:
@@ -49,9 +51,9 @@ def open_planner(
     """The planner with the name or address `name_or_url`, ready to propose.
 
     `name_or_url` is a name in the manifest (its verified file is in `cache`), the path of a GGUF file, or an address
-    such as `http://localhost:8000/v1#model-name` (with languages: `#model-name&languages=en,de`), which is used with
-    `dialect` and `key`; `vllm+http://...` names the
-    dialect itself. `prompt_cache` is described in `LlamaConfig`; `timeout_s` [s] limits one proposal. Raises
+    such as `http://localhost:8000/v1#model-name` (with languages: `#model-name&languages=en,de`; for an adapted model:
+    `#model-name&prompt=short`, last), which is used with `dialect` and `key`; `vllm+http://...` names the dialect
+    itself. `prompt_cache` is described in `LlamaConfig`; `timeout_s` [s] limits one proposal. Raises
     `UnknownNameError`, `MissingDependencyError`, `ChecksumError` and `ConfigurationError`.
     """
     if "://" in name_or_url:
@@ -59,13 +61,15 @@ def open_planner(
         has_dialect = separator and "://" not in prefix
         dialect, address = (prefix, f"http{rest}") if has_dialect else (dialect, name_or_url)
         url, fragment = urldefrag(address)
-        model, _, languages = fragment.partition(LANGUAGES_MARK)
+        before, _, prompt = fragment.partition(PROMPT_MARK)
+        model, _, languages = before.partition(LANGUAGES_MARK)
         return ServerPlanner(
             ServerConfig(
                 url=url,
                 model=model or "default",
                 key=key,
                 dialect=dialect,
+                prompt=prompt or "full",
                 timeout_s=timeout_s,
                 languages=tuple(one.strip() for one in languages.split(",") if one.strip()),
             )

@@ -4,18 +4,23 @@ import json
 import re
 import time
 from http.server import BaseHTTPRequestHandler
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dualbrain.contracts.verdict import Rejected
 from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.planner import protocol
 from dualbrain.planner.backends import http_chat, ollama
 from dualbrain.planner.backends.openai_server import DIALECTS, ServerConfig, ServerPlanner
 from dualbrain.planner.decoding.gbnf_schema import replace_text_patterns
 from dualbrain.planner.decoding.llguidance_grammar import contract_grammar, strip_annotations
+from dualbrain.planner.introspection import no_documents_reason, planner_template
 from dualbrain.planner.prompt.full_prompt import render
+from dualbrain.planner.prompt.prompt_format import SHORT_PROMPT
+from dualbrain.planner.registry import open_planner
 from dualbrain.records import Proposal
 from tests.planner.backends.fake_chat_server import Behaviour, FakeServer, chat_completion, respond_with, serve
 from tests.planner.sample_requests import plan_request
@@ -66,6 +71,34 @@ def test_a_valid_response_becomes_a_proposal_with_its_metrics() -> None:
     assert headers["Authorization"] == "Bearer secret"
     assert body["messages"] == render(plan_request())
     assert body["response_format"]["json_schema"]["strict"] is True
+
+
+def test_an_adapted_model_gets_the_prompt_on_which_it_was_trained() -> None:
+    with serve(respond_with(chat_completion(CONTRACT))) as server:
+        planner = open_planner(f"{server.url}#adapter-7&prompt=short", Path())
+        planner.propose(plan_request())
+    body = server.requests[0][1]
+    assert (body["model"], body["messages"]) == ("adapter-7", SHORT_PROMPT.messages(plan_request()))
+    assert (body["temperature"], body["seed"]) == (0.0, 0)
+    assert (
+        planner_template(planner) == SHORT_PROMPT.template_hash() != planner_template(open_planner(server.url, Path()))
+    )
+    assert "documents are not shown" in no_documents_reason(planner)
+
+
+def test_a_repeated_question_to_an_adapted_model_is_sampled_as_on_this_machine() -> None:
+    again = plan_request(rejection=Rejected(stage="envelope", pointer="/x", got=1, allowed="2", hint="h"))
+    with serve(respond_with(chat_completion(CONTRACT))) as server:
+        for prompt in ("short", "full"):
+            ServerPlanner(ServerConfig(url=server.url, prompt=prompt)).propose(again)
+    short, full = (body for _, body in server.requests)
+    assert (short["temperature"], short["seed"]) == (1.0, SHORT_PROMPT.sampling_seed(again))
+    assert (full["temperature"], full["seed"]) == (0.0, 0)
+
+
+def test_an_unknown_prompt_is_refused_by_name() -> None:
+    with pytest.raises(UnknownNameError, match="'shrt' is not a prompt of a server"):
+        open_planner("http://127.0.0.1:1/v1#m&prompt=shrt", Path())
 
 
 def ollama_response(text: str, reason: str = "stop", **fields: object) -> Behaviour:

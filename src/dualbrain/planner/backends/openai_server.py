@@ -27,7 +27,8 @@ from dualbrain.planner.backends.ollama import chat_body, chat_url, parse_chat
 from dualbrain.planner.camera_image import CameraImage
 from dualbrain.planner.decoding.gbnf_schema import replace_text_patterns
 from dualbrain.planner.decoding.llguidance_grammar import contract_grammar, strip_annotations
-from dualbrain.planner.prompt.full_prompt import ChatMessage, render
+from dualbrain.planner.prompt.full_prompt import ChatMessage
+from dualbrain.planner.prompt.prompt_format import FULL_PROMPT, SHORT_PROMPT
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
 
@@ -75,6 +76,10 @@ DIALECTS = {
 server reports an error. `free` requests no constraint, to measure a model without one."""
 
 
+PROMPTS = {"full": FULL_PROMPT, "short": SHORT_PROMPT}
+"""`full` states rules, skills and examples; `short` is the prompt on which adapters are trained."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServerConfig:
     """Address and settings: `url` up to and including `/v1`, the server's name of the model, total `timeout_s` [s]."""
@@ -83,6 +88,8 @@ class ServerConfig:
     model: str = "default"
     key: str = field(default="", repr=False)
     dialect: str = "openai"
+    prompt: str = "full"
+    """One of `PROMPTS`: `full` for a model that was not adapted, `short` for one with an adapter of dualbrain."""
     max_tokens: int = 800
     timeout_s: float = 120.0
     languages: tuple[str, ...] = ()
@@ -93,7 +100,7 @@ class ServerPlanner:
     """Proposes with the model of the server at `config.url`; needs only the standard library.
 
     Raises `ConfigurationError` for an address or a key that cannot be used, and `UnknownNameError` for an unknown
-    dialect.
+    dialect or prompt.
     """
 
     def __init__(self, config: ServerConfig, *, clock: Callable[[], float] = time.monotonic) -> None:
@@ -102,7 +109,10 @@ class ServerPlanner:
         _require_https_for_key(config)
         if config.dialect not in DIALECTS:
             raise UnknownNameError("dialect", config.dialect, tuple(DIALECTS))
+        if config.prompt not in PROMPTS:
+            raise UnknownNameError("prompt of a server", config.prompt, tuple(PROMPTS))
         self._config, self._clock, self._dialect = config, clock, DIALECTS[config.dialect]
+        self._prompt = PROMPTS[config.prompt]
 
     @property
     def name(self) -> str:
@@ -118,6 +128,11 @@ class ServerPlanner:
     def takes_images(self) -> bool:
         """True: the image of a request is sent. A server whose model takes none answers with an error."""
         return True
+
+    @property
+    def template(self) -> str:
+        """Hash of the fixed text in the prompt."""
+        return self._prompt.template_hash()
 
     @property
     def dialect(self) -> str:
@@ -150,7 +165,7 @@ class ServerPlanner:
 
     def messages(self, request: PlanRequest) -> list[ChatMessage]:
         """The text of the messages for `request`; the last one announces the image, if there is one."""
-        messages = render(request)
+        messages = self._prompt.messages(request)
         return announce_image(messages) if request.image else messages
 
     def _body(self, request: PlanRequest) -> dict[str, Any]:
@@ -159,7 +174,9 @@ class ServerPlanner:
         sent = self._dialect.attach(messages, request.image) if request.image else messages
         if self._config.dialect == OLLAMA:
             return chat_body(self._config.model, sent, self._config.max_tokens, constraint["format"])
-        limits = {"max_tokens": self._config.max_tokens, "temperature": 0.0, "seed": 0, "stream": False}
+        seed = self._prompt.sampling_seed(request)
+        sampling = {"temperature": 0.0, "seed": 0} if seed is None else {"temperature": 1.0, "seed": seed}
+        limits = {"max_tokens": self._config.max_tokens, "stream": False} | sampling
         return {"model": self._config.model, "messages": sent} | limits | constraint
 
     def _proposal(self, response: ChatResponse, total: float) -> Proposal:
