@@ -1,6 +1,39 @@
-"""Entry point of `python -m dualbrain`, the same command line as `dualbrain`, for launchers that start modules."""
+"""The program `dualbrain`, and `python -m dualbrain`: `--version` always works, the commands need the extra `cli`."""
 
-from dualbrain.cli.main import main
+from __future__ import annotations
+
+import sys
+
+from dualbrain import __version__
+from dualbrain.cli.common.exit_codes import ExitCode
+
+CLI_PACKAGES = ("cyclopts", "rich")
+"""Modules that the extra `cli` installs."""
+INSTALL_HINT = (
+    "dualbrain: the command line is not installed, only the library (gate and safety filter). Install it with "
+    "`pip install 'dualbrain[cli]'`, or `pip install 'dualbrain[all]'` for simulation, planner and memory too."
+)
+
+
+def main() -> None:
+    """Run the command line and exit with its exit code; without the extra `cli`, name it and exit with 2."""
+    sys.exit(run_program(sys.argv[1:]))
+
+
+def run_program(arguments: list[str]) -> int:
+    """The exit code of `dualbrain` called with `arguments`."""
+    if arguments == ["--version"]:
+        print(__version__)  # noqa: T201
+        return ExitCode.SUCCESS
+    try:
+        from dualbrain.cli.main import run_command_line  # noqa: PLC0415 (only if the extra is installed)
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] not in CLI_PACKAGES:
+            raise
+        print(INSTALL_HINT, file=sys.stderr)  # noqa: T201
+        return ExitCode.USAGE
+    return run_command_line(arguments)
+
 
 if __name__ == "__main__":
     main()

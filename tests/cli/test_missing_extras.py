@@ -1,4 +1,4 @@
-"""An installation without extras: help and doctor work, and every other command names the extra in one line."""
+"""An installation with the extra `cli` alone: help and doctor work, and other commands name their extra in one line."""
 
 import os
 import subprocess
@@ -15,7 +15,7 @@ from dualbrain.core.lazy_exports import EXTRAS
 
 class Blocked(MetaPathFinder):
     def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] in EXTRAS:
+        if EXTRAS.get(name.partition(".")[0], "cli") != "cli":
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
 sys.meta_path.insert(0, Blocked())

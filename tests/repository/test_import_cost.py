@@ -15,7 +15,6 @@ HEAVY = (
     "torch",
     "transformers",
     "mujoco",
-    "pint",
     "matplotlib",
     "viser",
     "onnxruntime",

@@ -97,7 +97,7 @@ def _run_check(check: Callable[[], list[Finding]]) -> list[Finding]:
 
 
 def _versions() -> list[Finding]:
-    required = ", ".join(f"{part} {_version(part)}" for part in ("numpy", "msgspec", "jsonschema-rs", "pint"))
+    required = ", ".join(f"{part} {_version(part)}" for part in ("numpy", "msgspec", "jsonschema-rs", "filelock"))
     return [
         Finding("dualbrain", "ok", f"{__version__} on Python {platform.python_version()}"),
         Finding("packages", "ok", required),

@@ -1,9 +1,8 @@
-"""Entry point of the command line: every command is registered here and imported only when it runs."""
+"""The command line: every command is registered here and imported only when it runs."""
 
 from __future__ import annotations
 
 import shlex
-import sys
 import traceback
 from typing import cast
 
@@ -324,11 +323,6 @@ for _name, _function, _help in (
     ("rebuild", "rebuild", "Rebuild the index of words and vectors, for example after a change of the encoder."),
 ):
     knowledge.command(f"dualbrain.cli.knowledge:{_function}", name=_name, help=_help)
-
-
-def main() -> None:
-    """Run the command line and exit with its exit code."""
-    sys.exit(run_command_line(sys.argv[1:]))
 
 
 def run_command_line(arguments: list[str]) -> int:

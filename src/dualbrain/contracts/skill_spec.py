@@ -8,7 +8,7 @@ import msgspec
 
 
 class NumberParameter(msgspec.Struct, frozen=True, tag_field="kind", tag="number", kw_only=True):
-    """A number in `unit` (SI, checked by pint) in [lower, upper]; `lower_from` and `upper_from` give the provenance."""
+    """A number in `unit` (coherent SI) in [lower, upper]; `lower_from` and `upper_from` give the provenance."""
 
     name: str
     unit: str

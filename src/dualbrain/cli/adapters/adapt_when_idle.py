@@ -79,7 +79,7 @@ def adapt_command(
         "--out": out,
     }
     arguments = [word for name, value in options.items() if value is not None for word in (name, str(value))]
-    code = "import sys; from dualbrain.cli.main import main; sys.exit(main())"
+    code = "import sys; from dualbrain.__main__ import main; sys.exit(main())"
     return [sys.executable, "-c", code, "adapt", *arguments, *(["--json"] if json else [])]
 
 
