@@ -53,7 +53,7 @@ nb::object Kernel::load(nb::handle q, nb::handle v, nb::handle u, nb::handle ope
 nb::object Kernel::active() const {
   nb::object packed = nb::steal(PyBytes_FromStringAndSize(nullptr, out.n_active * Py_ssize_t(kActiveSize)));
   if (!packed.is_valid()) { throw nb::python_error(); }
-  char *to = PyBytes_AS_STRING(packed.ptr());
+  char *to = PyBytes_AsString(packed.ptr());
   for (int a = 0; a < out.n_active; ++a, to += kActiveSize) {
     const dbk_active &e = out.active[a];
     const int32_t id[3] = {e.kind, e.i, e.j};
@@ -69,7 +69,7 @@ nb::object Kernel::step(nb::handle q, nb::handle v, nb::handle u_nom, nb::handle
   expect(result_type.is_valid(), "set_result_type must be called first");
   const nb::object nominal = load(q, v, u_nom, opening, state_age, scene_age);
   dbk_step(used_model, scene.get(), ctx.get(), &in, &out);
-  const nb::handle status = PyTuple_GET_ITEM(statuses.ptr(), out.status);
+  const nb::handle status = PyTuple_GetItem(statuses.ptr(), out.status);
   if (out.status >= DBK_STOPPED) {
     return result_type(make_array(out.u, n, pool), nominal, names, nb::borrow(status), out.flags, double(out.delta),
                        double(out.delta_rows), double(out.delta_box), double(out.h_min), out.certified != 0,

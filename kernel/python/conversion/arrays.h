@@ -53,7 +53,7 @@ inline nanobind::object read_vector(nanobind::handle from, dbk_real *to, size_t 
 
 // one real number; std::invalid_argument for text, truth values, complex numbers and numbers beyond float64
 inline double read_number(nanobind::handle from, const char *what) {
-  if (PyFloat_Check(from.ptr())) { return PyFloat_AS_DOUBLE(from.ptr()); }
+  if (PyFloat_Check(from.ptr())) { return PyFloat_AsDouble(from.ptr()); }
   auto *array = reinterpret_cast<PyArrayObject *>(from.ptr());
   const bool real = (PyLong_Check(from.ptr()) && !PyBool_Check(from.ptr())) || PyArray_IsScalar(from.ptr(), Integer) ||
                     PyArray_IsScalar(from.ptr(), Floating) ||
