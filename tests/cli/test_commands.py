@@ -3,6 +3,7 @@
 import inspect
 import io
 import json
+import os
 import sys
 from pathlib import Path
 
@@ -12,11 +13,14 @@ import pytest
 from dualbrain.adaptation.adapters.card import read_adapter_card
 from dualbrain.adaptation.adapters.compatibility import require_compatible
 from dualbrain.adaptation.adapters.packaged import packaged_folder
+from dualbrain.cli import doctor
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.evaluation.evaluate import evaluate
 from dualbrain.cli.evaluation.export_lerobot import export_lerobot
 from dualbrain.cli.evaluation.report import compare, report
 from dualbrain.cli.run.demo import demo
+from dualbrain.core.storage.verification_stamp import write_stamp
+from dualbrain.core.weights import find_weight_file
 from dualbrain.grounding.vocabulary import load_skill_registry
 from tests.stories.story_session import GRASP, PLACE, contract_text, decline_contract, hold_contract
 from tests.support.completed_run import run_command as run_in_process
@@ -150,6 +154,20 @@ def test_doctor_reports_missing_model_files_as_optional(tmp_path):
     assert done.returncode == ExitCode.SUCCESS, done.stdout
     assert "dualbrain models fetch" in done.stdout
     assert "needs smollm2-135m-instruct" in done.stdout
+
+
+def test_a_model_file_that_was_copied_with_another_date_is_present_and_verified_at_the_next_use(tmp_path, monkeypatch):
+    file = find_weight_file("minilm-l6-v2-tokenizer")
+    path = tmp_path / "dualbrain" / file.filename
+    path.parent.mkdir()
+    with open(path, "wb") as written:
+        written.truncate(file.size)
+    write_stamp(path, file.sha256)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    states = [(one.state, one.text) for one in doctor._model_files() if one.item == file.name]
+    os.utime(path, (1, 1))
+    states += [(one.state, one.text) for one in doctor._model_files() if one.item == file.name]
+    assert states == [("ok", "verified"), ("ok", "present, verified at the next use")]
 
 
 @pytest.mark.parametrize(
