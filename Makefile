@@ -11,10 +11,10 @@ export OPENBLAS_NUM_THREADS ?= 1
 
 KERNEL_SOURCES := CMakeLists.txt $(shell find kernel -name '*.c' -o -name '*.h' -o -name '*.cpp')
 
-.PHONY: help demo test setup format check kernel pytest smoke evidence docs wheel experiments bench analysis clean
+.PHONY: help demo test setup format check kernel pytest smoke evidence docs release-check experiments bench analysis clean
 
 help:  ## list the targets
-	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
 
 $(VENV)/.ready: pyproject.toml constraints.txt scripts/setup.sh $(KERNEL_SOURCES)
 	@PYTHON=$(PYTHON) VENV=$(VENV) scripts/setup.sh
@@ -58,12 +58,8 @@ evidence: setup  ## tests of the safety requirements, and the evidence folder of
 docs: setup  ## the documentation site, in build/site; warnings are errors
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet
 
-wheel: setup  ## wheel and source distribution in dist/, and a test of the wheel in a new environment
-	$(BIN)/python -m build --no-isolation --outdir dist
-	rm -rf build/wheel-test && $(PYTHON) -m venv build/wheel-test
-	PIP_CONSTRAINT=constraints.txt build/wheel-test/bin/pip install -q dist/dualbrain-*.whl
-	build/wheel-test/bin/dualbrain doctor
-	build/wheel-test/bin/python examples/02_filter_five_lines.py
+release-check: setup  ## distributions in dist/, checked in new environments; ALLOW_MISSING=1 without all Pythons
+	@$(BIN)/python -m tools.release --write-docs $(if $(ALLOW_MISSING),--allow-missing)
 
 experiments: setup  ## the slow experiments, resumable; logs are written to experiments/runs/
 	@$(BIN)/python -m experiments

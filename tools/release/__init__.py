@@ -1,0 +1,1 @@
+"""Builds the distributions of a release, and checks them in clean environments."""
