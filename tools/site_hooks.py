@@ -22,16 +22,7 @@ TITLES = {"api": "Python API"}
 FIRST = {
     "tutorial": ("first_run.md", "safety_filter.md", "your_robot.md"),
     "explanation": ("architecture.md",),
-    "reference": (
-        "installation.md",
-        "release.md",
-        "glossary.md",
-        "commands.md",
-        "api",
-        "evaluation.md",
-        "paper.md",
-        "migration.md",
-    ),
+    "reference": ("installation.md", "glossary.md", "commands.md", "api", "evaluation.md", "paper.md", "migration.md"),
     "reference/api": ("index.md", "safety.md", "robots.md", "contracts.md", "agent.md", "errors.md"),
 }
 """Entries that come first in a folder; the others follow in alphabetical order."""

@@ -112,7 +112,7 @@ def test_the_program_without_its_extra_is_one_line(arguments):
 
 def test_every_extra_with_commands_brings_the_command_line():
     extras = PROJECT["optional-dependencies"]
-    library = {"cli", "gym", "symbolic", "docs", "dev"}  # no command needs these
+    library = {"cli", "gym", "symbolic", "docs", "release", "dev"}  # no command needs these
 
     def packages(extra):
         for line in extras[extra]:

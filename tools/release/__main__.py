@@ -30,7 +30,9 @@ from tools.release.program_runners import WrongVersionError, check_runners
 from tools.release.release_page import ReleaseReport, render_page
 from tools.release.sbom import SPECIFICATION, write_sbom
 
-PAGE = ROOT / "docs" / "reference" / "release.md"
+SOURCES = ("src", "kernel", "firmware")
+"""Folders that a wheel is built from; changes in other folders are not part of the revision."""
+PAGE = ROOT / "docs" / "reference" / "verification" / "release.md"
 
 
 def main() -> int:
@@ -70,6 +72,7 @@ def check_release(
     out: Path, work: Path, interpreters: Mapping[str, Path], reuse: bool
 ) -> tuple[ReleaseReport, list[str]]:
     """The report, and the problems that no program reported by failing; raises `ProgramError`."""
+    revision = git_revision(ROOT / "tools", SOURCES)
     tools = _release_tools(work / "tools")
     found = find_distributions(out) if reuse else _build(out, work, interpreters, tools)
     _announce("checking the files")
@@ -80,7 +83,7 @@ def check_release(
     runners = check_runners(found.wheel_for(version), interpreter, _folder(work / "runners"), tools)
     report = ReleaseReport(
         date=datetime.datetime.now(datetime.UTC).date().isoformat(),
-        revision=git_revision(ROOT / "tools"),
+        revision=revision,
         machine=machine_description(),
         system=system_name(),
         files={path.name: path.stat().st_size for path in found.files},

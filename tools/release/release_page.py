@@ -15,6 +15,9 @@ PAGE = """\
 What `make release-check` found: the distributions are built from the checkout, repaired, checked, and installed into
 clean environments outside the checkout. {date}, revision {revision}, {machine}, {system}.
 
+The command needs CPython 3.11, 3.12 and 3.13 (on `PATH`, of pyenv, or of uv; `ALLOW_MISSING=1` checks those that are
+there), and 3 GB in the temporary folder. `dist/` then contains the files to publish and the SBOM.
+
 ## Files
 
 The wheels are built from the source distribution. The wheel for CPython 3.11 is compiled by gcc; the other one is
