@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from dualbrain.core.weights import MANIFEST, WeightFile
+from dualbrain.evaluation.evidence.bill_of_materials import model_component
 from tools.release.environments import BUNDLED, ROOT, Environment, run_program
 
 SPECIFICATION = "1.6"
@@ -55,27 +56,3 @@ def without_installers(sbom: dict[str, Any]) -> dict[str, Any]:
 def add_model_files(sbom: dict[str, Any], files: Iterable[WeightFile]) -> dict[str, Any]:
     """A copy of `sbom` with one component for each model file."""
     return {**sbom, "components": [*sbom.get("components", ()), *map(model_component, files)]}
-
-
-def model_component(file: WeightFile) -> dict[str, Any]:
-    """The component of a model file: name, SHA-256, licence, size, and the packages that its parts are in."""
-    sources = [{"type": "distribution", "url": package_url(part.requirement)} for part in file.parts]
-    hub = [{"type": "distribution", "url": file.hub_url}] if file.hub_url else []
-    return {
-        "type": "machine-learning-model",
-        "bom-ref": f"model:{file.name}",
-        "name": file.name,
-        "hashes": [{"alg": "SHA-256", "content": file.sha256}],
-        "licenses": [{"license": {"id": file.licence}}],
-        "externalReferences": sources + hub,
-        "properties": [
-            {"name": "dualbrain:filename", "value": file.filename},
-            {"name": "dualbrain:size", "value": str(file.size)},
-        ],
-    }
-
-
-def package_url(requirement: str) -> str:
-    """The package URL of a pinned requirement of PyPI, `name==version`."""
-    name, _, version = requirement.partition("==")
-    return f"pkg:pypi/{name}@{version}"

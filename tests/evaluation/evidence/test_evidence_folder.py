@@ -1,14 +1,11 @@
 """The evidence states robot, site, results and limits; a change of any file is detected."""
 
-import json
 import re
 
 import pytest
 
-from dualbrain.core.weights import MANIFEST
 from dualbrain.errors import ConfigurationError, UsageError
 from dualbrain.evaluation.evidence import evidence_folder, pages
-from dualbrain.evaluation.evidence.bill_of_materials import model_component
 from dualbrain.evaluation.evidence.evidence_folder import changed_files, write_evidence
 from dualbrain.evaluation.evidence.requirement import read_hazards, read_requirements, required_tests
 from dualbrain.evaluation.evidence.subject import EvidenceInputs, load_subject
@@ -124,10 +121,3 @@ def test_a_missing_recording_is_a_configuration_error_and_nothing_is_written(tmp
     with pytest.raises(ConfigurationError):
         write_evidence(inputs, tmp_path / "out", now=0.0, render=render_evidence_page)
     assert not (tmp_path / "out").exists()
-
-
-def test_every_model_file_is_a_component_with_licence_and_digest():
-    for file in MANIFEST.values():
-        component = json.loads(json.dumps(model_component(file)))
-        assert component["hashes"] == [{"alg": "SHA-256", "content": file.sha256}]
-        assert component["licenses"][0]["license"]["name"] == file.licence

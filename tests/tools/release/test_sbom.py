@@ -4,7 +4,8 @@ import json
 import re
 
 from dualbrain.core.weights import MANIFEST
-from tools.release.sbom import add_model_files, model_component, without_installers
+from dualbrain.evaluation.evidence.bill_of_materials import model_component
+from tools.release.sbom import add_model_files, without_installers
 
 PACKAGES = {"bomFormat": "CycloneDX", "components": [{"type": "library", "name": "numpy"}]}
 

@@ -19,7 +19,7 @@ def write_bill_of_materials() -> bytes:
     """The bill of materials of this environment as JSON.
 
     The tool cyclonedx-py lists the packages with version and licence. Every model file of the manifest is a component
-    with licence, SHA-256 and the wheels that contain it.
+    with licence, SHA-256 and the packages that contain it.
 
     Raises:
         MissingDependencyError: cyclonedx-bom is not installed.
@@ -40,18 +40,24 @@ def write_bill_of_materials() -> bytes:
 
 
 def model_component(file: WeightFile) -> dict[str, Any]:
-    """The component of a model file; it is named whether or not it is in the cache."""
-    wheels = {part.requirement: part.wheel.sha256 for part in file.parts}
+    """The component of a model file: name, SHA-256, licence, size, and the packages that its parts are in."""
+    sources = [{"type": "distribution", "url": package_url(part.requirement)} for part in file.parts]
+    hub = [{"type": "distribution", "url": file.hub_url}] if file.hub_url else []
     return {
         "type": "machine-learning-model",
         "bom-ref": f"model:{file.name}",
         "name": file.name,
-        "version": file.sha256[:12],
         "hashes": [{"alg": "SHA-256", "content": file.sha256}],
-        "licenses": [{"license": {"name": file.licence}}],
+        "licenses": [{"license": {"id": file.licence}}],
+        "externalReferences": sources + hub,
         "properties": [
-            {"name": "dualbrain:file", "value": file.filename},
+            {"name": "dualbrain:filename", "value": file.filename},
             {"name": "dualbrain:size", "value": str(file.size)},
-            *({"name": f"dualbrain:wheel:{name}", "value": digest} for name, digest in wheels.items()),
         ],
     }
+
+
+def package_url(requirement: str) -> str:
+    """The package URL of a pinned requirement of PyPI, `name==version`."""
+    name, _, version = requirement.partition("==")
+    return f"pkg:pypi/{name}@{version}"
