@@ -39,6 +39,7 @@ PUBLIC_PLACES = {
     "core/storage/private_files.py": "the place where private files are created",
     "core/storage/resumable_steps.py": "copies of private folders",
     "core/weights.py": "weights of public models",
+    "evaluation/evidence/evidence_folder.py": "a folder for others, at a path that the user names",
     "evaluation/results/parquet.py": "a table for publication",
     "visualization/html/plot_style.py": "an image for publication",
     "evaluation/runner/run_ledgers.py": "copies of private folders",
