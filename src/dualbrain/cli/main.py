@@ -45,7 +45,7 @@ app = App(
     `dualbrain --install-completion`.
 
     Exit codes: 0 success, 1 the task failed safely, 2 usage, 3 contract rejected or declined, 4 a safety violation was
-    observed, 5 broken set-up, 130 interrupted.""",
+    observed, 5 broken set-up, 6 not judged, 130 interrupted.""",
     help_format="markdown",
     default_parameter=Parameter(show_default=_format_default, negative_iterable=""),
     suppress_keyboard_interrupt=False,  # an interruption is reported by `run_command_line`
