@@ -37,7 +37,7 @@ class NumpyEngine:
         self.searched.append(count)
         seqs = np.array([seq for seq, other in self.vectors if other == group], np.int64)
         rows = np.array([row for (_, other), row in self.vectors.items() if other == group], np.float32)
-        products = rows.reshape(len(seqs), -1) @ vector
+        products = rows.reshape(len(seqs), len(vector)) @ vector
         best = np.argsort(-products, kind="stable")[:count]
         return seqs[best], products[best]
 

@@ -1,4 +1,4 @@
-"""A PostgreSQL server for the tests of the shared ledger, and a schema of its own for each test."""
+"""A PostgreSQL server for the tests of shared memory, and a schema of its own for each test."""
 
 import itertools
 import tempfile
