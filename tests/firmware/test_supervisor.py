@@ -5,7 +5,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from dualbrain.robots.interface import RobotState
@@ -85,6 +85,7 @@ def test_the_generated_files_are_up_to_date():
 
 
 @settings(max_examples=300, deadline=None)
+@example(steps=[(0, 0), (5, int(Condition.HEARTBEAT_LOST)), (5, 0), (30, 0)])  # the largest step equals the release
 @given(steps=st.lists(st.tuples(st.sampled_from([0, 1, 2, 5, 30, 100]), BITS), max_size=60))
 def test_any_sequence_of_conditions_gives_the_same_decisions(library, steps):
     c, python, time_us = InC(library), Supervisor(), 0

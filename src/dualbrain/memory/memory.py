@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,7 +39,7 @@ from dualbrain.memory.retrieval.search import MemoryHit
 from dualbrain.memory.state.derivation import derive_state
 from dualbrain.memory.state.episode_record import EpisodeRecord, decode_stored_episode, retrieved_memories
 from dualbrain.memory.state.snapshot import MemorySnapshot, read_snapshot, write_snapshot
-from dualbrain.memory.state.state import apply_events
+from dualbrain.memory.state.state import MemoryState, apply_events
 from dualbrain.records import Episode, Exemplar, RetrievedContext
 
 MAX_MISSES = 3
@@ -369,7 +369,8 @@ class Memory:
     def _load_snapshot(self, snapshot: MemorySnapshot, tail: Sequence[LedgerEvent]) -> bool:
         """Load `snapshot` and apply `tail`; False if its embedding differs, or `tail` changes the history."""
         self.state, self.index = snapshot.state, create_index(self.embedding, self.ledger, self._engine)
-        if not self.index.is_compatible(snapshot) or any(_changes_history(event) for event in tail):
+        changes = any(_changes_history(event) or event.kind == VECTORS for event in tail)
+        if changes or not self.index.is_compatible(snapshot):
             return False
         self.index.load(snapshot)
         vectors = dict(self.ledger.vectors(snapshot.head.seq))
@@ -380,9 +381,12 @@ class Memory:
         """Derive state and index from all events in effect."""
         self.state = derive_state(self.ledger)
         self.index = create_index(self.embedding, self.ledger, self._engine)
-        vectors = dict(self.ledger.vectors())
-        for memo in self.state.memories:
-            self.index.add(memo, vectors.get(memo.seq))
+        vectors = self.ledger.vectors()
+        try:
+            for memo, vector in _with_vectors(self.state.memories, vectors):
+                self.index.add(memo, vector)
+        finally:
+            deque(vectors, maxlen=0)  # checks all of them: a removed vector is reported as such
 
     def write_snapshot(self, ledger: Ledger, *, now: float) -> None:
         """Write a snapshot of the present state beside the ledger, for a fast start."""
@@ -398,6 +402,17 @@ class Memory:
             ),
             now=now,
         )
+
+
+def _with_vectors(
+    memories: Sequence[MemoryState], vectors: Iterator[tuple[int, StoredVector]]
+) -> Iterator[tuple[MemoryState, StoredVector | None]]:
+    """Each memory with its vector, if it has one; both are in the order of their events."""
+    newest = next(vectors, None)
+    for memo in memories:
+        while newest is not None and newest[0] < memo.seq:
+            newest = next(vectors, None)
+        yield memo, newest[1] if newest is not None and newest[0] == memo.seq else None
 
 
 def _changes_history(event: LedgerEvent) -> bool:

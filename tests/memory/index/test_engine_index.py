@@ -5,9 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from dualbrain.errors import ConfigurationError
 from dualbrain.memory.embedding.joint_embedding import Alpha
 from dualbrain.memory.index import engine_index
 from dualbrain.memory.index.engine_index import EngineIndex
+from dualbrain.memory.index.engines.engine import EngineRefusalError
 from dualbrain.memory.index.filters import Filter
 from dualbrain.memory.index.index import Index, RankingOptions, RetrievalScope
 from dualbrain.memory.ledger.hash_chain import Head
@@ -190,3 +192,41 @@ def test_all_rows_and_one_row_are_read_from_the_ledger(memory):
     assert np.array_equal(index.rows, memory.index.rows)
     assert np.array_equal(index.embedding_of(5).vector, memory.index.rows[5])
     assert index.flat_index.rows.size == 0
+
+
+def test_a_vector_that_the_ledger_lacks_is_an_error_and_reaches_no_engine(tmp_path):
+    with open_ledger(tmp_path) as ledger:
+        memory = open_memory(ledger)
+        for name in ("a", "b"):
+            memory.store(episode(name), REST_POSTURE, now=NOW)
+        engine = NumpyEngine()
+        index = with_engine(memory, engine)
+        ledger._store.database.execute("DELETE FROM vector WHERE seq = ?", (memory.state["b"].seq,))
+        with pytest.raises(ConfigurationError, match="embedding of event"):
+            index.update_engine()
+        assert not engine.vectors
+
+
+def test_an_engine_that_refuses_is_asked_once_and_named(memory, monkeypatch):
+    def refuse(*_):
+        calls.append(1)
+        raise EngineRefusalError("permission denied")
+
+    calls = []
+    engine = NumpyEngine()
+    index = with_engine(memory, engine)
+    monkeypatch.setattr(engine, "add", refuse)
+    for query in queries(memory, 3):
+        assert_same_hits(index.retrieve(query, SCOPE, BOTH), memory.index.retrieve(query, SCOPE, BOTH))
+    assert len(calls) == 1
+    assert [notice for notice in memory.ledger.notices if "permission denied" in notice]
+
+
+def test_nothing_is_found_for_no_places_and_wrong_settings_are_refused(memory):
+    index = with_engine(memory, NumpyEngine())
+    query = next(queries(memory))
+    assert index.find_similar(query, Filter(), -1.0, 0) == memory.index.find_similar(query, Filter(), -1.0, 0) == []
+    assert index.retrieve(query, SCOPE, [(Filter(), RankingOptions(0, 0.8))]) == [()]
+    for settings in ({"lambda_s": 1.5}, {"lambda_s": 0.5, "diversity": 2.0}):
+        with pytest.raises(ConfigurationError):
+            RankingOptions(0, **settings)

@@ -14,9 +14,11 @@ from rich.markup import escape
 from dualbrain.cli.common.console import StderrConsole
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.core.storage.private_files import create_private_folder, open_private
+from dualbrain.core.text import count_noun
 from dualbrain.errors import DECODE_ERRORS, UsageError
 
 if TYPE_CHECKING:
+    from dualbrain.memory.ledger.shared.config import SharedLedgerConfig
     from dualbrain.memory.ledger.store import LedgerStore
 
 Flag = Annotated[bool, Parameter(negative="")]
@@ -58,7 +60,7 @@ def connect(
     same_robot
         The robot that wrote under this name before is this one, for example on a new disk.
     """
-    from dualbrain.memory.ledger.shared.config import SharedLedgerConfig, format_shared_config, is_shared
+    from dualbrain.memory.ledger.shared.config import SCAN, SharedLedgerConfig, format_shared_config, is_shared
     from dualbrain.memory.ledger.shared.replicated_store import require_postgres
 
     if not is_shared(file):
@@ -77,7 +79,7 @@ def connect(
         config = msgspec.convert(fields, SharedLedgerConfig)
     except DECODE_ERRORS as error:
         raise UsageError.stating(
-            f"{error}.", fix="Names contain letters, digits and . _ -; --index is as in --help."
+            f"{error}.", fix="Names contain letters, digits and . _ -; an index is scan, pgvector or milvus:ADDRESS."
         ) from error
     store = PostgresStore.open(config.url, config.namespace, create=create)
     try:
@@ -86,6 +88,9 @@ def connect(
             _require_unused_name(store, config.name)
     finally:
         store.close()
+    if config.index != SCAN:
+        grant = _prepare_engine(config)
+        StderrConsole().print(f"the engine of the index is ready{f'; for each role: {escape(grant)}' if grant else ''}")
     create_private_folder(file.parent)
     try:
         with open_private(file, "xb") as out:
@@ -101,6 +106,18 @@ def connect(
     return ExitCode.SUCCESS
 
 
+def _prepare_engine(config: SharedLedgerConfig) -> str:
+    """Create the tables of the engine unless they exist; returns the statement that lets a role use them, or ""."""
+    from dualbrain.cli.memory.open_memory import load_encoder
+    from dualbrain.memory.embedding.joint_embedding import EmbeddingConfig, JointEmbedding
+    from dualbrain.memory.index.engines.choice import open_engine
+
+    dim = JointEmbedding(load_encoder(), (), EmbeddingConfig()).dim
+    engine = open_engine(config.index, url=config.url, namespace=config.namespace, dim=dim)
+    engine.close()
+    return getattr(engine, "grant", "")
+
+
 def _require_unused_name(store: LedgerStore, name: str) -> None:
     """Raise `UsageError` if the ledger has a run of a robot called `name`."""
     from dualbrain.memory.ledger.runs import STARTED
@@ -109,6 +126,6 @@ def _require_unused_name(store: LedgerStore, name: str) -> None:
     runs = [event.run for event in store.events(EventQuery(kinds=(STARTED,))) if event.run.startswith(f"{name}/")]
     if runs:
         raise UsageError.stating(
-            f"A robot has written {len(runs)} runs under the name {name}, the last one {runs[-1]}.",
+            f"A robot has written {count_noun(len(runs), 'run')} under the name {name}, the last one {runs[-1]}.",
             fix="Give this robot another --name, or --same-robot if it is the same one.",
         )

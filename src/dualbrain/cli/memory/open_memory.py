@@ -57,7 +57,11 @@ def open_memory(chosen: Path | None, *, writing: str = "") -> Generator[Memory]:
     from dualbrain.memory.memory import Memory
 
     with _open_ledger(chosen, writing) as ledger:
-        yield Memory(ledger, load_encoder(), memory_config(ledger))
+        known = len(ledger.notices)
+        memory = Memory(ledger, load_encoder(), memory_config(ledger))
+        for notice in ledger.notices[known:]:
+            StderrConsole().print(f"[yellow]{escape(notice)}[/]")
+        yield memory
 
 
 @contextmanager

@@ -7,7 +7,8 @@ rows seen so far and the cosine c of the last row of a group, every other row of
     R ≤ λ_s (1 + c)/2 + (1 − λ_s) u,    u = min{1, max{0, w₀ + Σ_j max(w_j − w₀, 0)}} ≥ w̄
 
 over the memories j of its contract. Otherwise the number of requested rows is increased. All scores are computed from
-the vectors of the ledger, which are compared with their digests.
+the vectors of the ledger, which are compared with their digests. Memories whose scores are equal up to rounding may
+have another order than in the scan.
 """
 
 from __future__ import annotations
@@ -21,11 +22,18 @@ from numpy.typing import NDArray
 from dualbrain.core.encoder import Float32Array
 from dualbrain.memory.embedding.joint_embedding import EpisodeEmbedding, JointEmbedding
 from dualbrain.memory.index.engines.choice import open_engine
-from dualbrain.memory.index.engines.engine import EngineUnreachableError, Numbers, VectorEngine
+from dualbrain.memory.index.engines.engine import EngineRefusalError, EngineUnreachableError, Numbers, VectorEngine
 from dualbrain.memory.index.filters import Filter
-from dualbrain.memory.index.index import COSINE_ERROR_BOUND, Index, RankingOptions, RetrievalScope, rank_rows
+from dualbrain.memory.index.index import (
+    COSINE_ERROR_BOUND,
+    Index,
+    RankingOptions,
+    RetrievalScope,
+    decode_vector,
+    rank_rows,
+)
 from dualbrain.memory.ledger.events import VECTORS
-from dualbrain.memory.ledger.ledger import Ledger, LedgerReader
+from dualbrain.memory.ledger.ledger import LedgerReader
 from dualbrain.memory.ledger.shared.config import SCAN
 from dualbrain.memory.plasticity.hebbian_update import W0
 from dualbrain.memory.retrieval.mmr import CANDIDATE_FACTOR
@@ -53,6 +61,8 @@ class EngineIndex(Index):
         self._stored = seqs[order], groups[order]
         self._seqs, self._codes, self._flags = _RowNumbers(), _RowNumbers(), _RowNumbers()
         self._code_of_group = dict[int, int]()
+        self._versions = list[str]()
+        self._may_add = True
 
     # --- rows -------------------------------------------------------------------------------------------------------
 
@@ -61,15 +71,19 @@ class EngineIndex(Index):
         group = self._group_of(memo, mask)
         self._seqs.append(memo.seq)
         self._codes.append(self._code_of_group.setdefault(group, len(self._code_of_group)))
+        self._versions.append(self._version(memo.robot))
         seqs, groups = self._stored
         found = slice(np.searchsorted(seqs, memo.seq), np.searchsorted(seqs, memo.seq, "right"))
         self._flags.append(int(group in groups[found]))
 
     def _group_of(self, memo: MemoryState, mask: int) -> int:
         """The group of a row: equal for equal robot, registry, guidance, mask, embedding and revision of vectors."""
-        version = self.embedding.version(memo.robot) if self.embedding.supports(memo.robot) else ""
-        text = repr((memo.robot, memo.registry, memo.guidance, mask, version, self._revision))
+        text = repr((memo.robot, memo.registry, memo.guidance, mask, self._version(memo.robot), self._revision))
         return int.from_bytes(hashlib.sha256(text.encode("utf-8", "surrogateescape")).digest()[:8], "big", signed=True)
+
+    def _version(self, robot: str) -> str:
+        """Version of the vectors of `robot`, "" for a robot without limits in this memory."""
+        return self.embedding.version(robot) if self.embedding.supports(robot) else ""
 
     def load(self, snapshot: MemorySnapshot) -> None:
         """Append the rows of a snapshot to an index without rows; its vectors are not used."""
@@ -83,32 +97,45 @@ class EngineIndex(Index):
     @property
     def rows(self) -> Float32Array:
         """All vectors, shape (n, dim), read from the ledger."""
-        return self._vectors(np.arange(len(self.masks)))
+        return self.vectors(np.arange(len(self.masks)))
 
     def embedding_of(self, row: int) -> EpisodeEmbedding:
         """The vector and the mask of one row."""
-        return EpisodeEmbedding(self._vectors(np.array([row]))[0], int(self.masks[row]))
+        return EpisodeEmbedding(self.vectors(np.array([row]))[0], int(self.masks[row]))
 
-    def _vectors(self, rows: RowNumbers) -> Float32Array:
-        """Vectors of some rows from the ledger, shape (n_rows, dim); zero for robots without limits in this memory."""
+    def vectors(self, rows: RowNumbers) -> Float32Array:
+        """Vectors of some rows from the ledger, shape (n_rows, dim); zero for robots without limits in this memory.
+
+        Raises `ConfigurationError` if one is missing or was computed by another embedding.
+        """
         found = np.zeros((len(rows), self.embedding.dim), np.float32)
         for first in range(0, len(rows), BATCH):
-            seqs = self._seqs.values[rows[first : first + BATCH]].tolist()
-            stored = self._ledger.selected_vectors(seqs)
-            for place, seq in enumerate(seqs, start=first):
-                if seq in stored and len(stored[seq].data) == 4 * self.embedding.dim:
-                    found[place] = np.frombuffer(stored[seq].data, "<f4")
+            part = rows[first : first + BATCH]
+            seqs: list[int] = self._seqs.values[part].tolist()
+            versions = [self._versions[int(row)] for row in part]
+            wanted = [seq for seq, version in zip(seqs, versions, strict=True) if version]
+            stored = self._ledger.selected_vectors(wanted)
+            for place, (seq, version) in enumerate(zip(seqs, versions, strict=True), start=first):
+                if version:
+                    found[place] = decode_vector(stored.get(seq), version, self.embedding.dim, f"event {seq}")
         return found
 
     def update_engine(self) -> bool:
         """Add the rows that the engine lacks; False if it does not answer. Retrieval calls it, too."""
-        missing = np.flatnonzero(self._flags.values == 0)
+        if not self._may_add:
+            return False
+        is_supported = np.array([bool(version) for version in self._versions], bool)
+        missing = np.flatnonzero((self._flags.values == 0) & is_supported)
         groups = np.array(list(self._code_of_group), np.int64)
         try:
             for first in range(0, len(missing), BATCH):
                 part = missing[first : first + BATCH]
-                self._engine.add(self._seqs.values[part], groups[self._codes.values[part]], self._vectors(part))
+                self._engine.add(self._seqs.values[part], groups[self._codes.values[part]], self.vectors(part))
                 self._flags.values[part] = 1
+        except EngineRefusalError as error:
+            self._may_add = False
+            self._ledger.notices += (f"New vectors are not added to the engine of the index. {error}",)
+            return False
         except EngineUnreachableError:
             return False
         return True
@@ -122,7 +149,7 @@ class EngineIndex(Index):
         self.update_engine()
         counted = self.columns.mask(scope.counted)
         bounds = _weight_bounds(self.flat_index.weights, self.columns.contract_codes, counted)
-        vectors = _VectorCache(self._vectors, self.embedding.dim)
+        vectors = _VectorCache(self.vectors, self.embedding.dim)
         return [self._search(query, scope.bandwidth, counted, bounds, vectors, *search) for search in searches]
 
     def _search(
@@ -223,9 +250,9 @@ class EngineIndex(Index):
         """See `Index.find_similar`."""
         self.update_engine()
         eligible = self.columns.mask(where)
-        if not eligible.any():
+        if max_count <= 0 or not eligible.any():
             return []
-        vectors = _VectorCache(self._vectors, self.embedding.dim)
+        vectors = _VectorCache(self.vectors, self.embedding.dim)
         for seen, last_cosine in self._rounds(query, eligible):
             rows = np.flatnonzero(seen & eligible)
             flat = FlatIndex(self.embedding.dim)
@@ -302,8 +329,7 @@ def create_index(embedding: JointEmbedding, ledger: LedgerReader, engine: Vector
 
 
 def _note_unreachable(ledger: LedgerReader, error: EngineUnreachableError) -> None:
-    if isinstance(ledger, Ledger):
-        ledger.notices += (f"The engine of the index does not answer; all vectors are kept in memory. {error}",)
+    ledger.notices += (f"The engine of the index cannot be used; all vectors are kept in memory. {error}",)
 
 
 def _weight_bounds(weights: Weights, codes: NDArray[np.int32], counted: Mask) -> Weights:

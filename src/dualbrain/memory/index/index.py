@@ -16,14 +16,16 @@ from dualbrain.memory.index.filters import Columns, Filter
 from dualbrain.memory.ledger.events import EPISODE
 from dualbrain.memory.ledger.hash_chain import verified_events
 from dualbrain.memory.ledger.ledger import Ledger, LedgerReader, StoredVector
-from dualbrain.memory.retrieval.mmr import select_diverse
+from dualbrain.memory.retrieval.mmr import check_diversity, select_diverse
 from dualbrain.memory.retrieval.search import (
     FlatIndex,
     Mask,
     MemoryHit,
     Query,
     QueryComparison,
+    RowNumbers,
     Weights,
+    check_lambda,
     contract_weights,
 )
 from dualbrain.memory.state.episode_record import decode_stored_episode
@@ -41,6 +43,11 @@ class RankingOptions:
     k: int
     lambda_s: float
     diversity: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Raise `ConfigurationError` for λ_s or a diversity outside [0, 1]."""
+        check_lambda(self.lambda_s)
+        check_diversity(self.diversity)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,15 +94,8 @@ class Index:
         """
         row, mask = np.zeros(self.embedding.dim, np.float32), 0
         if self.embedding.supports(memo.robot):
-            version = self.embedding.version(memo.robot)
-            if vector is None or vector.version != version or len(vector.data) != 4 * self.embedding.dim:
-                raise ConfigurationError(
-                    f"embedding of memory {memo.id}",
-                    got=vector and vector.version,
-                    allowed=version,
-                    fix="Use the previous encoder and settings, or recompute all vectors: `dualbrain memory rebuild`.",
-                )
-            row, mask = np.frombuffer(vector.data, "<f4"), vector.mask
+            version, name = self.embedding.version(memo.robot), f"memory {memo.id}"
+            row, mask = decode_vector(vector, version, self.embedding.dim, name), vector.mask if vector else 0
         self._add_row(memo, row, mask)
 
     def _add_row(self, memo: MemoryState, row: Float32Array, mask: int) -> None:
@@ -161,9 +161,28 @@ class Index:
         stored = self.embedding_of(row)
         return self.embedding.block_cosines(stored.vector, embedded.vector, stored.mask & embedded.mask)
 
+    def vectors(self, rows: RowNumbers) -> Float32Array:
+        """The vectors of some rows, shape (n_rows, dim)."""
+        return self.rows[rows]
+
     def embedding_of(self, row: int) -> EpisodeEmbedding:
         """The vector and the mask of one row."""
         return EpisodeEmbedding(self.rows[row], int(self.masks[row]))
+
+
+def decode_vector(vector: StoredVector | None, version: str, dim: int, name: str) -> Float32Array:
+    """The numbers of a stored vector, shape (dim,).
+
+    Raises `ConfigurationError`, with the `name` of its memory, if it is missing or was computed by another embedding.
+    """
+    if vector is None or vector.version != version or len(vector.data) != 4 * dim:
+        raise ConfigurationError(
+            f"embedding of {name}",
+            got=vector and vector.version,
+            allowed=version,
+            fix="Use the previous encoder and settings, or recompute all vectors: `dualbrain memory rebuild`.",
+        )
+    return np.frombuffer(vector.data, "<f4")
 
 
 def rank_rows(

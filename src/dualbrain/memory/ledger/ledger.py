@@ -80,7 +80,8 @@ class Ledger(LedgerReader):
         self.opened_at, self._run = now, ""
         self._last_time, self._closed = now, False
         self._anchored: Head | None = None
-        self.notices: tuple[str, ...] = ()
+        self.notices = ()
+        self._rebuilt = (0, {})
         with translate_os_errors(path):
             create_private_folder(path.parent)
             check_files(path)

@@ -57,6 +57,8 @@ class LedgerReader:
             )
             raise MissingDependencyError(f"The memory ledger {path}", fix=fix)
         self.path, self.resources = path, ExitStack()
+        self.notices: tuple[str, ...] = ()
+        self._rebuilt: tuple[int, dict[int, str]] = (0, {})
         self._store: LedgerStore = _open_for_reading(path)
 
     @property
@@ -160,11 +162,15 @@ class LedgerReader:
 
     def _rebuilt_digests(self) -> dict[int, str]:
         """Digests that were recorded when vectors were recomputed."""
+        head = self.head().seq
+        known, digests = self._rebuilt if self._rebuilt[0] <= head else (0, {})
         try:
-            return recorded_digests(self.events(VECTORS))
+            fresh = recorded_digests(self.events(VECTORS, after=known)) if known < head else {}
         except DECODE_ERRORS as error:
             fault = f"an event with digests of vectors is unreadable: {error}"
             raise CorruptLedgerError(fault, seq=None, path=str(self.path)) from error
+        self._rebuilt = head, {**digests, **fresh} if fresh else digests
+        return self._rebuilt[1]
 
     def stored_vectors(self) -> Iterator[tuple[int, StoredVector]]:
         """Event number and vector of each episode without any check, for a comparison with recomputed vectors."""

@@ -11,6 +11,8 @@ from dualbrain.memory.memory import Memory
 
 MAX_PCA_SAMPLES = 2000
 """The axes are computed from at most this many memories, spread evenly over time."""
+MAX_POINTS = 20_000
+"""At most this many memories are projected, spread evenly over time; their vectors may be on the disk."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,9 +33,10 @@ def project_memories(memory: Memory) -> MemoryProjection:
     Distances between points approximate those of the joint embedding. The sign of each axis is fixed (its entry of
     largest magnitude is positive), so that the same memory has the same projection.
     """
-    state, rows = memory.state, memory.index.rows
+    shown = _spread(len(memory), MAX_POINTS)
+    memories, rows = [memory.state.memories[int(row)] for row in shown], memory.index.vectors(shown)
     scale = np.sqrt(memory.embedding.expand_alpha(memory.config.embedding.alpha)).astype(np.float64)
-    chosen = np.unique(np.linspace(0, max(0, len(rows) - 1), min(len(rows), MAX_PCA_SAMPLES)).round().astype(np.intp))
+    chosen = _spread(len(rows), MAX_PCA_SAMPLES)
     sample = rows[chosen].astype(np.float64) * scale
     points, explained = np.zeros((len(rows), 2)), 0.0
     if len(rows) > 1:
@@ -45,9 +48,14 @@ def project_memories(memory: Memory) -> MemoryProjection:
         explained = float((singular_values[:2] ** 2).sum() / total) if total > 0.0 else 0.0
     return MemoryProjection(
         points=points,
-        weights=np.array([memo.weight for memo in state.memories]),
-        episode_ids=tuple(memo.id for memo in state.memories),
-        kinds=tuple(memo.kind for memo in state.memories),
-        statuses=tuple(memo.status for memo in state.memories),
+        weights=np.array([memo.weight for memo in memories]),
+        episode_ids=tuple(memo.id for memo in memories),
+        kinds=tuple(memo.kind for memo in memories),
+        statuses=tuple(memo.status for memo in memories),
         explained_variance=explained,
     )
+
+
+def _spread(n: int, most: int) -> NDArray[np.intp]:
+    """At most `most` of the rows 0 … n − 1, spread evenly."""
+    return np.unique(np.linspace(0, max(0, n - 1), min(n, most)).round().astype(np.intp))

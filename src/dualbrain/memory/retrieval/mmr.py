@@ -27,8 +27,7 @@ def select_diverse(
     retrieval. The first hit is always the best by R, and ties go to the larger R. Near-duplicates of a chosen memory,
     which add nothing to a prompt, are ranked lower. Raises `ConfigurationError` for d outside [0, 1].
     """
-    if not 0.0 <= diversity <= 1.0:
-        raise ConfigurationError("diversity", got=diversity, allowed="in [0, 1]")
+    check_diversity(diversity)
     pool = list(flat_index.top_k(compared, eligible, CANDIDATE_FACTOR * k, lambda_s, weights))
     similarity = _pairwise_similarity(flat_index, compared, pool)
     chosen: list[int] = []
@@ -40,6 +39,12 @@ def select_diverse(
         ]
         chosen.append(remaining[int(np.argmax(values))])
     return tuple(pool[i] for i in chosen)
+
+
+def check_diversity(diversity: float) -> None:
+    """Raise `ConfigurationError` unless d ∈ [0, 1]."""
+    if not 0.0 <= diversity <= 1.0:
+        raise ConfigurationError("diversity", got=diversity, allowed="in [0, 1]")
 
 
 def _pairwise_similarity(

@@ -16,6 +16,8 @@ from dualbrain.safety.supervisor.conditions import BUTTONS, Condition
 
 MAX_STEP = 0.1
 """Largest time step of one update [s], so that a clock jump neither trips nor clears a check."""
+ROUNDING = 5e-7
+"""Half of the microsecond in which the supervisor in C counts [s]: both decide alike at a time that equals a limit."""
 RESET, RESUME, CONTINUE = int(Condition.RESET), int(Condition.RESUME), int(Condition.CONTINUE)
 HOLD_AFTER_RESET = SupervisorDecision(RESET_HELD.action, RESET_HELD.cause, RESET_HELD.name)
 
@@ -93,10 +95,10 @@ class Supervisor:
         t, check = self._t, check_state.check
         if active:
             check_state.active_since, check_state.gone_since = min(check_state.active_since, t), inf
-            check_state.tripped |= t - check_state.active_since >= check.after
+            check_state.tripped |= t - check_state.active_since >= check.after - ROUNDING
             return
         check_state.gone_since = min(check_state.gone_since, t)
-        if t - check_state.gone_since >= check.release:
+        if t - check_state.gone_since >= check.release - ROUNDING:
             check_state.active_since = inf
             check_state.tripped &= check.clears is not ClearPolicy.WHEN_GONE
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from dualbrain.errors import ConfigurationError
+from dualbrain.memory.index import engine_index
 from dualbrain.memory.index.engine_index import EngineIndex
 from dualbrain.memory.index.engines.pgvector import PgvectorEngine
 from dualbrain.memory.ledger.hash_chain import CorruptLedgerError
@@ -339,8 +340,9 @@ def test_a_reader_follows_while_no_process_writes_and_a_shared_ledger_is_not_com
 
 
 def test_with_the_index_on_the_server_retrieval_is_that_of_the_scan_also_while_it_is_away(
-    lab: Lab, proxy: Proxy
+    lab: Lab, proxy: Proxy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(engine_index, "FIRST_COUNT", 2)
     with lab.open("scan") as first, lab.open("engine", url=proxy.url, index="pgvector") as second:
         scan = open_memory(first)
         for number in range(40):

@@ -13,15 +13,23 @@ from dualbrain.errors import DualbrainError
 Numbers = NDArray[np.int64]
 
 
+RETRY_INTERVAL_S = 10.0
+"""After a failed connection, no other is tried for this time [s], so that retrieval does not wait for the network."""
+
+
 class EngineUnreachableError(DualbrainError):
     """The engine does not answer; the vectors are read from the ledger instead."""
+
+
+class EngineRefusalError(EngineUnreachableError):
+    """The engine answers and refuses, for example for want of a permission; a repetition does not help."""
 
 
 class VectorEngine(Protocol):
     """Vectors by the number of their episode event, each in one group; an engine is a projection of the ledger.
 
     Its answers select candidates only, so a wrong vector in an engine can hide a memory but cannot change a score.
-    Every method raises `EngineUnreachableError` if the engine does not answer.
+    Every method raises `EngineUnreachableError` if the engine does not answer, `EngineRefusalError` if it refuses.
     """
 
     max_count: int
@@ -32,7 +40,7 @@ class VectorEngine(Protocol):
         ...
 
     def add(self, seqs: Numbers, groups: Numbers, vectors: Float32Array) -> None:
-        """Add vectors of shape (n, dim); those that are stored already stay as they are."""
+        """Add vectors of shape (n, dim); one that is stored already may be replaced by its equal."""
         ...
 
     def nearest(self, group: int, vector: Float32Array, count: int) -> tuple[Numbers, Float32Array]:

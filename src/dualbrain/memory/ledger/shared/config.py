@@ -64,6 +64,6 @@ def format_shared_config(config: SharedLedgerConfig) -> str:
         f"name = {json.dumps(config.name)}  # the name under which this robot writes; one for each robot",
         f"namespace = {json.dumps(config.namespace)}  # the schema with the tables",
         f"use_memories_of = {json.dumps(list(config.use_memories_of))}  # empty: of all robots",
-        f'index = {json.dumps(config.index)}  # or "pgvector", "milvus:ADDRESS": vectors outside of RAM',
+        f'index = {json.dumps(config.index)}  # "scan", "pgvector" or "milvus:ADDRESS"',
     ]
     return "\n".join(lines) + "\n"
