@@ -10,7 +10,7 @@ from dualbrain.evaluation.evidence.evidence_folder import changed_files, write_e
 from dualbrain.evaluation.evidence.requirement import read_hazards, read_requirements, required_tests
 from dualbrain.evaluation.evidence.subject import EvidenceInputs, load_subject
 from dualbrain.evaluation.evidence.test_report import TestReport
-from dualbrain.robots.loader import BUILTIN_ROBOTS
+from dualbrain.robots.loader import BUILTIN_ROBOTS, load_robot
 from dualbrain.visualization.html.evidence_page import render_evidence_page
 
 SITE = """
@@ -82,7 +82,7 @@ def test_the_html_page_contains_every_page_and_no_markup_of_texts(written):
 
 def test_entries_of_the_site_are_named_with_their_lines(site):
     subject = load_subject(EvidenceInputs(robot="panda", site=site))
-    log = pages.hazard_log(subject, pages.requirement_statuses(PASSED))
+    log = pages.hazard_log(subject, pages.requirement_statuses(PASSED, subject.robot_model))
     for words in (
         "plane table (lab.toml:4)",
         "operator: barrier (lab.toml:8)",
@@ -96,7 +96,7 @@ def test_entries_of_the_site_are_named_with_their_lines(site):
 
 def test_a_failed_test_fails_its_requirements_alone():
     failing = required_tests()[0]
-    statuses = pages.requirement_statuses(TestReport({**PASSED.statuses, failing: "failed"}, ()))
+    statuses = pages.requirement_statuses(TestReport({**PASSED.statuses, failing: "failed"}, ()), load_robot("panda"))
     expected = {name for name, one in read_requirements().items() if failing in one.tests}
     assert {name for name, status in statuses.items() if status == "failed"} == expected
     assert expected
@@ -121,3 +121,33 @@ def test_a_missing_recording_is_a_configuration_error_and_nothing_is_written(tmp
     with pytest.raises(ConfigurationError):
         write_evidence(inputs, tmp_path / "out", now=0.0, render=render_evidence_page)
     assert not (tmp_path / "out").exists()
+
+
+def test_a_driver_without_a_record_is_refused():
+    with pytest.raises(UsageError, match="--driver needs --commissioned"):
+        load_subject(EvidenceInputs(robot="fr3", driver="franka"))
+
+
+def test_a_folder_with_files_is_refused_before_any_work(tmp_path):
+    (tmp_path / "a").touch()
+    with pytest.raises(ConfigurationError, match=r"contains files\. Give an empty or a new folder"):
+        write_evidence(EvidenceInputs(robot="no robot"), tmp_path, now=0.0, render=render_evidence_page)
+
+
+@pytest.mark.parametrize(("robot", "expected"), [("panda", set()), ("base", {"SU-7", "SF-10", "SK-1"})])
+def test_a_requirement_for_missing_equipment_is_not_applicable(robot, expected):
+    statuses = pages.requirement_statuses(PASSED, load_robot(robot))
+    assert {name for name, status in statuses.items() if status == "not applicable"} == expected
+
+
+def test_the_first_page_states_that_no_test_ran_on_an_untested_robot(tmp_path, monkeypatch):
+    monkeypatch.setattr(evidence_folder, "write_bill_of_materials", lambda: b"{}")
+    write_evidence(EvidenceInputs(robot="base"), tmp_path / "out", now=0.0, render=render_evidence_page)
+    assert re.search("The tests ran on panda, .*, not on base", (tmp_path / "out" / "README.md").read_text("utf-8"))
+
+
+def test_the_trace_states_the_number_of_cases_of_a_test():
+    test = required_tests()[0]
+    report = TestReport(PASSED.statuses, (), {test: 3})
+    page = pages.requirement_trace(report, pages.requirement_statuses(report, load_robot("panda")))
+    assert f"{test} | passed (3 cases) |" in page

@@ -64,6 +64,10 @@ def test_the_status_of_a_test_is_that_of_pytest(report, test, status):
     assert report.status(test) == status
 
 
+def test_the_cases_of_a_test_are_counted(report):
+    assert report.cases["test_source.py:test_numbers"] == 2
+
+
 def test_the_start_of_the_tests_is_stated(report):
     assert report.began
     assert all(report.began)
@@ -90,4 +94,12 @@ def test_a_requirement_passes_only_if_all_of_its_tests_pass():
 def test_a_file_that_is_no_report_is_a_configuration_error(tmp_path, content):
     (tmp_path / "report.xml").write_text(content)
     with pytest.raises(ConfigurationError):
+        read_test_report(tmp_path / "report.xml")
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-32"])
+def test_a_report_in_another_encoding_is_refused(tmp_path, encoding):
+    text = '<!DOCTYPE a [<!ENTITY b "c">]><testsuites><testcase name="&b;"/></testsuites>'
+    (tmp_path / "report.xml").write_bytes(text.encode(encoding))
+    with pytest.raises(ConfigurationError, match=r"not UTF-8|document type"):
         read_test_report(tmp_path / "report.xml")

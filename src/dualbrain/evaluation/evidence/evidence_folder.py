@@ -20,6 +20,7 @@ from dualbrain.evaluation.evidence import pages
 from dualbrain.evaluation.evidence.bill_of_materials import write_bill_of_materials
 from dualbrain.evaluation.evidence.copied_documents import read_safety_page
 from dualbrain.evaluation.evidence.pages import ReplayedRun
+from dualbrain.evaluation.evidence.requirement import read_requirements
 from dualbrain.evaluation.evidence.subject import EvidenceInputs, Subject, load_subject
 from dualbrain.evaluation.evidence.test_report import RequirementStatus, read_test_report
 from dualbrain.evaluation.runner.provenance import collect_provenance, git_revision, machine_description
@@ -27,6 +28,7 @@ from dualbrain.robots.loader import encode_robot
 
 MANIFEST_FILE = "manifest.json"
 PAGES = {
+    "evidence.html": "all pages, to read and to print",
     "safety.md": "guarantee, assumptions and limits of the software (SAFETY.md of this version)",
     "hazard_log.md": "hazards, measures, and the hazards that remain",
     "requirement_trace.md": "requirements, their code, their tests with results, their experiments",
@@ -35,13 +37,16 @@ PAGES = {
     "replay.md": "how to recompute a run, and the runs that were recomputed",
     "software.md": "versions and hashes",
     "sbom.cdx.json": "software bill of materials (CycloneDX 1.6), with the model files",
+    MANIFEST_FILE: "SHA-256 of every file",
 }
 """Files of the folder with their contents."""
+_RESULTS = {"no test report": "without a result (no test report)"}
 NOT_STATED = (
     "**It is no certificate and no conformity assessment.** dualbrain is research software; it is not safety-rated.",
     "It is no risk assessment: severity, exposure and avoidability belong to the installation (ISO 12100).",
     "It states no performance level and no safety integrity level; no hardware was assessed.",
-    "The figures were measured in simulation and on fakes of interfaces, not on this robot at this site.",
+    "The figures were measured in simulation and on fakes of interfaces, not on this robot at this site. A number in "
+    "brackets after a revision is the number of units that ran at it.",
     "The manifest shows changes of the files. It is not a signature.",
 )
 
@@ -67,14 +72,15 @@ def write_evidence(
     `render` makes one HTML page of the Markdown pages.
 
     Raises:
-        ConfigurationError: An input does not exist or is invalid.
-        FileWriteError: The folder cannot be written, or exists with files.
+        ConfigurationError: An input does not exist or is invalid, or `out` contains files.
+        FileWriteError: The folder cannot be written.
     """
+    _check_empty(out)
     subject = load_subject(inputs)
     report = None if inputs.test_report is None else read_test_report(inputs.test_report)
     runs = [_replay(path) for path in inputs.runs]
     bill = write_bill_of_materials()
-    statuses = pages.requirement_statuses(report)
+    statuses = pages.requirement_statuses(report, subject.robot_model)
     texts = {
         "safety.md": read_safety_page(),
         "hazard_log.md": pages.hazard_log(subject, statuses),
@@ -109,7 +115,7 @@ def changed_files(folder: Path) -> list[str]:
     except (OSError, msgspec.DecodeError) as error:
         raise ConfigurationError.stating(
             f"The evidence folder {folder} has no readable manifest: {error}.",
-            fix="Name a folder that `dualbrain evidence` wrote.",
+            fix="Name a folder that `dualbrain evidence write` wrote.",
         ) from error
     present = {str(file.relative_to(folder)): file for file in _files(folder)} if folder.is_dir() else {}
     present.pop(MANIFEST_FILE, None)
@@ -117,6 +123,24 @@ def changed_files(folder: Path) -> list[str]:
         name
         for name in manifest.keys() | present.keys()
         if name not in manifest or name not in present or file_sha256(present[name]) != manifest[name]
+    )
+
+
+def _check_empty(out: Path) -> None:
+    if out.is_dir() and any(out.iterdir()):
+        raise ConfigurationError.stating(f"The folder {out} contains files.", fix="Give an empty or a new folder.")
+    if out.exists() and not out.is_dir():
+        raise ConfigurationError.stating(f"{out} is a file.", fix="Give an empty or a new folder.")
+
+
+def _tested_robots(robot: str) -> str:
+    """The limit that follows from the robots of the tests."""
+    tested = list(dict.fromkeys(name for one in read_requirements().values() for name in one.robots))
+    own = [name for name, one in read_requirements().items() if robot in one.robots]
+    if not own:
+        return f"The tests ran on {', '.join(tested)}, not on {robot}."
+    return (
+        f"The tests ran in simulation; those of {', '.join(own)} on {robot}, the others on other robot models or none."
     )
 
 
@@ -152,7 +176,7 @@ def _overview(
     now: float,
 ) -> str:
     identical = sum(run.identical for run in runs)
-    results = ", ".join(f"{count} {status}" for status, count in counts.items())
+    results = ", ".join(f"{count} {_RESULTS.get(status, status)}" for status, count in counts.items())
     facts = [
         ("robot", subject.robot_model.name),
         ("site file", inputs.site.name if inputs.site else "none"),
@@ -169,7 +193,7 @@ def _overview(
             "",
             "## Limits of this evidence",
             "",
-            *(f"- {line}" for line in NOT_STATED),
+            *(f"- {line}" for line in (*NOT_STATED, _tested_robots(subject.robot_model.name))),
             "",
             "## Contents",
             "",

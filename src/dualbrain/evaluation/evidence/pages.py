@@ -6,12 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from dualbrain.core.markdown import markdown_table
+from dualbrain.core.text import count_noun
 from dualbrain.evaluation.evidence.copied_documents import read_figures
-from dualbrain.evaluation.evidence.requirement import Requirement, read_hazards, read_requirements
+from dualbrain.evaluation.evidence.requirement import Equipment, Requirement, read_hazards, read_requirements
 from dualbrain.evaluation.evidence.site_measures import NO_SITE, describe_site_measure, list_entries
 from dualbrain.evaluation.evidence.subject import Subject
 from dualbrain.evaluation.evidence.test_report import RequirementStatus, TestReport, requirement_status
 from dualbrain.robots.importer.output.markdown import bound_rows, missing_information
+from dualbrain.robots.model import RobotModel
 
 NO_REPORT: RequirementStatus = "no test report"
 
@@ -26,13 +28,25 @@ class ReplayedRun:
     identical: bool
 
 
-def requirement_statuses(report: TestReport | None) -> dict[str, RequirementStatus]:
-    """Status of each requirement by id."""
-    if report is None:
-        return dict.fromkeys(read_requirements(), NO_REPORT)
-    return {
-        name: requirement_status(report.status(test) for test in one.tests) for name, one in read_requirements().items()
+def requirement_statuses(report: TestReport | None, robot_model: RobotModel) -> dict[str, RequirementStatus]:
+    """Status of each requirement by id; "not applicable" without the equipment that it needs."""
+    missing = missing_equipment(robot_model)
+    return {name: _status(one, report, missing) for name, one in read_requirements().items()}
+
+
+def missing_equipment(robot_model: RobotModel) -> set[Equipment]:
+    """Equipment that the robot does not have."""
+    present: dict[Equipment, bool] = {
+        "force sensing": robot_model.force_sensing is not None,
+        "gripper": robot_model.gripper.opening.value > 0,
     }
+    return {name for name, has in present.items() if not has}
+
+
+def _status(one: Requirement, report: TestReport | None, missing: set[Equipment]) -> RequirementStatus:
+    if one.needs in missing:
+        return "not applicable"
+    return NO_REPORT if report is None else requirement_status(report.status(test) for test in one.tests)
 
 
 def hazard_log(subject: Subject, statuses: Mapping[str, RequirementStatus]) -> str:
@@ -68,6 +82,7 @@ def requirement_trace(report: TestReport | None, statuses: Mapping[str, Requirem
     lines += ["", *markdown_table(("id", "requirement", "tests"), summary)]
     for name, one in read_requirements().items():
         lines += ["", f"## {name}", "", one.statement, "", *_reference_table(one, report)]
+        lines += ["", f"Robots of the tests: {', '.join(one.robots) or 'none'}."]
     return _page(lines)
 
 
@@ -80,15 +95,23 @@ def _trace_note(report: TestReport | None) -> str:
     return (
         f"Results are those of the test report (began: {began}), which is included. It does not name the revision that "
         "was tested; it must come from the same revision as this package. *incomplete*: a test was skipped, or is not "
-        "in the report."
+        "in the report. *not applicable*: the robot lacks the equipment. The number of cases is that in the report: "
+        "parameters of a test that are missing from the report are not noticed."
     )
 
 
 def _reference_table(one: Requirement, report: TestReport | None) -> list[str]:
     rows = [("code", f"src/dualbrain/{path}", "") for path in one.code]
-    rows += [("test", test, NO_REPORT if report is None else report.status(test)) for test in one.tests]
+    rows += [("test", test, _test_result(test, report)) for test in one.tests]
     rows += [("experiment", name, f"revision {read_figures()[name].facts['revision']}") for name in one.experiments]
     return markdown_table(("kind", "reference", "result"), rows)
+
+
+def _test_result(test: str, report: TestReport | None) -> str:
+    if report is None:
+        return NO_REPORT
+    count = report.cases.get(test, 0)
+    return f"{report.status(test)} ({count_noun(count, 'case')})" if count else report.status(test)
 
 
 def robot_limits(subject: Subject) -> str:

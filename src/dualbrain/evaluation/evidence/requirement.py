@@ -11,18 +11,23 @@ import msgspec
 T = TypeVar("T")
 SiteMeasure = Literal["obstacles", "tool", "persons", "tool_speed", "commander", "payload", "commissioning"]
 """Entries of a site file on which a measure depends, and the commissioning record."""
+Equipment = Literal["force sensing", "gripper"]
+"""Equipment of a robot without which a requirement is not applicable."""
 
 
 class Requirement(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A verified statement about the safety layer.
 
     `code` are paths in the package, `tests` names "FILE:FUNCTION" in the repository, `experiments` names of pages with
-    measured figures.
+    measured figures, `robots` the robot models that the tests use (none: the tests use no robot model), `needs` the
+    equipment without which the statement is not applicable.
     """
 
     statement: str
     code: tuple[str, ...]
     tests: tuple[str, ...]
+    robots: tuple[str, ...]
+    needs: Equipment | None = None
     experiments: tuple[str, ...] = ()
 
 

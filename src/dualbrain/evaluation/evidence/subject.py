@@ -40,7 +40,7 @@ def load_subject(inputs: EvidenceInputs) -> Subject:
 
     Raises:
         ConfigurationError: Robot model, site file or commissioning record do not exist, are invalid, or do not fit.
-        UsageError: A commissioning record was given without driver or site file.
+        UsageError: A commissioning record was given without driver or site file, or a driver without a record.
     """
     robot_model = load_robot(inputs.robot)
     site = None if inputs.site is None else read_site(inputs.site)
@@ -53,11 +53,11 @@ def load_subject(inputs: EvidenceInputs) -> Subject:
 
 def _describe_record(inputs: EvidenceInputs, robot_model: RobotModel) -> str:
     if inputs.commissioned is None:
+        if inputs.driver:
+            raise UsageError.stating("--driver needs --commissioned.", fix="Name the commissioning record as well.")
         return "no commissioning record was given"
     if not inputs.driver or inputs.site is None:
-        raise UsageError(
-            "--commissioned", got="without --driver and --site", allowed="with both: the record names them"
-        )
+        raise UsageError.stating("--commissioned needs --driver and --site.", fix="Give both: the record names them.")
     kind = find_driver_kind(inputs.driver, robot_model.name)
     record = require_record(inputs.commissioned, robot_model, inputs.site, kind)
     return f"valid commissioning record for {record.driver}, answered by {record.answers.by}, {record.answers.on}"

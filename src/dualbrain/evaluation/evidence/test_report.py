@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 from xml.etree import ElementTree
@@ -14,16 +14,17 @@ from dualbrain.errors import ConfigurationError
 
 MAX_REPORT_BYTES = 64 * 2**20
 TestStatus = Literal["passed", "failed", "skipped", "not in the report"]
-RequirementStatus = Literal["passed", "failed", "incomplete", "no test report"]
+RequirementStatus = Literal["passed", "failed", "incomplete", "no test report", "not applicable"]
 
 
 @dataclass(frozen=True, slots=True)
 class TestReport:
-    """Status of each test by its name "FILE:FUNCTION", and the times at which its test suites began."""
+    """Status and number of cases of each test by its name "FILE:FUNCTION", and the times at which its suites began."""
 
     __test__ = False
     statuses: dict[str, TestStatus]
     began: tuple[str, ...]
+    cases: dict[str, int] = field(default_factory=dict)
 
     def status(self, test: str) -> TestStatus:
         """The status of one test; with several parameters the worst of them."""
@@ -38,22 +39,29 @@ def read_test_report(path: Path) -> TestReport:
     """
     content = read_regular_file(path, MAX_REPORT_BYTES)
     if isinstance(content, FileRefusal):
-        raise ConfigurationError.stating(content.sentence, fix=content.fix)
+        raise ConfigurationError.stating(f"--tests: {content.sentence}", fix=content.fix)
     fix = "Write it with `pytest --junitxml FILE`, or with `make evidence`."
-    if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
-        raise ConfigurationError.stating(f"The test report {path} declares a document type.", fix=fix)
     try:
-        root = ElementTree.fromstring(content)
+        text = content.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise ConfigurationError.stating(f"The test report {path} (--tests) is not UTF-8.", fix=fix) from error
+    if "\0" in text or "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise ConfigurationError.stating(f"The test report {path} (--tests) declares a document type.", fix=fix)
+    try:
+        root = ElementTree.fromstring(text.partition("?>")[2] if text.startswith("<?xml") else text)
     except ElementTree.ParseError as error:
-        raise ConfigurationError.stating(f"The test report {path} is no XML: {error}.", fix=fix) from error
+        raise ConfigurationError.stating(f"The test report {path} (--tests) is no XML: {error}.", fix=fix) from error
     cases = list(root.iter("testcase"))
     if root.tag not in ("testsuites", "testsuite") or not cases:
-        raise ConfigurationError.stating(f"The file {path} contains no test results in the JUnit format.", fix=fix)
+        raise ConfigurationError.stating(
+            f"The file {path} (--tests) contains no test results in the JUnit format.", fix=fix
+        )
     found: defaultdict[str, list[TestStatus]] = defaultdict(list)
     for case in cases:
         found[_test_name(case)].append(_case_status(case))
     began = tuple(suite.get("timestamp", "") for suite in root.iter("testsuite"))
-    return TestReport({name: _worst(statuses) for name, statuses in found.items()}, began)
+    counts = {name: len(statuses) for name, statuses in found.items()}
+    return TestReport({name: _worst(statuses) for name, statuses in found.items()}, began, counts)
 
 
 def requirement_status(statuses: Iterable[TestStatus]) -> RequirementStatus:

@@ -17,7 +17,12 @@ def render_evidence_page(pages: Sequence[str]) -> str:
     sections = [
         element("section", Html(_scrolling(parser.render(page))), id=f"part-{k}") for k, page in enumerate(pages)
     ]
-    return document(titles[0], sections[0], element("nav", element("ul", join(links))), *sections[1:])
+    return document(
+        titles[0],
+        sections[0],
+        element("nav", join([element("h2", "Parts"), element("ul", join(links))])),
+        *sections[1:],
+    )
 
 
 def _scrolling(html: str) -> str:
