@@ -15,7 +15,7 @@ from dualbrain.control.recording.replay import replay
 from dualbrain.core.markdown import markdown_table
 from dualbrain.core.storage.atomic_files import atomic_folder
 from dualbrain.core.storage.checksum import file_sha256
-from dualbrain.errors import ConfigurationError
+from dualbrain.errors import DECODE_ERRORS, ConfigurationError
 from dualbrain.evaluation.evidence import pages
 from dualbrain.evaluation.evidence.bill_of_materials import write_bill_of_materials
 from dualbrain.evaluation.evidence.copied_documents import read_safety_page
@@ -112,7 +112,7 @@ def changed_files(folder: Path) -> list[str]:
     """
     try:
         manifest = msgspec.json.decode((folder / MANIFEST_FILE).read_bytes(), type=dict[str, str])
-    except (OSError, msgspec.DecodeError) as error:
+    except (OSError, *DECODE_ERRORS) as error:
         raise ConfigurationError.stating(
             f"The evidence folder {folder} has no readable manifest: {error}.",
             fix="Name a folder that `dualbrain evidence write` wrote.",
