@@ -4,8 +4,11 @@ import re
 
 import pytest
 
+from dualbrain.control.recording.recorder import Recorder
+from dualbrain.control.recording.trace import Trace
 from dualbrain.errors import ConfigurationError, UsageError
 from dualbrain.evaluation.evidence import evidence_folder, pages
+from dualbrain.evaluation.evidence.bill_of_materials import remove_local_references
 from dualbrain.evaluation.evidence.evidence_folder import changed_files, write_evidence
 from dualbrain.evaluation.evidence.requirement import read_hazards, read_requirements, required_tests
 from dualbrain.evaluation.evidence.subject import EvidenceInputs, load_subject
@@ -151,3 +154,24 @@ def test_the_trace_states_the_number_of_cases_of_a_test():
     report = TestReport(PASSED.statuses, (), {test: 3})
     page = pages.requirement_trace(report, pages.requirement_statuses(report, load_robot("panda")))
     assert f"{test} | passed (3 cases) |" in page
+
+
+@pytest.mark.parametrize("robot", ["panda", "ur5e"])
+def test_a_run_of_another_robot_is_refused_with_both_names(tmp_path, monkeypatch, robot):
+    monkeypatch.setattr(evidence_folder, "write_bill_of_materials", lambda: b"{}")
+    (tmp_path / "run").mkdir()
+    with Recorder(tmp_path / "run" / "episode.mcap", Trace(7)) as recorder:
+        recorder.episode(0.0, {"robot": "panda", "guard": True, "instruction": ""})
+    inputs = EvidenceInputs(robot=robot, runs=(tmp_path / "run",))
+    if robot == "panda":
+        write_evidence(inputs, tmp_path / "out", now=0.0, render=render_evidence_page)
+        assert "| run/episode.mcap | panda |" in (tmp_path / "out" / "replay.md").read_text("utf-8")
+    else:
+        with pytest.raises(ConfigurationError, match="of the robot panda, the evidence is for ur5e"):
+            write_evidence(inputs, tmp_path / "out", now=0.0, render=render_evidence_page)
+
+
+def test_references_to_local_files_are_not_in_the_bill():
+    component = {"externalReferences": [{"url": "file:///a"}, {"url": "https://b"}]}
+    remove_local_references(component)
+    assert component["externalReferences"] == [{"url": "https://b"}]

@@ -23,10 +23,15 @@ def write_bill_of_materials() -> bytes:
 
     Raises:
         MissingDependencyError: cyclonedx-bom is not installed.
-        ConfigurationError: The tool failed.
+        ConfigurationError: The tool failed or took too long.
     """
     command = [sys.executable, "-m", "cyclonedx_py", "environment", "--of", "JSON", "--sv", "1.6", sys.prefix]
-    done = subprocess.run(command, capture_output=True, timeout=TIMEOUT_S, check=False)
+    try:
+        done = subprocess.run(command, capture_output=True, timeout=TIMEOUT_S, check=False)
+    except subprocess.TimeoutExpired as error:
+        raise ConfigurationError.stating(
+            f"The list of installed packages took more than {TIMEOUT_S:g} s.", fix="Try again on an idle machine."
+        ) from error
     if done.returncode != 0:
         reason = done.stderr.decode(errors="replace").strip().splitlines()[-1:] or ["no reason given"]
         if "No module named" in reason[0]:
@@ -35,8 +40,18 @@ def write_bill_of_materials() -> bytes:
             f"The installed packages could not be listed: {reason[0]}.", fix="Check the environment with `pip check`."
         )
     bill = msgspec.json.decode(done.stdout, type=dict[str, Any])
+    for component in bill.get("components", []):
+        remove_local_references(component)
     bill.setdefault("components", []).extend(model_component(file) for file in MANIFEST.values())
     return msgspec.json.format(msgspec.json.encode(bill), indent=1) + b"\n"
+
+
+def remove_local_references(component: dict[str, Any]) -> None:
+    """Remove the references to files of this machine from a component."""
+    references = component.get("externalReferences", [])
+    kept = [one for one in references if not str(one.get("url", "")).startswith("file:")]
+    if references:
+        component["externalReferences"] = kept
 
 
 def model_component(file: WeightFile) -> dict[str, Any]:

@@ -8,9 +8,12 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
+from dualbrain.control.recording.channels import EpisodeInfo, read_recording
+from dualbrain.control.recording.recorded_robot import recorded_robot
 from dualbrain.control.recording.replay import replay
 from dualbrain.core.markdown import markdown_table
 from dualbrain.core.storage.atomic_files import atomic_folder
@@ -78,7 +81,7 @@ def write_evidence(
     _check_empty(out)
     subject = load_subject(inputs)
     report = None if inputs.test_report is None else read_test_report(inputs.test_report)
-    runs = [_replay(path) for path in inputs.runs]
+    runs = [_replay(path, subject.robot_model.name) for path in inputs.runs]
     bill = write_bill_of_materials()
     statuses = pages.requirement_statuses(report, subject.robot_model)
     texts = {
@@ -148,11 +151,19 @@ def _files(folder: Path) -> list[Path]:
     return [path for path in folder.rglob("*") if path.is_file()]
 
 
-def _replay(path: Path) -> ReplayedRun:
+def _replay(path: Path, robot: str) -> ReplayedRun:
     recording = path / "episode.mcap" if path.is_dir() else path
     if not recording.exists():
         raise ConfigurationError.stating(f"There is no recording {recording}.", fix="Name the folder of a run.")
     result = replay(recording)
+    about = _recorded_facts(recording)
+    recorded = recorded_robot(about).name
+    if recorded != robot:
+        raise ConfigurationError.stating(
+            f"The recording {recording} is of the robot {recorded}, the evidence is for {robot}.",
+            fix="Name a run of this robot.",
+        )
+    kernel = str(dict(about.get("versions", {})).get("kernel", "not recorded"))
     identical = result.identical and result.complete
     if result.differing:
         comparison = f"{result.differing} differ, the first at tick {result.first}"
@@ -160,7 +171,20 @@ def _replay(path: Path) -> ReplayedRun:
         comparison = f"incomplete: {result.problem or 'messages were lost'}"
     else:
         comparison = "identical, bit for bit" if result.identical else "no controls to compare"
-    return ReplayedRun(f"{recording.parent.name}/{recording.name}", result.ticks, comparison, identical)
+    return ReplayedRun(
+        recording=f"{recording.parent.name}/{recording.name}",
+        controls=result.ticks,
+        comparison=comparison,
+        identical=identical,
+        robot=recorded,
+        kernel=kernel,
+        sha256=file_sha256(recording),
+    )
+
+
+def _recorded_facts(recording: Path) -> dict[str, Any]:
+    """The data of the /episode message; `replay` has checked that there is one."""
+    return next(message.data for message in read_recording(recording) if isinstance(message, EpisodeInfo))
 
 
 def _software(now: float) -> dict[str, str]:

@@ -18,14 +18,17 @@ from dualbrain.robots.model import RobotModel
 NO_REPORT: RequirementStatus = "no test report"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ReplayedRun:
-    """A run that was recomputed: its recording, the number of controls, and the comparison in words."""
+    """A run that was recomputed: recording, robot, kernel hash, SHA-256, number of controls, comparison in words."""
 
     recording: str
     controls: int
     comparison: str
     identical: bool
+    robot: str
+    kernel: str
+    sha256: str
 
 
 def requirement_statuses(report: TestReport | None, robot_model: RobotModel) -> dict[str, RequirementStatus]:
@@ -119,19 +122,22 @@ def robot_limits(subject: Subject) -> str:
     robot_model = subject.robot_model
     tracking = robot_model.tracking
     errors = ", ".join(f"{error:.6g}" for error in sorted(set(tracking.position_errors(robot_model.n))))
+    mixed = robot_model.is_mobile or any(joint.kind == "prismatic" for joint in robot_model.joints)
+    unit = "rad (m for prismatic joints and the base)" if mixed else "rad"
     lines = [
         "# Limits of the robot",
         "",
         f"Robot model {robot_model.name}, from {robot_model.source}; licence {robot_model.licence}. "
         f"{len(robot_model.spheres)} collision spheres, {len(robot_model.self_pairs.kept)} pairs of own parts. "
-        "The limits are those of the model after narrowing by the site file.",
+        'The limits are those of the model after narrowing by the site file. The provenance "site policy" of a model '
+        "means a default that dualbrain chose; it is no decision of a site.",
         "",
         *markdown_table(("joint", "bound", "value", "provenance"), bound_rows(robot_model)),
         "",
         "## Tracking model",
         "",
-        f"y = q + lag v follows the commanded velocity: lag {tracking.lag * 1e3:.3g} ms, position error {errors} rad "
-        f"(m for prismatic joints), drive {tracking.drive or 'not named'}. Provenance: {tracking.provenance}.",
+        f"y = q + lag v follows the commanded velocity: lag {tracking.lag * 1e3:.3g} ms, position error "
+        f"{errors} {unit}, drive {tracking.drive or 'not named'}. Provenance: {tracking.provenance}.",
         "",
         "## Missing information",
         "",
@@ -153,7 +159,10 @@ def experiment_figures() -> str:
         "# Measured figures",
         "",
         "Results of the experiments that the requirements name, as committed with the software. They were measured in "
-        "simulation or on fakes of interfaces, each at the stated revision, which may be older than this version. "
+        "simulation or on fakes of interfaces, each at the revision that its table states, which may be older "
+        "than this version; "
+        '"not recorded" means that the revision of the run is unknown. A number in brackets after a revision is the '
+        "number of units that ran at it. "
         "No experiment was run for this robot at this site.",
     ]
     for name, figures in read_figures().items():
@@ -182,8 +191,9 @@ def replay_page(runs: Sequence[ReplayedRun]) -> str:
         "## Runs recomputed for this evidence",
         "",
     ]
-    rows = [(run.recording, str(run.controls), run.comparison) for run in runs]
-    lines += markdown_table(("recording", "controls", "result"), rows) if rows else ["None were given (`--run`)."]
+    rows = [(one.recording, one.robot, str(one.controls), one.comparison, one.kernel, one.sha256) for one in runs]
+    heads = ("recording", "robot", "controls", "result", "kernel", "SHA-256 of the recording")
+    lines += markdown_table(heads, rows) if rows else ["None were given (`--run`)."]
     return _page(lines)
 
 
@@ -193,7 +203,8 @@ def software_page(facts: Mapping[str, str]) -> str:
         [
             "# Software",
             "",
-            "Versions and hashes of this installation. `sbom.cdx.json` lists all packages and model files.",
+            "Versions and hashes of this installation. `sbom.cdx.json` lists the model files and all packages "
+            "of the environment, development tools included.",
             "",
             *markdown_table(("", ""), list(facts.items())),
         ]

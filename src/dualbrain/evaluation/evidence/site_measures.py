@@ -9,6 +9,7 @@ from dualbrain.robots.model import RobotModel
 from dualbrain.robots.site_config import SiteFile
 
 NO_SITE = "no site file was given"
+_UNRESTRICTED = "the planner may call every skill"
 
 
 def describe_site_measure(measure: SiteMeasure, file: SiteFile | None, robot_model: RobotModel, record: str) -> str:
@@ -17,8 +18,11 @@ def describe_site_measure(measure: SiteMeasure, file: SiteFile | None, robot_mod
         return record
     if measure == "tool_speed":
         bound = robot_model.tool_speed
-        return f"tool speed {bound.value:g} {bound.unit} ({bound.provenance})"
-    return NO_SITE if file is None else _DESCRIPTIONS[measure](file)
+        source = f"the default of the robot model, chosen by dualbrain; {NO_SITE}" if file is None else bound.provenance
+        return f"tool speed {bound.value:g} {bound.unit} ({source})"
+    if file is None:
+        return f"no site file: {_UNRESTRICTED}" if measure == "commander" else NO_SITE
+    return _DESCRIPTIONS[measure](file)
 
 
 def list_entries(file: SiteFile) -> list[tuple[str, str, str]]:
@@ -69,7 +73,7 @@ def _commanders(file: SiteFile) -> str:
         f"{name}: {', '.join(one.skills)} ({file.locate(f'commander.{name}')})"
         for name, one in file.site.commander.items()
     ]
-    return "; ".join(entries) or "no restriction is stated: the planner may call every skill"
+    return "; ".join(entries) or f"no restriction is stated: {_UNRESTRICTED}"
 
 
 def _tool(file: SiteFile) -> str:
