@@ -294,6 +294,7 @@ def test_an_unknown_board_and_a_short_key_are_named():
         build_firmware(Firmware(board=find_board("an386"), key=b"short"), PANDA, CONFIG, "unused")
 
 
+@pytest.mark.realtime  # the clock of the board runs on while this process waits for a processor
 def test_without_a_host_the_watchdog_brakes_then_switches_the_drive_off(own_clock):
     """At full speed: the control falls by at most one period's acceleration per output, and is never raised."""
     with EmulatedBoard(find_board("an505"), own_clock, link="uart") as board:
