@@ -31,7 +31,7 @@ class Installation(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class CheckedInterpreter(msgspec.Struct, frozen=True, kw_only=True):
-    """What was found with one interpreter and the wheel that pip selects for it."""
+    """The results of one interpreter and the wheel that pip selects for it."""
 
     python: str
     wheel: str

@@ -12,7 +12,7 @@ from tools.release.installation_check import IMPORTS, CheckedInterpreter
 PAGE = """\
 # Release check
 
-What `make release-check` found: the distributions are built from the checkout, repaired, checked, and installed into
+Results of `make release-check`: the distributions are built from the checkout, repaired, checked, and installed into
 clean environments outside the checkout. {date}, revision {revision}, {machine}, {system}.
 
 The command needs CPython 3.11, 3.12 and 3.13 (on `PATH`, of pyenv, or of uv; `ALLOW_MISSING=1` checks those that are

@@ -43,6 +43,8 @@ from dualbrain.memory.state.state import MemoryState
 
 FIRST_COUNT, GROWTH = 256, 4
 """Number of rows of the first request for each group, and the factor of each further one."""
+NEVER_STORED = -1
+"""Flag of a row without a vector; 0: the engine lacks its vector, 1: the engine has it."""
 BATCH = 2000
 """Vectors that are read from the ledger at once."""
 
@@ -71,10 +73,11 @@ class EngineIndex(Index):
         group = self._group_of(memo, mask)
         self._seqs.append(memo.seq)
         self._codes.append(self._code_of_group.setdefault(group, len(self._code_of_group)))
-        self._versions.append(self._version(memo.robot))
+        version = self._version(memo.robot)
+        self._versions.append(version)
         seqs, groups = self._stored
         found = slice(np.searchsorted(seqs, memo.seq), np.searchsorted(seqs, memo.seq, "right"))
-        self._flags.append(int(group in groups[found]))
+        self._flags.append(int(group in groups[found]) if version else NEVER_STORED)
 
     def _group_of(self, memo: MemoryState, mask: int) -> int:
         """The group of a row: equal for equal robot, registry, guidance, mask, embedding and revision of vectors."""
@@ -124,8 +127,7 @@ class EngineIndex(Index):
         """Add the rows that the engine lacks; False if it does not answer. Retrieval calls it, too."""
         if not self._may_add:
             return False
-        is_supported = np.array([bool(version) for version in self._versions], bool)
-        missing = np.flatnonzero((self._flags.values == 0) & is_supported)
+        missing = np.flatnonzero(self._flags.values == 0)
         groups = np.array(list(self._code_of_group), np.int64)
         try:
             for first in range(0, len(missing), BATCH):
