@@ -118,7 +118,8 @@ class Shell:
         self.options, self.console = options, console
         self._reader = LineReader()
         self.worker = InstructionWorker(options, console, self._reader.wake)
-        self._waiting: deque[str] = deque()
+        self._waiting: deque[tuple[str, int]] = deque()
+        """Lines that wait, each with the number of stops before it."""
         self._leaving = False
 
     def run(self) -> int:
@@ -148,7 +149,7 @@ class Shell:
             if self.worker.busy:
                 self._read_while_busy()
             elif self._waiting:
-                self._carry_out(self._waiting.popleft())
+                self._carry_out_waiting(*self._waiting.popleft())
             elif (line := self._reader.prompt()) is None:
                 self._leaving = True
             else:
@@ -164,14 +165,21 @@ class Shell:
                 self._leave()
         elif self._reader.is_terminal and line.strip().lower() in QUIT_WORDS:
             self._leave()
-        elif self.worker.loading:
-            self._waiting.append(line)
         elif self._stops(line):
             self._stop()
+        elif not self._moves():
+            self._waiting.append((line, self.worker.stops))
         elif self._reader.is_terminal and line.strip():
             self.console.print("[yellow]An instruction is being carried out. Only `stop` and `quit` are read.[/]")
         else:
-            self._waiting.append(line)
+            self._waiting.append((line, self.worker.stops))
+
+    def _carry_out_waiting(self, line: str, stops: int) -> None:
+        """Carry out a line that waited, unless a person stopped the robot meanwhile."""
+        if stops == self.worker.stops or line.strip().lower() in QUIT_WORDS:
+            self._carry_out(line)
+        else:
+            self.console.print(f"discarded, because a stop followed: {line}", markup=False)
 
     def _carry_out(self, line: str) -> None:
         """A command of the shell, or an instruction."""
@@ -187,16 +195,25 @@ class Shell:
         elif reason := self.worker.submit(words):
             self.console.print(f"[yellow]{reason}[/]")
 
+    def _moves(self) -> bool:
+        """Whether an instruction is being carried out."""
+        return self.worker.busy and not self.worker.loading
+
     def _stops(self, line: str) -> bool:
+        """Whether a line is a stop command. `quit` is none, and `help` is one if a person types it during a motion."""
         from dualbrain.grounding.instruction.stop_commands import is_stop_command
 
-        return is_stop_command(line)
+        words = line.strip(" \t!.").lower()
+        if words == "help":
+            return self._moves() and self._reader.is_terminal
+        return words not in QUIT_WORDS and is_stop_command(line)
 
     def _stop(self) -> None:
         """Stop the present instruction; without one, stop every running gatekeeper of this user."""
-        if self.worker.busy:
+        moves = self._moves()
+        self.worker.interrupt()
+        if moves:
             self.console.print("[yellow]stopping: the arm brakes to rest[/]")
-            self.worker.interrupt()
             return
         from dualbrain.cli.run.stop_command import stop_running_robots
         from dualbrain.core.paths import dualbrain_home
@@ -215,8 +232,9 @@ class Shell:
             self._leave()
             if not self.worker.busy:
                 sys.exit(ExitCode.INTERRUPTED)
-        elif self.worker.busy and not self.worker.loading:
+        elif self._moves():
             self.worker.interrupt()
             self.console.print("[yellow]stopping: the arm brakes to rest[/]")
         else:
+            self.worker.interrupt()
             raise KeyboardInterrupt

@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from queue import SimpleQueue
-from threading import Lock, Thread
+from threading import RLock, Thread
 from time import monotonic
 from typing import TYPE_CHECKING
 
@@ -35,21 +35,25 @@ if TYPE_CHECKING:
     from dualbrain.runtime.session import Session
 
 BUSY = "not accepted: an instruction is being carried out; stop it first"
+STOPPING_ACTIONS = ("abort", "takeover", "estop", "shut_down")
+"""Operator actions after which an instruction that waits is not carried out."""
 
 
 class InstructionWorker:
     """Loads in the background, then carries out instructions; every method may be called from any thread.
 
-    `failure` is the exception that ended the thread, None while it works.
+    `failure` is the exception that ended the thread, None while it works. `stops` counts the stops, from any source:
+    an instruction that waited during a stop is not carried out.
     """
 
     def __init__(self, options: ShellOptions, console: Console, on_idle: Callable[[], None]) -> None:
         """Start to load. `on_idle` is called after loading, after each instruction, and after a failure."""
         self._options, self._console, self._on_idle = options, console, on_idle
         self._queue: SimpleQueue[str | None] = SimpleQueue()
-        self._lock = Lock()
+        self._lock = RLock()  # a signal handler may call `interrupt` while the same thread is in `submit`
         self._busy = self.loading = True
         self._stop_requested = False
+        self.stops = 0
         self._session: Session | None = None
         self._backend: GatekeeperBackend | None = None
         self._planner: Planner | None = None
@@ -71,7 +75,8 @@ class InstructionWorker:
         with self._lock:
             if self._busy:
                 return BUSY
-            self._busy, self._stop_requested = True, False
+            self._stop_requested = False
+            self._busy = True  # last: a signal from here on stops this instruction
         self._queue.put(instruction)
         return ""
 
@@ -85,9 +90,10 @@ class InstructionWorker:
         return self.submit(instruction)
 
     def interrupt(self) -> None:
-        """Stop the present instruction: the arm brakes to rest. Has no effect if there is none."""
+        """Stop the present instruction: the arm brakes to rest. Without one, only `stops` is increased."""
         with self._lock:
             self._stop_requested = True
+            self.stops += 1
             if self._session is not None:
                 self._session.interrupt()
 
@@ -106,7 +112,6 @@ class InstructionWorker:
         try:
             with ExitStack() as stack:
                 self._load(stack)
-                self.loading = False
                 self._become_idle()
                 for instruction in iter(self._queue.get, None):
                     self._try_instruction(instruction)
@@ -114,12 +119,11 @@ class InstructionWorker:
         except BaseException as error:
             self.failure = error
         finally:
-            self.loading = False
             self._become_idle()
 
     def _become_idle(self) -> None:
         with self._lock:
-            self._session, self._backend, self._busy = None, None, False
+            self._session, self._backend, self._busy, self.loading = None, None, False, False
         self._on_idle()
 
     def _load(self, stack: ExitStack) -> None:
@@ -161,6 +165,9 @@ class InstructionWorker:
 
     def _operate(self, action: OperatorAction, speed: float = 1.0) -> str:
         """Send an operator action to the gatekeeper of the present instruction."""
+        if action in STOPPING_ACTIONS:
+            with self._lock:
+                self.stops += 1
         backend = self._backend
         return (
             backend.operate(action, speed) if backend else "nothing moves: there is no gatekeeper between instructions"
