@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 import platform
+import shutil
 import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from importlib import metadata
 from pathlib import Path
 from typing import Literal
@@ -43,8 +45,8 @@ class Finding:
     text: str
 
 
-def doctor(*, robot: str = "") -> int:
-    """Check this installation: versions, kernel, filter latency, rendering, planners, model files, memory.
+def doctor(*, robot: str = "", target: str = "") -> int:
+    """Check this installation: versions, kernel, filter latency, rendering, targets, planners, model files, memory.
 
     Lists every running gatekeeper of this user too: process, robot, socket, start, what started it, whether a commander
     is connected, and how to end it.
@@ -55,11 +57,27 @@ def doctor(*, robot: str = "") -> int:
     ----------
     robot
         Check this robot model instead: a name, or a folder made by `dualbrain robot init`.
+    target
+        Check this emulated board instead (an386, an500, an505): build the firmware of the robot (default panda), start
+        it, and compare the hash of the kernel that it states with the kernel of this computer.
     """
+    if target:
+        return _print_findings(_run_check(partial(_target, target, robot or "panda"), f"target {target}"))
     if robot:
         return _print_findings(_robot(robot))
-    checks = (_versions, _extras, _kernel, _latency, _rendering, _planners, _model_files, _memory, _gatekeepers)
-    return _print_findings([finding for check in checks for finding in _run_check(check)])
+    checks = {
+        "versions": _versions,
+        "extras": _extras,
+        "kernel": _kernel,
+        "latency": _latency,
+        "rendering": _rendering,
+        "targets": _targets,
+        "planners": _planners,
+        "model files": _model_files,
+        "memory": _memory,
+        "gatekeepers": _gatekeepers,
+    }
+    return _print_findings([finding for name, check in checks.items() for finding in _run_check(check, name)])
 
 
 def _print_findings(findings: list[Finding]) -> int:
@@ -86,8 +104,38 @@ def _robot(robot: str) -> list[Finding]:
     ]
 
 
-def _run_check(check: Callable[[], list[Finding]]) -> list[Finding]:
-    name = check.__name__.strip("_").replace("_", " ")
+def _target(board: str, robot: str) -> list[Finding]:
+    """Robot and kernel of the firmware on an emulated board, as the board states them."""
+    from dualbrain.robots.loader import load_robot
+    from dualbrain.safety.cbf.config import operating_config
+    from dualbrain.safety.cbf.kernel import kernel_hash
+    from dualbrain.safety.target.target_filter import EmulatedTarget
+
+    robot_model = load_robot(robot)
+    with EmulatedTarget(board, robot_model, operating_config(robot_model)) as target:
+        stated = target.session.description
+    kernel = f"{stated.kernel_hash:016x}"
+    same = kernel == kernel_hash()
+    comparison = "as on this computer" if same else f"this computer has {kernel_hash()}: build the firmware again"
+    return [
+        Finding(f"target {board}", "ok", f"{robot_model.name}, {stated.joints} joints, {stated.robot_hash:016x}"),
+        Finding(f"kernel of {board}", "ok" if same else "problem", f"source hash {kernel}, {comparison}"),
+    ]
+
+
+def _targets() -> list[Finding]:
+    """Whether the emulated boards can be built and started."""
+    from dualbrain.safety.target.boards import BOARDS
+
+    missing = [] if _version("ziglang") else ["pip install 'dualbrain[target]'"]
+    missing += [] if shutil.which("qemu-system-arm") else ["apt-get install qemu-system-arm"]
+    if missing:
+        return [Finding("targets", "optional", f"no emulated board: {'; '.join(missing)}")]
+    names = ", ".join(f"{board.name} ({board.core})" for board in BOARDS.values())
+    return [Finding("targets", "ok", f"emulated boards {names}; their kernel: dualbrain doctor --target an386")]
+
+
+def _run_check(check: Callable[[], list[Finding]], name: str) -> list[Finding]:
     try:
         return check()
     except ModuleNotFoundError as error:
