@@ -41,9 +41,10 @@ from experiments.robots.cross_embodiment import CrossEmbodiment
 from experiments.robots.franka_limits import FrankaLimits
 from experiments.robots.grasping import Grasping
 from experiments.robots.robosuite_tasks import RobosuiteTasks
-from experiments.robots.robot_zoo import RobotZoo
 from experiments.robots.ros2.rates import Ros2Rates
 from experiments.robots.so101.careless_servos import CarelessServos
+from experiments.robots.targets.target_bits import TargetBits
+from experiments.robots.zoo.robot_zoo import RobotZoo
 from experiments.safety.adversary import Adversary
 from experiments.safety.conservatism import Conservatism
 from experiments.safety.margin_causes import MarginCauses
@@ -69,6 +70,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         PlantAdversary(),
         CrossEmbodiment(),
         RobotZoo(),
+        TargetBits(),
         CrashRecovery(),
         SharedLedger(),
         Poisoning(),

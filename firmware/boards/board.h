@@ -6,7 +6,7 @@
 
 #define REGISTER(address) (*(volatile uint32_t *)(address))
 
-/* given by the build: UART_BASE, UART_RX_IRQ, DRIVE_OUTPUT_ADDRESS, CLOCK_HZ, and MAILBOX_BASE */
+/* given by the build: UART_BASE, UART_RX_IRQ, DRIVE_OUTPUT_ADDRESS, CLOCK_HZ, WATCHDOG_BASE, MAILBOX_BASE */
 
 void board_systick_handler(void);
 void board_uart_handler(void);

@@ -2,7 +2,10 @@
 #include "boards/board.h"
 #include "port/hal.h"
 
+#define WATCHDOG_MS 250u /* longest pass of the main loop */
+
 void clock_start(void);
+static void watchdog_start(void);
 
 #define DRIVE_OUTPUT REGISTER(DRIVE_OUTPUT_ADDRESS) /* the LEDs, in place of the enable input of a drive */
 
@@ -27,6 +30,7 @@ void hal_init(void) {
   MAILBOX->to_target_tail = MAILBOX->to_host_head = 0;
   barrier();
   MAILBOX->magic = MAILBOX_MAGIC;
+  watchdog_start();
 }
 
 int hal_rx(void) {
@@ -88,6 +92,7 @@ void hal_init(void) {
   UART_DIVIDER = 16u;
   UART_CONTROL = 1u | 2u | 8u; /* transmitter, receiver, receive interrupt */
   REGISTER(0xE000E100u + 4u * (UART_RX_IRQ / 32u)) = 1u << (UART_RX_IRQ % 32u);
+  watchdog_start();
 }
 
 int hal_rx(void) { return ring_tail == ring_head ? -1 : ring[ring_tail++ % RING_SIZE]; }
@@ -111,5 +116,24 @@ void board_drive_off(void) { DRIVE_OUTPUT = 0; }
 
 #endif
 
-/* the emulated boards run without a hardware watchdog */
-void hal_watchdog(void) {}
+/* The watchdog of the boards (CMSDK APB): an interrupt that cannot be masked ends in the handler of faults, which
+ * switches the drive off. In lockstep with a simulation it stays off, because there the time passes with the messages. */
+#define WATCHDOG_LOAD REGISTER(WATCHDOG_BASE + 0x000u)
+#define WATCHDOG_CONTROL REGISTER(WATCHDOG_BASE + 0x008u) /* bit 0: counter and interrupt */
+#define WATCHDOG_RELOAD REGISTER(WATCHDOG_BASE + 0x00Cu)
+#define WATCHDOG_LOCK REGISTER(WATCHDOG_BASE + 0xC00u)
+
+static void watchdog_start(void) {
+#ifndef LOCKSTEP
+  WATCHDOG_LOCK = 0x1ACCE551u;
+  WATCHDOG_LOAD = CLOCK_HZ / 1000u * WATCHDOG_MS;
+  WATCHDOG_CONTROL = 1u;
+  WATCHDOG_LOCK = 0;
+#endif
+}
+
+void hal_watchdog(void) {
+  WATCHDOG_LOCK = 0x1ACCE551u;
+  WATCHDOG_RELOAD = 0;
+  WATCHDOG_LOCK = 0;
+}

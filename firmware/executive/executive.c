@@ -18,7 +18,7 @@ void executive_init(executive *e) {
   frame_reader_clear(&e->reader);
   e->session.open = e->session.cycling = e->transferring = e->drive_on = 0;
   e->n_staged = e->n_announced = e->refused = 0;
-  e->cycle_us = e->output_us = e->host_now_us = e->last_stamp_us = 0;
+  e->cycle_us = e->output_us = e->due_us = e->host_now_us = e->last_stamp_us = 0;
 }
 
 static void send(uint8_t type, uint32_t sequence, const uint8_t *payload, uint32_t size, const siphash_key *key) {
@@ -131,7 +131,22 @@ static int cycle(executive *e, const frame *f) {
   e->session.cycling = 1;
   write_reply(e, u, (uint32_t)(e->cycle_us - started_us), reply);
   send(MESSAGE_CYCLE_REPLY, f->sequence, reply, REPLY_SIZE, &e->session.key);
-  hal_watchdog();
+  return 1;
+}
+
+/* Whether a CYCLE comes at its time by the clock of the target, or at most CYCLES_AHEAD periods before. Every cycle may
+ * change the control by one period's acceleration, so a host that sends them faster would exceed the limit of the arm.
+ * The clocks may differ by 1/64. In lockstep with a simulation the time passes with the messages. */
+static int cycle_is_due(executive *e, uint64_t now_us) {
+#ifdef LOCKSTEP
+  (void)e;
+  (void)now_us;
+#else
+  const uint32_t period_us = (uint32_t)(robot_model.period * (dbk_real)1e6 + (dbk_real)0.5);
+  const uint64_t due_us = e->due_us > now_us ? e->due_us : now_us;
+  if (due_us - now_us > (uint64_t)CYCLES_AHEAD * period_us) { return 0; }
+  e->due_us = due_us + period_us - period_us / 64u;
+#endif
   return 1;
 }
 
@@ -141,7 +156,8 @@ static int session_message(executive *e, const frame *f) {
     return 0;
   }
   e->session.last_sequence = f->sequence;
-  return f->type == MESSAGE_CYCLE ? cycle(e, f) : scene_message_apply(e, f);
+  if (f->type != MESSAGE_CYCLE) { return scene_message_apply(e, f); }
+  return cycle_is_due(e, hal_now()) && cycle(e, f);
 }
 
 void executive_receive(executive *e, uint8_t byte) {

@@ -14,6 +14,7 @@
 #define STATE_STALE_US 50000u  /* without a CYCLE for this time the arm brakes (controlled stop) */
 #define STATE_LOST_US 150000u  /* without a CYCLE for this time the drive is switched off */
 #define OUTPUT_PERIOD_US 1000u /* period of the outputs while the watchdog acts */
+#define CYCLES_AHEAD 4u        /* most CYCLEs that may come before their time */
 
 /* the tables of the robot and the key, linked into the firmware */
 extern dbk_model robot_model, robot_hull_model; /* the second covers every opening of the gripper */
@@ -38,6 +39,7 @@ typedef struct {
   frame_reader reader;
   uint64_t cycle_us;                      /* time of the last CYCLE by the clock of the target */
   uint64_t output_us;                     /* time of the last output of the watchdog */
+  uint64_t due_us;                        /* time at which the next CYCLE is due if none comes too early */
   uint64_t host_now_us, last_stamp_us;
   uint32_t refused;
   uint8_t drive_on;

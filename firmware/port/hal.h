@@ -22,7 +22,7 @@ void hal_drive_enable(int on);
 /* 1 while the hardware emergency stop is pressed */
 int hal_estop_in(void);
 
-/* restarts the period of the hardware watchdog; only a completed cycle calls it */
+/* restarts the period of the hardware watchdog, which switches the drive off; only the main loop calls it, once a pass */
 void hal_watchdog(void);
 
 /* a number that differs between starts, for the session keys */

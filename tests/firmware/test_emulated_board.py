@@ -22,13 +22,13 @@ from dualbrain.safety.supervisor.controller import SafetyController
 from dualbrain.safety.target.boards import find_board
 from dualbrain.safety.target.build import Firmware, build_firmware
 from dualbrain.safety.target.emulated_board import EmulatedBoard
-from dualbrain.safety.target.frames import FrameReader, encode_frame
+from dualbrain.safety.target.frames import FrameReader, decode_frame, encode_frame
 from dualbrain.safety.target.messages import CYCLE, Message, obstacle_frames, pack_permits, padded
 from dualbrain.safety.target.robot_tables import robot_tables_hash
 from dualbrain.safety.target.session import TargetLostError, TargetSession
 from dualbrain.safety.target.target_filter import EmulatedTarget
 
-PANDA = load_robot("panda")
+PANDA, BASE = load_robot("panda"), load_robot("base")
 CONFIG = operating_config(PANDA)
 KEY = bytes(range(16))
 V_MAX = np.array([joint.velocity.value for joint in PANDA.joints])
@@ -312,6 +312,69 @@ def test_without_a_host_the_watchdog_brakes_then_switches_the_drive_off(own_cloc
     assert outputs[0].action == SafetyAction.CONTROLLED_STOP
     assert CHECKS[outputs[-1].check].name == "state_lost"
     assert (outputs[-1].action, outputs[-1].drive_enabled) == (SafetyAction.ESTOP, False)
+
+
+@pytest.fixture(scope="module")
+def slow_base(tmp_path_factory):
+    """Firmware of the mobile base, whose period is 20 ms, by its own clock."""
+    firmware = Firmware(board=find_board("an386"), key=KEY, lockstep=False)
+    return build_firmware(firmware, BASE, operating_config(BASE), tmp_path_factory.mktemp("firmware"))
+
+
+def accepted_cycles(session, count, seconds):
+    """Send `count` CYCLEs without a pause; returns the replies that arrive in `seconds`."""
+    for _ in range(count):
+        session.send(Message.CYCLE, cycle_payload(q=BASE.home))
+    replies, end = [], time.monotonic() + seconds
+    while time.monotonic() < end:
+        for piece in session._reader.feed(session._link.read(0.02)):
+            frame = decode_frame(piece, session._key)
+            replies += [frame] if frame is not None and frame.type == Message.CYCLE_REPLY else []
+    return replies
+
+
+def test_a_host_that_sends_faster_than_the_period_is_refused(slow_base):
+    """Each cycle may change the control by one period's acceleration: n periods accept at most n cycles and a few."""
+    with EmulatedBoard(find_board("an386"), slow_base) as board:
+        session = TargetSession(board.link, KEY, robot_tables_hash(BASE, operating_config(BASE)))
+        for kind, payload in obstacle_frames(np.zeros((0, 29)), {}):
+            session.send(kind, payload)
+        started = time.monotonic()
+        accepted = len(accepted_cycles(session, 100, 0.1))
+        periods = (time.monotonic() - started) / BASE.period
+        assert 1 <= accepted <= 5 + periods * 64 / 63 < 100
+        time.sleep(8 * BASE.period)
+        assert session.cycle(cycle_payload(q=BASE.home)).refused == 100 - accepted
+        time.sleep(8 * BASE.period)
+        assert len(accepted_cycles(session, 4, 0.1)) == 4  # a late host may catch up
+
+
+HANGING = """
+#include "executive/executive.h"
+void __real_executive_watchdog(executive *e, uint64_t now_us);
+void __wrap_executive_watchdog(executive *e, uint64_t now_us) {
+  while (e->refused) {}
+  __real_executive_watchdog(e, now_us);
+}
+"""
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("name", ["an386", "an505"])
+def test_firmware_that_hangs_is_stopped_by_the_hardware_watchdog(tmp_path, name):
+    source = tmp_path / "hanging.c"
+    source.write_text(HANGING)  # a refused frame makes this main loop hang
+    extra = ("-Wl,--wrap=executive_watchdog", str(source))
+    firmware = Firmware(board=find_board(name), key=KEY, lockstep=False, extra=extra)
+    with EmulatedBoard(find_board(name), build_firmware(firmware, PANDA, CONFIG, tmp_path / "build")) as board:
+        session = TargetSession(board.link, KEY, robot_tables_hash(PANDA, CONFIG))
+        for kind, payload in obstacle_frames(np.zeros((0, 29)), {}):
+            session.send(kind, payload)
+        assert session.cycle(cycle_payload()).drive_enabled
+        assert board.link.drive_enabled
+        session.send(Message.CYCLE, b"too short")
+        assert board.process.wait(10.0) == 99  # the handler of faults
+        assert not board.link.drive_enabled
 
 
 def test_a_lost_target_is_an_emergency_stop_that_names_the_target(monkeypatch):

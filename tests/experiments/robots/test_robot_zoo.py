@@ -4,9 +4,9 @@ import pytest
 
 from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import FilterStatus
-from experiments.robots.robot_zoo import KINEMATICS_TOLERANCE, ROBOTS_BY_NAME, RobotZoo, failure_reasons
-from experiments.robots.zoo_adversary import run_attack
-from experiments.robots.zoo_robots import EMPTY_FILES, EXCLUDED, ROBOTS, robots_folder
+from experiments.robots.zoo.robot_zoo import KINEMATICS_TOLERANCE, ROBOTS_BY_NAME, RobotZoo, failure_reasons
+from experiments.robots.zoo.zoo_adversary import run_attack
+from experiments.robots.zoo.zoo_robots import EMPTY_FILES, EXCLUDED, ROBOTS, robots_folder
 
 
 @pytest.mark.parametrize("name", ["ur3_robot", "tiago_base"])

@@ -11,7 +11,7 @@ from dualbrain.robots.importer.output.markdown import missing_information
 from dualbrain.robots.importer.required_limits import LimitPolicy, StatedLimit
 from dualbrain.robots.importer.urdf import read_urdf
 from dualbrain.skills.registry import skill_registry
-from experiments.robots.zoo_robots import robots_folder
+from experiments.robots.zoo.zoo_robots import robots_folder
 from tests.robots.importer.urdf_builder import joint_xml, limit_policy, link_xml, urdf_xml, write_file
 
 GRIP = {"grip_force_min": StatedLimit(5.0, "test"), "grip_force": StatedLimit(60.0, "test")}

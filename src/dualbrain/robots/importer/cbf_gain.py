@@ -15,7 +15,7 @@ prismatic joint j, 0 for a prismatic joint i). r_i is the largest distance of th
 joint i; the link with the smallest α counts. The distance to a convex obstacle is convex in p, which only increases h.
 
 Promise: an approach at s V or faster can be stopped by braking alone. A slower, oblique approach also needs steering;
-nothing is proven for it, it was only tested against an adversary (experiments/robots/robot_zoo.py).
+nothing is proven for it, it was only tested against an adversary (experiments/robots/zoo/robot_zoo.py).
 """
 
 from __future__ import annotations

@@ -22,6 +22,7 @@ class Board:
     uart_base: int
     uart_rx_irq: int
     drive_output: int
+    watchdog_base: int
     clock_hz: int
 
 
@@ -39,6 +40,7 @@ BOARDS = {
             uart_base=0x40004000,
             uart_rx_irq=0,
             drive_output=0x40028000,
+            watchdog_base=0x40008000,
             clock_hz=25_000_000,
         ),
         Board(
@@ -52,6 +54,7 @@ BOARDS = {
             uart_base=0x40004000,
             uart_rx_irq=0,
             drive_output=0x40028000,
+            watchdog_base=0x40008000,
             clock_hz=25_000_000,
         ),
         Board(
@@ -65,6 +68,7 @@ BOARDS = {
             uart_base=0x50200000,
             uart_rx_irq=32,
             drive_output=0x50302000,
+            watchdog_base=0x50081000,
             clock_hz=20_000_000,
         ),
     )

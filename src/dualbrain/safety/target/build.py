@@ -27,7 +27,10 @@ KEY_BYTES = 16
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Firmware:
-    """What a build contains: `link` is "mailbox" or "uart"; in `lockstep` the time passes with the messages."""
+    """Contents of a build: `link` is "mailbox" or "uart"; in `lockstep` the time passes with the messages.
+
+    `extra` are further arguments of the compiler.
+    """
 
     board: Board
     key: bytes
@@ -35,6 +38,7 @@ class Firmware:
     link: str = "mailbox"
     lockstep: bool = True
     optimisation: str = "-O2"
+    extra: tuple[str, ...] = ()
 
 
 def source_root() -> Path:
@@ -90,6 +94,7 @@ def _command(firmware: Firmware, script: Path) -> list[str]:
         "UART_RX_IRQ": str(board.uart_rx_irq),
         "DRIVE_OUTPUT_ADDRESS": f"{board.drive_output:#x}u",
         "CLOCK_HZ": f"{board.clock_hz}u",
+        "WATCHDOG_BASE": f"{board.watchdog_base:#x}u",
         "MAILBOX_BASE": f"{board.ram_origin + MAILBOX_OFFSET:#x}u",
     }
     return [
@@ -113,6 +118,7 @@ def _command(firmware: Firmware, script: Path) -> list[str]:
         str(script),
         "-Wl,--gc-sections",
         *sources,
+        *firmware.extra,
     ]
 
 

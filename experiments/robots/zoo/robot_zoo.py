@@ -15,9 +15,9 @@ from dualbrain.robots.importer.urdf import read_urdf
 from dualbrain.safety.cbf.filter import FilterStatus
 from experiments.engine.experiment import Options, Row, WorkUnit
 from experiments.figures.tables import markdown_table
-from experiments.robots.zoo_adversary import run_attack
-from experiments.robots.zoo_oracle import compare_kinematics
-from experiments.robots.zoo_robots import EMPTY_FILES, EXCLUDED, ROBOTS, ZooRobot, robots_folder, stated_limits
+from experiments.robots.zoo.zoo_adversary import run_attack
+from experiments.robots.zoo.zoo_oracle import compare_kinematics
+from experiments.robots.zoo.zoo_robots import EMPTY_FILES, EXCLUDED, ROBOTS, ZooRobot, robots_folder, stated_limits
 
 N_SCENES, STEPS_PER_SCENE, N_STATES = 10, 10_000, 100
 KINEMATICS_TOLERANCE = 1e-9

@@ -11,7 +11,7 @@ from dualbrain.robots.importer.kinematic_chain import KinematicChain, find_chain
 from dualbrain.robots.importer.kinematic_tree import KinematicTree
 from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.filter import FilterConfig, SafetyFilter
-from experiments.robots.zoo_robots import ZooRobot, import_pinocchio, robots_folder
+from experiments.robots.zoo.zoo_robots import ZooRobot, import_pinocchio, robots_folder
 
 Array = NDArray[np.float64]
 

@@ -1,0 +1,1 @@
+"""Experiments with the safety layer as firmware on emulated boards."""

@@ -1,0 +1,1 @@
+"""Import of robots from a package of models, compared with an independent library."""
