@@ -11,8 +11,6 @@ from pathlib import Path
 from secrets import token_bytes
 from typing import Any
 
-import numpy as np
-
 from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.config import operating_config
 from dualbrain.safety.cbf.kernel import kernel_hash
@@ -20,15 +18,16 @@ from dualbrain.safety.target.boards import BOARDS, TOOLCHAINS, find_board
 from dualbrain.safety.target.build import KEY_BYTES, Firmware, build_firmware
 from dualbrain.safety.target.emulated_board import EmulatedBoard
 from dualbrain.safety.target.robot_tables import robot_tables_hash
-from dualbrain.safety.target.session import TargetSession
+from dualbrain.safety.target.session import TargetLostError, TargetSession
 from dualbrain.safety.target.target_filter import TargetFilter
 from experiments.engine.experiment import Options, Row, WorkUnit
 from experiments.figures.tables import markdown_table
-from experiments.robots.targets.target_steps import RandomMotion
+from experiments.robots.targets.recorded_steps import RecordedSteps, compare_steps, record_steps
 
 ROBOTS, LEVELS = ("panda", "ur5e", "base"), ("-O2", "-Os")
 STEPS, BLOCKS = 10_000, 34
-"""Steps of one unit, and units of each robot and build: 3 x 34 x 10,000 steps on each of 12 builds."""
+"""Steps of one unit, and units of each robot: 3 x 34 x 10,000 steps, each on 12 builds."""
+BUILDS = tuple(product(BOARDS, TOOLCHAINS, LEVELS))
 RULE_OF_THREE = 3.0
 
 
@@ -42,62 +41,73 @@ class TargetBits:
     )
 
     def units(self, options: Options) -> list[WorkUnit]:
-        """Block by block over all builds, so that a part of the units covers each of them."""
+        """One block of one robot on all builds."""
         del options
-        kinds = product(range(BLOCKS), ROBOTS, BOARDS, TOOLCHAINS, LEVELS)
-        names = ("block", "robot", "board", "toolchain", "level")
-        return [WorkUnit(" ".join(map(str, kind)), dict(zip(names, kind, strict=True))) for kind in kinds]
+        kinds = product(range(BLOCKS), ROBOTS)
+        return [WorkUnit(f"{robot} {block}", {"robot": robot, "block": block}) for block, robot in kinds]
 
     def run(self, parameters: dict[str, Any]) -> Row:
-        """One block of one robot on one build."""
-        robot, board = parameters["robot"], find_board(parameters["board"])
-        model, (elf, key) = load_robot(robot), _build(**{k: v for k, v in parameters.items() if k != "block"})
-        config = operating_config(model)
-        seed = [parameters["block"], zlib.crc32(robot.encode())]
-        with EmulatedBoard(board, elf) as emulated:
-            session = TargetSession(emulated.link, key, robot_tables_hash(model, config))
-            safety = TargetFilter(model, config, session)
-            statuses = RandomMotion(model, np.random.default_rng(seed)).run(safety, STEPS)
-        target = safety.target
-        counts = {"steps": target.steps, "differences": target.differences, "lost": target.lost}
-        return {**parameters, **counts, "statuses": dict(statuses), "kernel": kernel_hash()}
+        """Record the steps on the host, then repeat them on each build."""
+        robot = parameters["robot"]
+        recorded = record_steps(robot, [parameters["block"], zlib.crc32(robot.encode())], STEPS)
+        builds = {" ".join(build): _run_on_board(robot, build, recorded) for build in BUILDS}
+        return {**parameters, "statuses": dict(recorded.statuses), "builds": builds, "kernel": kernel_hash()}
 
     def summarize_row(self, row: Row) -> str:
         """The steps, and those with different bits."""
-        return f"{row['differences']} of {row['steps']} steps differ{'; lost: ' + row['lost'] if row['lost'] else ''}"
+        steps, differences, lost = (_total([row], name) for name in ("steps", "differences", "lost"))
+        return f"{differences} of {steps} steps on boards differ, {lost} builds lost"
 
     def report(self, rows: list[Row]) -> list[str]:
         """One line for each build, one column for each robot; then the results by status."""
-        heads = ("core", "compiler", *(f"steps of {robot}" for robot in ROBOTS), "different bits", "at most (95 %)")
-        body = [_table_row(kind, _of(rows, *kind)) for kind in product(BOARDS, TOOLCHAINS, LEVELS)]
-        sequences = {(row["robot"], row["block"]) for row in rows}
-        complete = [one for one in sequences if sum((row["robot"], row["block"]) == one for row in rows) == len(body)]
-        lost = [f"Lost: {row['key']}: {row['lost']}" for row in rows if row["lost"]]
+        heads = ("core", "compiler", *(f"steps of {robot}" for robot in ROBOTS), "with a control", "different bits")
+        steps, differences = _total(rows, "steps"), _total(rows, "differences")
+        limit = f"at most {RULE_OF_THREE / steps:.1e} (95 %, one-sided, 3/n)" if not differences else "see the table"
         return [
-            f"{STEPS * len(complete):,} steps ran on the host and on all {len(body)} builds; on a board in total "
-            f"{sum(row['steps'] for row in rows):,}, of which {sum(row['differences'] for row in rows)} differ. "
-            f"Kernel {', '.join(sorted({row['kernel'] for row in rows}))}.",
+            f"{STEPS * len(rows):,} steps ran on the host and on each of {len(BUILDS)} builds. Of these "
+            f"{steps:,} steps on boards, {differences} have other bits than the host's: {limit}. {_total(rows, 'lost')} builds stopped "
+            f"answering. Kernel {', '.join(sorted({row['kernel'] for row in rows}))}.",
             "",
-            *markdown_table(heads, [row for row in body if row]),
-            "The last column is the one-sided 95 % limit of the share of different steps, 3/n for none in n steps.",
+            *markdown_table(heads, [_table_row(build, rows) for build in BUILDS]),
+            "At a standstill the control is zero; all other values of a result are compared there too.",
+            "",
+            "Share of the results by status:",
             "",
             *_status_table(rows),
-            *lost,
         ]
 
 
-def _of(rows: list[Row], board: str, toolchain: str, level: str) -> list[Row]:
-    return [row for row in rows if (row["board"], row["toolchain"], row["level"]) == (board, toolchain, level)]
+def _total(rows: list[Row], name: str, *, build: str = "", robot: str = "") -> int:
+    """Sum of one count over the builds of the rows, of one build or robot if named."""
+    return sum(
+        counts[name]
+        for row in rows
+        for key, counts in row["builds"].items()
+        if (not build or key == build) and (not robot or row["robot"] == robot)
+    )
 
 
-def _table_row(kind: tuple[str, str, str], rows: list[Row]) -> tuple[str, ...]:
-    if not rows:
-        return ()
-    board, toolchain, level = kind
-    steps, differences = (sum(row[name] for row in rows) for name in ("steps", "differences"))
-    by_robot = (f"{sum(row['steps'] for row in rows if row['robot'] == robot):,}" for robot in ROBOTS)
-    limit = f"{RULE_OF_THREE / steps:.1e}" if not differences else "-"
-    return (f"{BOARDS[board].core} ({board})", f"{toolchain} {level}", *by_robot, str(differences), limit)
+def _table_row(build: tuple[str, str, str], rows: list[Row]) -> tuple[str, ...]:
+    board, toolchain, level = build
+    key = " ".join(build)
+    by_robot = (f"{_total(rows, 'steps', build=key, robot=robot):,}" for robot in ROBOTS)
+    controls, differences = (_total(rows, name, build=key) for name in ("controls", "differences"))
+    return (f"{BOARDS[board].core} ({board})", f"{toolchain} {level}", *by_robot, f"{controls:,}", str(differences))
+
+
+def _run_on_board(robot: str, build: tuple[str, str, str], recorded: RecordedSteps) -> dict[str, int]:
+    """Counts of the recorded steps on one build."""
+    model, board = load_robot(robot), find_board(build[0])
+    config, (elf, key) = operating_config(model), _build(robot, *build)
+    lost = controls = 0
+    with EmulatedBoard(board, elf) as emulated:
+        session = TargetSession(emulated.link, key, robot_tables_hash(model, config))
+        kernel = TargetFilter(model, config, session).target
+        try:
+            controls = compare_steps(recorded, session, kernel)
+        except TargetLostError:
+            lost = 1
+    return {"steps": kernel.steps, "controls": controls, "differences": kernel.differences, "lost": lost}
 
 
 def _status_table(rows: list[Row]) -> list[str]:
