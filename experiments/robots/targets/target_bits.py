@@ -63,10 +63,11 @@ class TargetBits:
         heads = ("core", "compiler", *(f"steps of {robot}" for robot in ROBOTS), "with a control", "different bits")
         steps, differences = _total(rows, "steps"), _total(rows, "differences")
         limit = f"at most {RULE_OF_THREE / steps:.1e} (95 %, one-sided, 3/n)" if not differences else "see the table"
+        lost, kernels = _total(rows, "lost"), ", ".join(sorted({row["kernel"] for row in rows}))
         return [
             f"{STEPS * len(rows):,} steps ran on the host and on each of {len(BUILDS)} builds. Of these "
-            f"{steps:,} steps on boards, {differences} have other bits than the host's: {limit}. {_total(rows, 'lost')} builds stopped "
-            f"answering. Kernel {', '.join(sorted({row['kernel'] for row in rows}))}.",
+            f"{steps:,} steps on boards, {differences} have other bits than the host's: {limit}. "
+            f"{lost} builds stopped answering. Kernel {kernels}.",
             "",
             *markdown_table(heads, [_table_row(build, rows) for build in BUILDS]),
             "At a standstill the control is zero; all other values of a result are compared there too.",
