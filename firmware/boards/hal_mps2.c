@@ -73,7 +73,11 @@ void board_drive_off(void) { MAILBOX->drive = 0; }
 #define UART_CONTROL REGISTER(UART_BASE + 0x08u)
 #define UART_INTERRUPT REGISTER(UART_BASE + 0x0Cu)
 #define UART_DIVIDER REGISTER(UART_BASE + 0x10u)
+#ifdef PROFILE_SMALL
+#define RING_SIZE 2048u /* of two: more than the longest frame */
+#else
 #define RING_SIZE 4096u
+#endif
 
 static volatile uint8_t ring[RING_SIZE];
 static volatile uint32_t ring_head, ring_tail;

@@ -10,8 +10,10 @@ static void read_joints(const uint8_t *from, dbk_real *to) {
 }
 
 void executive_init(executive *e) {
-  dbk_prepare(&robot_model);
   dbk_prepare(&robot_hull_model);
+#ifndef PROFILE_SMALL
+  dbk_prepare(&robot_model);
+#endif
   dbk_scene_clear(&e->scene);
   scene_make_unusable(e); /* until the host has sent a scene */
   dbk_cycle_init(&e->cycle);
@@ -40,7 +42,7 @@ static siphash_key session_key(uint64_t host_nonce, uint64_t target_nonce) {
 }
 
 static void answer_hello(executive *e, const frame *f) {
-  uint8_t b[42];
+  uint8_t b[HELLO_REPLY_SIZE];
   const uint64_t nonce = hal_nonce();
   write_u64(b, nonce);
   write_u64(b + 8, robot_hash);
@@ -48,6 +50,11 @@ static void answer_hello(executive *e, const frame *f) {
   b[24] = (uint8_t)robot_model.n;
   write_u16(b + 25, (uint16_t)DBK_MAX_OBSTACLES);
   for (uint32_t i = 0; i < 15u; ++i) { b[27 + i] = (uint8_t)board_name[i]; }
+#ifdef PROFILE_SMALL
+  b[42] = 0;
+#else
+  b[42] = 1;
+#endif
   send(MESSAGE_HELLO_REPLY, f->sequence, b, sizeof b, &shared_key);
   e->session.key = session_key(read_u64(f->payload), nonce);
   e->session.last_sequence = f->sequence;

@@ -17,7 +17,12 @@
 #define CYCLES_AHEAD 4u        /* most CYCLEs that may come before their time */
 
 /* the tables of the robot and the key, linked into the firmware */
-extern dbk_model robot_model, robot_hull_model; /* the second covers every opening of the gripper */
+extern dbk_model robot_hull_model; /* the spheres of the fingers cover every opening of the gripper */
+#ifdef PROFILE_SMALL
+#define robot_model robot_hull_model /* the opening of the gripper counts as unknown */
+#else
+extern dbk_model robot_model;
+#endif
 extern const uint64_t robot_hash, kernel_hash;
 extern const siphash_key shared_key;
 extern const char board_name[15];

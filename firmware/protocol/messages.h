@@ -16,7 +16,7 @@
  * Target to host.
  *
  *   HELLO_REPLY    target nonce u64, hash of the robot tables u64, hash of the kernel u64, joints u8, capacity: obstacles
- *                  u16, board name 15 bytes; its tag is that of the shared key, all later tags are those of the session
+ *                  u16, board name 15 bytes, tables for a known opening u8; its tag is that of the shared key, all later tags are those of the session
  *   CYCLE_REPLY    see the offsets below; its sequence is that of the CYCLE
  *   OUTPUT         as CYCLE_REPLY; sent without a CYCLE when the watchdog acts
  */
@@ -61,6 +61,8 @@ enum {
 #define CYCLE_OPTIONS 132u    /* u32 */
 #define CYCLE_BASE 136u       /* rotation 9 f32, position 3 f32 */
 #define CYCLE_SIZE 184u
+
+#define HELLO_REPLY_SIZE 43u
 
 #define REPLY_CONDITIONS 0u   /* u64: conditions of the target for its next decision */
 #define REPLY_U 8u            /* 8 f32 */

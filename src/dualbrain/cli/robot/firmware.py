@@ -38,6 +38,7 @@ def firmware(
     board: str = "an500",
     toolchain: str = "zig",
     link: str = "uart",
+    profile: str = "full",
     key: Path = Path("firmware.key"),
     out: Path = Path("firmware"),
 ) -> int:
@@ -57,6 +58,8 @@ def firmware(
         zig (a package from PyPI) or gcc (Debian: gcc-arm-none-eabi).
     link
         uart, or mailbox: two rings in memory that the host shares.
+    profile
+        full, or small for little RAM: up to 12 obstacles, and the opening of the gripper counts as unknown.
     key
         File of the key that host and target share, 16 bytes; it is created, readable by its owner, if it is absent.
     out
@@ -65,13 +68,18 @@ def firmware(
     from dualbrain.safety.target.boards import find_board
     from dualbrain.safety.target.build import Firmware, build_firmware
     from dualbrain.safety.target.emulated_board import EmulatedBoard
+    from dualbrain.safety.target.firmware_size import firmware_size
     from dualbrain.safety.target.session import TargetSession
 
     robot_model, found = load_robot(robot), find_board(board)
     config: FilterConfig = operating_config(robot_model)
-    build = Firmware(board=found, key=_read_key(key), toolchain=toolchain, link=link, lockstep=False)
+    build = Firmware(board=found, key=_read_key(key), toolchain=toolchain, link=link, profile=profile, lockstep=False)
     elf = build_firmware(build, robot_model, config, out)
-    print_message(f"{elf}: {robot_model.name} for {found.name} ({found.core}), built with {toolchain}")
+    size = firmware_size(elf)
+    print_message(
+        f"{elf}: {robot_model.name} for {found.name} ({found.core}), built with {toolchain}, profile {profile}: "
+        f"flash {size.flash / 1000:.1f} kB, RAM {size.ram / 1000:.1f} kB without the stack"
+    )
     with EmulatedBoard(found, elf, link=link) as emulated:
         described = TargetSession(emulated.link, build.key, robot_tables_hash(robot_model, config)).description
     print_message(

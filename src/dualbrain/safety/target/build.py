@@ -10,16 +10,25 @@ from pathlib import Path
 from dualbrain.core.paths import dualbrain_home
 from dualbrain.core.storage.atomic_files import write_atomically
 from dualbrain.core.storage.private_files import create_private_folder, tighten
-from dualbrain.errors import ConfigurationError
+from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.config import FilterConfig
 from dualbrain.safety.target.boards import MAILBOX_OFFSET, RAM_SIZE, Board, compiler
-from dualbrain.safety.target.robot_tables import render_robot_tables
+from dualbrain.safety.target.robot_tables import render_robot_tables, robot_capacities
 
 KERNEL_FLAGS = ("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-fno-tree-slp-vectorize")
 """Flags of the kernel on every target, so that the results are the same bits (DBK_FLAGS of CMakeLists.txt)."""
-CAPACITY = ("-DDBK_LANES=1", "-DDBK_MAX_OBSTACLES=48")
-"""Without SIMD lanes, and with room for the obstacles of a microcontroller; the results are the same bits."""
+PROFILES = {
+    "full": ("-DDBK_LANES=1", "-DDBK_MAX_OBSTACLES=48"),
+    "small": (
+        "-DPROFILE_SMALL",
+        "-DDBK_LANES=1",
+        "-DDBK_MAX_OBSTACLES=12",
+        "-DDBK_MAX_ROWS=128",
+        "-DDBK_MAX_REVISITS=256",
+    ),
+}
+"""Capacities without SIMD lanes; the results are the same bits. "small" has tables of the robot's own size."""
 BUILD_TIMEOUT_S = 300.0
 """Longest time of one build [s]."""
 KEY_BYTES = 16
@@ -29,7 +38,8 @@ KEY_BYTES = 16
 class Firmware:
     """Contents of a build: `link` is "mailbox" or "uart"; in `lockstep` the time passes with the messages.
 
-    `extra` are further arguments of the compiler.
+    `profile` is "full", or "small" for little RAM: up to 12 obstacles, and an opening of the gripper that counts as
+    unknown. `extra` are further arguments of the compiler.
     """
 
     board: Board
@@ -37,6 +47,7 @@ class Firmware:
     toolchain: str = "zig"
     link: str = "mailbox"
     lockstep: bool = True
+    profile: str = "full"
     optimisation: str = "-O2"
     extra: tuple[str, ...] = ()
 
@@ -60,8 +71,11 @@ def build_firmware(firmware: Firmware, robot_model: RobotModel, config: FilterCo
     """Build `firmware` for `robot_model` in `folder`; returns the path of the ELF file, which only its owner may read.
 
     Raises:
+        UnknownNameError: there is no such profile.
         ConfigurationError: the toolchain is missing or failed, or the robot does not fit a target.
     """
+    if firmware.profile not in PROFILES:
+        raise UnknownNameError("profile", firmware.profile, tuple(PROFILES))
     if len(firmware.key) != KEY_BYTES:
         raise ConfigurationError("length of the key [bytes]", got=len(firmware.key), allowed=str(KEY_BYTES))
     create_private_folder(folder)
@@ -70,7 +84,8 @@ def build_firmware(firmware: Firmware, robot_model: RobotModel, config: FilterCo
     write_atomically(key, _render_key(firmware).encode())
     write_atomically(script, _render_linker_script(firmware).encode())
     elf = folder / "firmware.elf"
-    _compile([*_command(firmware, script), str(tables), str(key), "-o", str(elf)], firmware.toolchain)
+    sizes = robot_capacities(robot_model, config) if firmware.profile == "small" else ()
+    _compile([*_command(firmware, script), *sizes, str(tables), str(key), "-o", str(elf)], firmware.toolchain)
     tighten(elf)  # the key is in it
     return elf
 
@@ -102,7 +117,7 @@ def _command(firmware: Firmware, script: Path) -> list[str]:
         "-std=c99",
         firmware.optimisation,
         *KERNEL_FLAGS,
-        *CAPACITY,
+        *PROFILES[firmware.profile],
         "-ffreestanding",
         "-fno-builtin",
         "-ffunction-sections",

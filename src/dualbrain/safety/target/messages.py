@@ -35,7 +35,7 @@ class Message(IntEnum):
     OUTPUT = 0x8A
 
 
-HELLO, HELLO_REPLY = Struct("<QQ"), Struct("<QQQBH15s")
+HELLO, HELLO_REPLY = Struct("<QQ"), Struct("<QQQBH15sB")
 CYCLE = Struct(f"<QQQ{JOINTS}f{JOINTS}f{JOINTS}ffffI12f")
 CYCLE_REPLY = Struct(f"<Q{JOINTS}f4fIIHHBBBBBBBxI")
 _OBSTACLE = Struct("<3iI29f")
@@ -52,7 +52,10 @@ Float32 = NDArray[np.float32]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TargetDescription:
-    """What the target answered to HELLO: hashes of its robot tables and kernel, joints, most obstacles, board."""
+    """The reply to HELLO: hashes of the robot tables and of the kernel, joints, most obstacles, board.
+
+    Without `knows_opening` the opening of the gripper counts as unknown on the target.
+    """
 
     nonce: int
     robot_hash: int
@@ -60,6 +63,7 @@ class TargetDescription:
     joints: int
     max_obstacles: int
     board: str
+    knows_opening: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -131,7 +135,7 @@ def pack_reset(u: Sequence[float], change: Sequence[float]) -> bytes:
 
 def parse_hello_reply(payload: bytes) -> TargetDescription:
     """The description of a target."""
-    nonce, robot, kernel, joints, obstacles, board = HELLO_REPLY.unpack(payload)
+    nonce, robot, kernel, joints, obstacles, board, opening = HELLO_REPLY.unpack(payload)
     return TargetDescription(
         nonce=nonce,
         robot_hash=robot,
@@ -139,6 +143,7 @@ def parse_hello_reply(payload: bytes) -> TargetDescription:
         joints=joints,
         max_obstacles=obstacles,
         board=board.rstrip(b"\0").decode("ascii", "replace"),
+        knows_opening=bool(opening),
     )
 
 

@@ -52,6 +52,17 @@ def robot_tables_hash(robot_model: RobotModel, config: FilterConfig) -> int:
     return _hash(_render_tables(robot_model, config))
 
 
+def robot_capacities(robot_model: RobotModel, config: FilterConfig) -> tuple[str, ...]:
+    """Arguments of the compiler for tables that have room for this robot only."""
+    values = kernel_model(robot_model, config)
+    counts = {
+        "SPHERES": len(values["spheres"]),
+        "LINKS": np.size(values["link_frame"]),
+        "PAIRS": np.size(values["pairs"]) // 2,
+    }
+    return tuple(f"-DDBK_MAX_{name}={max(1, count)}" for name, count in counts.items())
+
+
 def _render_tables(robot_model: RobotModel, config: FilterConfig) -> str:
     if config.precision != "float32":
         raise ConfigurationError("FilterConfig.precision on a target", got=config.precision, allowed="float32")

@@ -77,18 +77,19 @@ class EmulatedTarget:
         *,
         toolchain: str = "zig",
         link: str = "mailbox",
+        profile: str = "full",
     ) -> None:
         """Build the firmware, and start the board.
 
         Raises:
-            UnknownNameError: there is no such board.
+            UnknownNameError: there is no such board or profile.
             ConfigurationError: the toolchain or the emulator is missing, or the robot does not fit a target.
         """
         self._config, self._robot_model = config, robot_model
         found, key = find_board(board), token_bytes(KEY_BYTES)
         with ExitStack() as stack:
             folder = Path(stack.enter_context(TemporaryDirectory(prefix="dualbrain-firmware-")))
-            firmware = Firmware(board=found, key=key, toolchain=toolchain, link=link)
+            firmware = Firmware(board=found, key=key, toolchain=toolchain, link=link, profile=profile)
             self.board = stack.enter_context(
                 EmulatedBoard(found, build_firmware(firmware, robot_model, config, folder), link=link)
             )

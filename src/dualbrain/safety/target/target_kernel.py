@@ -157,7 +157,9 @@ class TargetKernel:
         scene_age: float,
         names: RowNames,
     ) -> FilterResult:
-        """One step on both channels."""
+        """One step on both channels; the opening is unknown to both if the target has no tables for it."""
+        if not self._session.description.knows_opening:
+            opening = ...
         result = self._host.step(q, v, u_nom, opening, state_age, scene_age, names)
         self.reply = None
         self._send_scene()
