@@ -53,8 +53,9 @@ class StoreReport:
     """The changes by storing an episode: its event in the ledger, the new head of the chain and all weight updates.
 
     `n_neighbours` is the number of neighbours whose weights changed, `status` the status of the new memory, and
-    `confirmed_ids` the candidates that its outcome confirmed. `is_waiting`: the server of a shared ledger does not
-    answer, and the episode waits on this machine; then `seq` is 0, and no weight has changed yet.
+    `confirmed_ids` the candidates that its outcome confirmed. `is_waiting`: the server of a shared ledger is
+    not available for the `waiting_reason`, and the episode waits on this machine; then `seq` is 0, and no weight has
+    changed yet.
     """
 
     episode_id: str
@@ -65,11 +66,12 @@ class StoreReport:
     status: Status = "active"
     confirmed_ids: tuple[str, ...] = ()
     is_waiting: bool = False
+    waiting_reason: str = ""
 
     def __str__(self) -> str:
         """One line for people, such as "weights: e-13 (new) 0.50 -> 0.58, c-12 0.50 -> 0.58"."""
         if self.is_waiting:
-            return "the server of the shared memory does not answer: the episode waits on this machine"
+            return f"the episode waits on this machine for the server of the shared memory: {self.waiting_reason}"
         moves = [f"{c.memory}{'' if c.rank else ' (new)'} {c.before:.2f} -> {c.after:.2f}" for c in self.weight_updates]
         moves += [count_noun(self.n_neighbours, "neighbour")] if self.n_neighbours else []
         notes = {
@@ -192,7 +194,14 @@ class Memory:
             heads = () if error.attempted is None else (error.attempted,)
             body = msgspec.Raw(msgspec.json.encode(waiting))
             ledger.spool.add(WaitingItem(time=now, run=ledger.run, episode=body, attempts=heads))
-            return StoreReport(episode_id=episode.id, seq=0, head=self._seen, weight_updates=(), is_waiting=True)
+            return StoreReport(
+                episode_id=episode.id,
+                seq=0,
+                head=self._seen,
+                weight_updates=(),
+                is_waiting=True,
+                waiting_reason=error.reason,
+            )
 
     def _store(
         self, ledger: Ledger, episode: Episode, state: Posture, *, now: float, image: ImageFeatures | None

@@ -60,18 +60,21 @@ class HeadMovedError(DualbrainError):
 
 
 class ServerUnreachableError(DualbrainError):
-    """The server of a shared ledger does not answer.
+    """The server of a shared ledger does not answer, or refuses the login.
 
     `attempted` is the first event of an append whose result is unknown; None if nothing was sent.
     """
 
-    def __init__(self, reason: str, *, attempted: Head | None = None) -> None:
-        """Report the `reason` that the network or the server gives."""
-        self.reason, self.attempted = reason, attempted
-        super().__init__(
-            f"The server of the shared memory ledger does not answer: {reason}. Check the network and the url in the "
-            "file of the ledger, and try again."
-        )
+    def __init__(self, reason: str, *, login_refused: bool = False, without_attempt: bool = False) -> None:
+        """Report the `reason` that the network or the server gives, or gave a moment ago (`without_attempt`)."""
+        self.reason, self.login_refused, self.without_attempt = reason, login_refused, without_attempt
+        self.attempted: Head | None = None
+        fault, remedy = "does not answer", "Check the network and the url in the file of the ledger, and try again."
+        if login_refused:
+            fault = "refuses the login"
+            remedy = "Check the role in the url, and its password in ~/.pgpass (mode 0600) or the file of PGPASSFILE."
+        when = " (a moment ago)" if without_attempt else ""
+        super().__init__(f"The server of the shared memory ledger {fault}: {reason}{when}. {remedy}")
 
 
 class LedgerStore(Protocol):

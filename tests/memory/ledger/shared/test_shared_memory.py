@@ -5,6 +5,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -263,6 +264,24 @@ def test_a_silent_server_is_given_up_after_a_time(lab: Lab, proxy: Proxy, monkey
         assert memory.store(episode("e"), REST_POSTURE, now=NOW).is_waiting
         with pytest.raises(ServerUnreachableError, match="a moment ago"):
             ledger._store.pull()
+
+
+def test_calls_between_two_attempts_do_not_postpone_the_next_one(
+    lab: Lab, proxy: Proxy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    times = iter(range(100))
+    monkeypatch.setattr(replicated_store, "time", SimpleNamespace(monotonic=lambda: float(next(times))))
+    monkeypatch.setattr(replicated_store, "RETRY_INTERVAL_S", 5.0)
+    with lab.open("one", url=proxy.url) as ledger:
+        memory = open_memory(ledger)
+        proxy.cut()
+        assert memory.store(episode("e"), REST_POSTURE, now=NOW).is_waiting
+        proxy.restore()
+        for _ in range(8):  # each call reads the clock at least once
+            with suppress(ServerUnreachableError), ledger._store.exclusive():
+                break
+        else:
+            pytest.fail("no new attempt")
 
 
 def test_an_episode_that_the_ledger_refuses_is_put_away_with_a_notice(lab: Lab, proxy: Proxy) -> None:

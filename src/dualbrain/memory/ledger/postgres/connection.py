@@ -96,9 +96,15 @@ def translated_errors() -> Generator[None]:
         sentence = f"The server of the shared ledger refuses this user: {_summary(error)}."
         raise ConfigurationError.stating(sentence, fix="Check role, grants and ~/.pgpass.") from error
     except (psycopg.OperationalError, psycopg.InterfaceError) as error:
-        raise ServerUnreachableError(_summary(error)) from error
+        raise ServerUnreachableError(_summary(error), login_refused=_login_refused(error)) from error
     except psycopg.Error as error:
         raise CorruptLedgerError(f"PostgreSQL reports: {_summary(error)}", seq=None, path="(server)") from error
+
+
+def _login_refused(error: psycopg.Error) -> bool:
+    """Whether the server was reached and asked for a password, which is missing or wrong."""
+    attempt = error.pgconn
+    return attempt is not None and (attempt.needs_password or attempt.used_password)
 
 
 def _summary(error: Exception) -> str:

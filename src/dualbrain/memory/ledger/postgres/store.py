@@ -160,7 +160,8 @@ class PostgresStore:
                 attempted = Head(chained[0][0].seq, chained[0][0].hash) if chained else None
                 yield chained
         except ServerUnreachableError as error:
-            raise ServerUnreachableError(error.reason, attempted=attempted) from error
+            error.attempted = attempted
+            raise
 
     def _insert(self, chained: Sequence[ChainedEvent]) -> None:
         rows = [_to_row(event) for event, _ in chained]

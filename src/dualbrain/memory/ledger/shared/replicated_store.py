@@ -36,7 +36,8 @@ class ReplicatedStore:
         self.path, self.config, self.replica, self._is_writable = path, config, replica, is_writable
         self.schema, self.missing_objects = replica.schema, replica.missing_objects
         self._server: PostgresStore | None = None
-        self._failed_at: float | None = None
+        self._failed_at = 0.0
+        self._failure: ServerUnreachableError | None = None
 
     @classmethod
     def open_for_writing(cls, path: Path, *, accept_faults: bool = False) -> Self:
@@ -137,7 +138,8 @@ class ReplicatedStore:
                 self.pull()
             except ServerUnreachableError as error:
                 first = chained[0][0]
-                raise ServerUnreachableError(error.reason, attempted=Head(first.seq, first.hash)) from error
+                error.attempted = Head(first.seq, first.hash)
+                raise
         return tuple(event for event, _ in chained)
 
     def replace_vectors(self, vectors: Mapping[int, StoredVector], build: EventBuilder) -> None:
@@ -179,11 +181,13 @@ class ReplicatedStore:
 
         if self._server is not None and self._server.is_open:
             return self._server
-        if self._failed_at is not None and time.monotonic() < self._failed_at + RETRY_INTERVAL_S:
-            raise ServerUnreachableError("it did not answer a moment ago")
+        if self._failure is not None and time.monotonic() < self._failed_at + RETRY_INTERVAL_S:
+            raise ServerUnreachableError(
+                self._failure.reason, login_refused=self._failure.login_refused, without_attempt=True
+            )
         with self._noting_failures():
             self._server = PostgresStore.open(self.config.url, self.config.namespace)
-        self._failed_at = None
+        self._failure = None
         return self._server
 
     @contextmanager
@@ -191,8 +195,10 @@ class ReplicatedStore:
         """Close a connection that fails in the body, and note the time."""
         try:
             yield
-        except ServerUnreachableError:
-            self._failed_at = time.monotonic()
+        except ServerUnreachableError as error:
+            if error.without_attempt:
+                raise
+            self._failed_at, self._failure = time.monotonic(), error
             if self._server is not None:
                 self._server.close()
             self._server = None
