@@ -9,6 +9,8 @@ from dualbrain.cli.common.console import print_message
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.core.storage.atomic_files import write_atomically
 from dualbrain.core.storage.private_files import open_private
+from dualbrain.core.untrusted.bounded_file import FileRefusal, read_regular_file
+from dualbrain.errors import UsageError
 from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.config import FilterConfig, operating_config
 from dualbrain.safety.target.build import KEY_BYTES
@@ -94,4 +96,10 @@ def _read_key(path: Path) -> bytes:
     if not path.exists():
         with open_private(path, "xb") as file:
             file.write(token_bytes(KEY_BYTES))
-    return path.read_bytes()
+    key = read_regular_file(path, KEY_BYTES)
+    if isinstance(key, FileRefusal):
+        raise UsageError.stating(f"--key: {key.sentence}", fix=key.fix)
+    if len(key) < KEY_BYTES:
+        fix = "Name another --key, or remove the file: then a new key is written."
+        raise UsageError("--key", got=f"{path} with {len(key)} bytes", allowed=f"a file of {KEY_BYTES} bytes", fix=fix)
+    return key
