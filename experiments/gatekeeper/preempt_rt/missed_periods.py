@@ -21,7 +21,7 @@ from experiments.gatekeeper.preempt_rt.virtual_machine import find_emulator, run
 KERNEL_FOLDER = BUILD / "preempt_rt"
 PRIORITY, N_BUSY = 80, 4
 N_BOOTS = 3
-"""Boots of each variant; they differ by the random numbers of the kernel."""
+"""Boots of each variant; they are not identical."""
 ALLOWED_MISSED, REQUIRED_MISSED = 0, 1000
 """Periods that SCHED_FIFO may miss, and that the negative control must exceed."""
 

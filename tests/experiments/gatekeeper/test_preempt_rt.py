@@ -77,14 +77,14 @@ def test_the_result_is_found_between_other_lines():
         (LINE_START + '"6.12"}', "damaged"),
         (LINE_START + '"6.1[   1.2] a message', "damaged"),
         ("{line}\n{line}", "2 results"),
-        ('{line},"more":1}', "damaged"),
+        ('{open},"more":1}', "damaged"),
     ],
     ids=["none", "incomplete", "interrupted", "two", "longer"],
 )
 def test_an_output_without_one_whole_result_is_refused(text, message):
     line = msgspec.json.encode(result()).decode()
     with pytest.raises(ConfigurationError, match=f"(?s){message}"):
-        parse_console(text.replace("{line}", line))
+        parse_console(text.replace("{line}", line).replace("{open}", line.removesuffix("}")))
 
 
 @pytest.mark.parametrize(
