@@ -22,6 +22,7 @@ from experiments.gatekeeper.check_cost import CheckCost
 from experiments.gatekeeper.commander_failure import CommanderFailure
 from experiments.gatekeeper.control_thread import ControlThreadTiming
 from experiments.gatekeeper.faults import Faults
+from experiments.gatekeeper.preempt_rt.missed_periods import PreemptRt
 from experiments.gatekeeper.tick import TickTiming
 from experiments.interfaces.bad_input import BadInput
 from experiments.interfaces.contract_delay import ContractDelay
@@ -85,6 +86,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         ContractDelay(),
         TickTiming(),
         ControlThreadTiming(),
+        PreemptRt(),
         Language(),
         AblationCurve(),
         Retention(),

@@ -109,10 +109,10 @@ class ControlThread:
                 fix="Use SafetyController, or a robot model without force_sensing if another device limits the forces.",
             )
         kernel, _ = safety.kernel_scene()
-        limits = _limits(safety, self.config, timing, monitor_limits or MonitorLimits(), standstill_limits)
+        limits = loop_limits(safety, self.config, timing, monitor_limits or MonitorLimits(), standstill_limits)
         self._period_us = round(limits["period"] * 1e6)
         build: Any = select_build(robot_model, safety.config)
-        self._loop = build.ControlLoop(kernel, limits, _simulated_arm(safety, simulated_at))
+        self._loop = build.ControlLoop(kernel, limits, simulated_arm(safety, simulated_at))
         fields, size = build.ControlLoop.record_layout()
         self._record_type = _record_type(fields, size)
         self._controls = self._scenes = 0
@@ -232,14 +232,18 @@ def _check_config(config: ControlThreadConfig) -> None:
         raise ConfigurationError("priority", got=config.priority, allowed=f"0 to {MAX_PRIORITY}")
 
 
-def _limits(
+def loop_limits(
     safety: SafetyFilter,
     config: ControlThreadConfig,
     timing: Timing,
     monitor: MonitorLimits,
-    standstill: StandstillLimits | None,
+    standstill: StandstillLimits | None = None,
 ) -> dict[str, Any]:
-    """The limits of all checks as the loop takes them."""
+    """The limits of all checks: the fields of `dbk_control_limits` by name, without `opening_max`.
+
+    Raises:
+        ConfigurationError: `standstill` differs from the defaults in more than `slow_scale`.
+    """
     model = safety.robot_model
     joints = model.joints
     velocity = np.array([joint.velocity.value for joint in joints])
@@ -266,7 +270,8 @@ def _limits(
     }
 
 
-def _simulated_arm(safety: SafetyFilter, posture: ArrayLike | None) -> dict[str, Any]:
+def simulated_arm(safety: SafetyFilter, posture: ArrayLike | None) -> dict[str, Any]:
+    """The simulated arm at rest in `posture` (n,) [rad]: home, braking (n,) [rad/s²] and lag [s]; empty for None."""
     if posture is None:
         return {}
     model = safety.robot_model

@@ -1,0 +1,1 @@
+"""The control thread under a PREEMPT_RT kernel in a virtual machine."""
