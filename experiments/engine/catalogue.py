@@ -44,6 +44,7 @@ from experiments.robots.grasping import Grasping
 from experiments.robots.robosuite_tasks import RobosuiteTasks
 from experiments.robots.ros2.rates import Ros2Rates
 from experiments.robots.so101.careless_servos import CarelessServos
+from experiments.robots.targets.host_kills import HostKills
 from experiments.robots.targets.target_bits import TargetBits
 from experiments.robots.zoo.robot_zoo import RobotZoo
 from experiments.safety.adversary import Adversary
@@ -72,6 +73,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         CrossEmbodiment(),
         RobotZoo(),
         TargetBits(),
+        HostKills(),
         CrashRecovery(),
         SharedLedger(),
         Poisoning(),

@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-import tempfile
 import zlib
 from collections import Counter
-from functools import cache
 from itertools import product
-from pathlib import Path
-from secrets import token_bytes
 from typing import Any
 
 from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.config import operating_config
 from dualbrain.safety.cbf.kernel import kernel_hash
 from dualbrain.safety.target.boards import BOARDS, TOOLCHAINS, find_board
-from dualbrain.safety.target.build import KEY_BYTES, Firmware, build_firmware
+from dualbrain.safety.target.build import KEY_BYTES, Firmware
 from dualbrain.safety.target.emulated_board import EmulatedBoard
 from dualbrain.safety.target.robot_tables import robot_tables_hash
 from dualbrain.safety.target.session import TargetLostError, TargetSession
 from dualbrain.safety.target.target_filter import TargetFilter
 from experiments.engine.experiment import Options, Row, WorkUnit
 from experiments.figures.tables import markdown_table
+from experiments.robots.targets.built_firmware import built_firmware
 from experiments.robots.targets.recorded_steps import RecordedSteps, compare_steps, record_steps
 
 ROBOTS, LEVELS = ("panda", "ur5e", "base"), ("-O2", "-Os")
@@ -99,10 +96,12 @@ def _table_row(build: tuple[str, str, str], rows: list[Row]) -> tuple[str, ...]:
 def _run_on_board(robot: str, build: tuple[str, str, str], recorded: RecordedSteps) -> dict[str, int]:
     """Counts of the recorded steps on one build."""
     model, board = load_robot(robot), find_board(build[0])
-    config, (elf, key) = operating_config(model), _build(robot, *build)
+    config = operating_config(model)
+    wanted = Firmware(board=board, key=bytes(KEY_BYTES), toolchain=build[1], optimisation=build[2])
+    firmware, elf = built_firmware(robot, wanted)
     lost = controls = 0
     with EmulatedBoard(board, elf) as emulated:
-        session = TargetSession(emulated.link, key, robot_tables_hash(model, config))
+        session = TargetSession(emulated.link, firmware.key, robot_tables_hash(model, config))
         kernel = TargetFilter(model, config, session).target
         try:
             controls = compare_steps(recorded, session, kernel)
@@ -121,16 +120,3 @@ def _status_table(rows: list[Row]) -> list[str]:
         (robot, *(f"{100 * one[name] / one.total():.2f} %" for name in names)) for robot, one in counts.items() if one
     ]
     return markdown_table(("robot", *names), body)
-
-
-@cache
-def _build(robot: str, board: str, toolchain: str, level: str) -> tuple[Path, bytes]:
-    """The firmware of one robot, built once in a worker process, and its key."""
-    model, key = load_robot(robot), token_bytes(KEY_BYTES)
-    firmware = Firmware(board=find_board(board), key=key, toolchain=toolchain, optimisation=level)
-    _FOLDERS.append(folder := tempfile.TemporaryDirectory(prefix="dualbrain-firmware-"))
-    return build_firmware(firmware, model, operating_config(model), Path(folder.name)), key
-
-
-_FOLDERS: list[tempfile.TemporaryDirectory[str]] = []
-"""Folders of the firmware, removed when the process ends."""
