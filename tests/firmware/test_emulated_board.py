@@ -333,6 +333,7 @@ def accepted_cycles(session, count, seconds):
     return replies
 
 
+@pytest.mark.realtime  # the clock of the board runs on while this process waits for a processor
 def test_a_host_that_sends_faster_than_the_period_is_refused(slow_base):
     """Each cycle may change the control by one period's acceleration: n periods accept at most n cycles and a few."""
     with EmulatedBoard(find_board("an386"), slow_base) as board:

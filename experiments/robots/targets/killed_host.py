@@ -85,8 +85,10 @@ def kill_host(
             _move_for_ever(session, robot_model, q, scene, shared, seed)
         finally:
             os._exit(1)
-    while shared.read()[0] == 0 and os.waitpid(child, os.WNOHANG) == (0, 0):
-        time.sleep(0.001)  # it prepares the filter
+    while shared.read()[0] == 0:  # it prepares the filter
+        if os.waitpid(child, os.WNOHANG) != (0, 0):
+            raise ChildProcessError("the host ended before its first cycle")
+        time.sleep(0.001)
     time.sleep(after_s)
     os.kill(child, signal.SIGKILL)
     killed, was_on = time.monotonic(), link.drive_enabled
