@@ -24,6 +24,8 @@ from experiments.safety.reference_judge import build_judge, true_h
 ROBOT, KILLS, UNITS, N_OBSTACLES = "panda", 20, 51, 8
 RUN_S = (0.05, 1.0)
 """Range of the time of motion before the kill [s]."""
+LAST_CYCLE_RISE = 0.02
+"""Most change of a joint speed in one period [rad/s]."""
 ROUNDING_SPEED = 1e-6
 """Difference of two speeds that counts as none [rad/s]."""
 
@@ -34,7 +36,7 @@ class HostKills:
     name = "host_kills"
     claim = (
         "In 1,020 kills of the host at random moments, each board brakes the moving arm and switches its drive off. "
-        "The speed never rises, and no true h is below zero from the kill to the end."
+        "The speed does not rise by more than one cycle changes it, and no true h is below zero until the end."
     )
 
     def units(self, options: Options) -> list[WorkUnit]:
@@ -60,13 +62,20 @@ class HostKills:
             "drive on, arm in motion",
             "drive off by the clock of the host [s]: median, 99 %, latest",
         )
-        heads += ("drive stayed on", "speed rose", "h < 0", "smallest h of an obstacle but the table [mm]")
+        heads += (
+            "drive stayed on",
+            "speed rose: kills, most [rad/s]",
+            "h < 0",
+            "smallest h of an obstacle but the table [mm]",
+        )
         body = [_table_row(board, [row for row in rows if row["board"] == board]) for board in BOARDS]
         return [
             *markdown_table(heads, [row for row in body if row]),
             f"By its own clock the target switches the drive off {DECLARED_S * 1e3:.0f} ms after the last cycle. The "
             "times above are of the kills with the drive on; they also contain the delays of the emulator and of the "
-            "observer. A host that is late by 150 ms before its kill has its drive switched off, too.",
+            "observer. A host that is late by 150 ms before its kill has its drive switched off, too. A rise of "
+            f"at most {LAST_CYCLE_RISE:g} rad/s is that of one cycle: a host that is killed after it has read a reply and "
+            "before it has recorded it leaves a control that the observer does not know.",
         ]
 
 
@@ -84,7 +93,7 @@ def _table_row(board: str, rows: list[Row]) -> tuple[str, ...]:
         str(int(moving.sum())),
         f"{p50:.3f}, {p99:.3f}, {off.max():.3f}",
         str(int(columns["stayed_on"].sum())),
-        str(int((columns["rise"] > ROUNDING_SPEED).sum())),
+        f"{int((columns['rise'] > ROUNDING_SPEED).sum())}, {columns['rise'].max():.4f}",
         str(int((columns["h"] < 0.0).sum())),
         f"{columns['h_scene'].min() * 1e3:.2f}",
     )

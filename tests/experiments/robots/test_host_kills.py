@@ -5,7 +5,7 @@ import pytest
 
 from dualbrain.robots.loader import load_robot
 from dualbrain.safety.target.messages import CYCLE_REPLY, Message, parse_cycle_reply
-from experiments.robots.targets.host_kills import HostKills, run_kill
+from experiments.robots.targets.host_kills import LAST_CYCLE_RISE, HostKills, run_kill
 from experiments.robots.targets.killed_host import SharedState, _motion
 
 PANDA = load_robot("panda")
@@ -56,4 +56,8 @@ def test_the_table_counts_every_fault():
     bad = [good, good | {"stayed_on": True}, good | {"rise": 0.1}, good | {"h": -1e-4}, good | {"was_on": False}]
     row = {"unit": 0, "board": "an386"} | {name: [one[name] for one in bad] for name in good}
     line = HostKills().report([row])[2]
-    assert line == "| Cortex-M4F (an386) | 5 | 4 | 0.160, 0.160, 0.160 | 1 | 1 | 1 | 20.00 |"
+    assert line == "| Cortex-M4F (an386) | 5 | 4 | 0.160, 0.160, 0.160 | 1 | 1, 0.1000 | 1 | 20.00 |"
+
+
+def test_the_rise_of_one_cycle_is_that_of_the_robot():
+    assert max(joint.acceleration.value for joint in PANDA.joints) * PANDA.period == pytest.approx(LAST_CYCLE_RISE)
