@@ -74,8 +74,8 @@ class HostKills:
             f"By its own clock the target switches the drive off {DECLARED_S * 1e3:.0f} ms after the last cycle. The "
             "times above are of the kills with the drive on; they also contain the delays of the emulator and of the "
             "observer. A host that is late by 150 ms before its kill has its drive switched off, too. A rise of "
-            f"at most {LAST_CYCLE_RISE:g} rad/s is that of one cycle: a host that is killed after it has read a reply and "
-            "before it has recorded it leaves a control that the observer does not know.",
+            f"at most {LAST_CYCLE_RISE:g} rad/s is that of one cycle: a host that is killed after it has read a reply "
+            "and before it has recorded it leaves a control that the observer does not know.",
         ]
 
 
