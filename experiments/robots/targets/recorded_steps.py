@@ -29,7 +29,7 @@ HOST = TargetDescription(nonce=0, robot_hash=0, kernel_hash=0, joints=0, max_obs
 class RecordedSteps:
     """Messages in their order, the host's result of each cycle, and the results by status.
 
-    It has the methods of a `TargetSession` that a `TargetKernel` uses, and records what is sent.
+    It has the methods of a `TargetSession` that a `TargetKernel` uses, and records the messages.
     """
 
     messages: list[tuple[Message, bytes]] = field(default_factory=list)
