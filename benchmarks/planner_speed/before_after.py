@@ -4,9 +4,10 @@
 
 Both variants answer the same questions, one after the other in alternating order, so that other load affects both.
 `before`: examples chosen for each question (models without an adapter), every token generated. `after`: as planners
-serve. The first question of each process is not measured, because it reads the constant part of the prompt. The
-questions are the 60 held-out instructions of the experiment `starter` and 40 others of the same generator, mixed, so
-that any prefix is a sample of both. With `--log`, answers are appended to a JSONL file, and a later call continues.
+serve, with saved states of the constant part of the prompt. The first question of each process is not measured, nor is
+the first one about all objects of a kind, because they read this constant part. The questions are the 60 held-out
+instructions of the experiment `starter` and 40 others of the same generator, mixed, so that any prefix is a sample of
+both. With `--log`, answers are appended to a JSONL file, and a later call continues.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -31,6 +33,7 @@ from dualbrain.core.storage.jsonl_log import JsonlLog
 from dualbrain.core.weights import locate_weights
 from dualbrain.planner.backends.llama_cpp import LlamaConfig, LlamaPlanner
 from dualbrain.planner.prompt.full_prompt import ChatMessage, render_with_examples, selected_examples
+from dualbrain.planner.prompt.multi_goal import detect_needs
 from dualbrain.planner.prompt.prompt_format import FULL_PROMPT
 from dualbrain.planner.protocol import Planner
 from dualbrain.planner.request import PlanRequest
@@ -42,6 +45,7 @@ from experiments.planning.language import is_right, score_question
 
 BEFORE, AFTER = "before", "after"
 N_NEW, NEW_SEED = 40, 2026
+N_UNMEASURED = 40
 BOOTSTRAPS = 2000
 
 
@@ -55,12 +59,13 @@ def main() -> int:
         (n, one) for n, one in enumerate(questions()[: options.count]) if f"{options.planner} {n}" not in answered
     ]
     with ExitStack() as stack:
-        planners = {kind: open_variant(options.planner, kind, options.threads) for kind in (BEFORE, AFTER) if missing}
+        states = Path(stack.enter_context(TemporaryDirectory()))
+        kinds = (BEFORE, AFTER) if missing else ()
+        planners = {kind: open_variant(options.planner, kind, options.threads, states) for kind in kinds}
         for planner in planners.values():
             stack.callback(planner.close)
-            planner.propose(
-                build_request(generate_examples(1, "test", NEW_SEED + 1, {ROBOT: 1.0}, exemplar_share=0.0)[0])
-            )
+            for one in unmeasured_questions():
+                planner.propose(build_request(one))
         for n, question in missing:
             order = (BEFORE, AFTER) if n % 2 else (AFTER, BEFORE)
             answers = {kind: answer(planners[kind], question) for kind in order}
@@ -89,14 +94,17 @@ def questions() -> list[Sample]:
     return [one for group in groups for one in group]
 
 
-def unmeasured_question() -> Sample:
-    """A question that is not among those that are measured."""
-    return generate_examples(1, "test", NEW_SEED + 1, {ROBOT: 1.0}, exemplar_share=0.0)[0]
+def unmeasured_questions() -> list[Sample]:
+    """Two questions that are not among those that are measured: a usual one, and one about all objects of a kind."""
+    found = generate_examples(N_UNMEASURED, "test", NEW_SEED + 1, {ROBOT: 1.0}, exemplar_share=0.0)
+    needs = [detect_needs(build_request(one)) for one in found]
+    return [found[needs.index(())], found[needs.index(("every",))]]
 
 
-def open_variant(name: str, kind: str, threads: int) -> Planner:
+def open_variant(name: str, kind: str, threads: int, states: Path) -> Planner:
     """The planner called `name`, without (`before`) or with (`after`) the change under test."""
-    config = LlamaConfig(threads=threads, n_ctx=N_CTX, jump_forward=kind == AFTER)
+    cache = states if kind == AFTER else None
+    config = LlamaConfig(threads=threads, n_ctx=N_CTX, jump_forward=kind == AFTER, prompt_cache=cache)
     if name in packaged_names():
         return open_adapter(name, cache_folder(), adapters=dualbrain_home() / "adapters", config=config)
     prompt_format = FULL_PROMPT if kind == AFTER else replace(FULL_PROMPT, messages=render_with_selected)

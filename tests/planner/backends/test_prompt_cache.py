@@ -97,12 +97,41 @@ def test_a_state_with_the_same_rules_is_valid_for_other_exemplars(model):
         assert not one.restore(with_memories)
         write_state(one.state_path(plan_request()))
         assert one.restore(with_memories)
-        assert one.rules_key(with_memories) == one.rules_key(plan_request())
         assert not one.save(with_memories), "exemplars differ between requests"
-        assert one.rules_key(plan_request(robot="base")) != one.rules_key(plan_request())
         assert not one.restore(plan_request(robot="base"))
         assert one.save(plan_request(robot="base"))
     assert server.requests[0][1]["filename"] == one.state_path(plan_request()).name
+
+
+def test_a_server_with_the_rules_restores_only_the_state_of_the_same_examples(model):
+    with_memories = plan_request(recall=RetrievedContext(exemplars=(exemplar(),)))
+    all_of_a_kind = plan_request("put all the red things in the bowl")
+    with serve(saving_server(model.parent)) as server:
+        one = cache(model, server.url.removesuffix("/v1"))
+        plain, every = one.state_path(plan_request()), one.state_path(all_of_a_kind)
+        assert plain != every
+        write_state(plain)
+        assert not one.restore(all_of_a_kind, plain), "the server has read the rules"
+        assert not one.restore(with_memories, plain)
+        assert one.save(all_of_a_kind), "a selection of built-in examples has its own state"
+        assert one.restore(all_of_a_kind, plain)
+        assert one.restore(plan_request(), every)
+        assert one.restore(with_memories, one.state_path(plan_request(robot="base"))), "rules of another robot"
+    restored = [body["filename"] for action, body in server.requests if action.endswith("restore")]
+    assert restored[:2] == [every.name, plain.name]
+
+
+def test_a_restored_state_is_kept_longest(model):
+    with serve(saving_server(model.parent)) as server:
+        one = cache(model, server.url.removesuffix("/v1"))
+        requests = [plan_request(robot=f"robot_{k}") for k in range(MAX_CACHED_STATES + 1)]
+        for k, request in enumerate(requests[:-1]):
+            assert one.save(request)
+            os.utime(one.state_path(request), (k, k))
+        assert one.restore(requests[0])
+        assert one.save(requests[-1])
+        assert one.state_path(requests[0]).is_file()
+        assert not one.state_path(requests[1]).is_file()
 
 
 def test_only_the_newest_states_of_a_model_are_kept(model):

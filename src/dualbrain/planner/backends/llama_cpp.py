@@ -102,9 +102,9 @@ class LlamaPlanner:
         worker = self._process = self._process or self._start()
         address, failure = worker.wait_for_address(self._config.timeout_s)
         cache = self._prompt_cache(worker, address)
-        rules = cache.rules_key(request)
-        if not failure and worker.cached_rules != rules:
-            cache.restore(request)
+        state = cache.state_path(request)
+        if not failure and state != worker.state:
+            cache.restore(request, worker.state)
         loaded = self._clock()
         deadline = start + self._config.timeout_s
         response = failure or self._jump_forward(worker, address, body, deadline - loaded)
@@ -112,8 +112,8 @@ class LlamaPlanner:
             url, remaining_s = f"{address}/v1/chat/completions", deadline - self._clock()
             response = request_completion(url, body, key=worker.key, timeout_s=remaining_s)
         response = self._check_response(worker, request, response)
-        if response.finish_reason == protocol.STOP and worker.cached_rules != rules:
-            worker.cached_rules = rules
+        if response.finish_reason == protocol.STOP and state != worker.state:
+            worker.state = state
             cache.save(request)
         timings = {"load": loaded - start, **response.metrics, "total": self._clock() - start}
         detail = f": {response.detail}" if response.detail else ""

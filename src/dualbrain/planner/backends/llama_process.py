@@ -58,8 +58,8 @@ class LlamaProcess:
     def __init__(self, model: Path, config: LlamaConfig, adapters: tuple[LoadedAdapter, ...] = ()) -> None:
         """Start the process; it loads the model while the caller continues."""
         self.key = secrets.token_urlsafe(24)
-        self.cached_rules: str | None = None
-        """Key of the rules in its current state (see `PromptCache.rules_key`); None before the first request."""
+        self.state: Path | None = None
+        """File of the state that its last answer began with (`PromptCache.state_path`); None before the first one."""
         self._address = ""
         self._load_fix = (
             f"Is {model.name} a complete GGUF file of a model that llama.cpp supports? If it is a model file of "

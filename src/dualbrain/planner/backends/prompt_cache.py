@@ -5,14 +5,16 @@ A state is valid only for the same model, adapters, scales, runtime and text, so
 them; llama.cpp itself would restore a state under any adapter. A model is identified by its SHA-256 if that was
 verified, otherwise by name, size and date. A file with the SHA-256 of the state is beside it, because llama.cpp
 silently restores damaged states. The file name has two hashes: one for the rules and one for the examples after them.
-If retrieved exemplars replace the built-in ones, a state with the same rules is valid as well, and the server reads on
-from the first difference. A server that cannot restore a state reads the whole prompt.
+Each selection of built-in examples has its own state. If retrieved exemplars follow them, a state with the same rules
+is valid as well, and the server reads on from the first difference. A server that cannot restore a state reads the
+whole prompt.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Iterable
 from contextlib import suppress
 from importlib.metadata import version
@@ -29,8 +31,8 @@ from dualbrain.planner.request import PlanRequest
 
 _TIMEOUT_S = 20.0
 """Time limit for saving or restoring a state [s]."""
-MAX_CACHED_STATES = 6
-"""Largest number of states per model, of about 30 MB each: one for each robot, with and without exemplars."""
+MAX_CACHED_STATES = 8
+"""Largest number of states per model, of about 60 MB each: one for each robot and selection of examples."""
 
 
 class PromptCache:
@@ -53,15 +55,23 @@ class PromptCache:
         self._folder, self._model, self._n_ctx, self._address, self._key = folder, model, n_ctx, address, key
         self._prompt_format, self._adapters = prompt_format, adapters
 
-    def restore(self, request: PlanRequest) -> bool:
+    def restore(self, request: PlanRequest, present: Path | None = None) -> bool:
         """Restore a state for `request`: one with the same prefix, otherwise the newest with the same rules.
 
-        Returns whether a state was restored.
+        `present` is the state that the server began its last answer with: if it has the same rules, only a state with
+        the same prefix saves reading. Returns whether a state was restored.
         """
         path = self.state_path(request)
-        candidates = [] if path is None else [path, *self._states_with_rules(path)]
+        if path is None:
+            return False
+        has_rules = present is not None and _rules_key(present) == _rules_key(path)
+        candidates = [path] if has_rules else [path, *self._states_with_rules(path)]
         intact = next((one for one in candidates if _is_intact(one)), None)
-        return intact is not None and self._post_slot_action("restore", intact)
+        if intact is None or not self._post_slot_action("restore", intact):
+            return False
+        with suppress(OSError):
+            os.utime(intact)  # the states that were used last are kept
+        return True
 
     def save(self, request: PlanRequest) -> bool:
         """Save the state of the server after `request`, and keep at most `MAX_CACHED_STATES` of the model.
@@ -87,11 +97,6 @@ class PromptCache:
         model += [[one.id, one.scale] for one in self._adapters]
         prefix = self._prompt_format.messages(request)[:-1]
         return self._folder / f"{self._model.stem}-{_digest([model, prefix[:1]])}-{_digest(prefix[1:])}.slot"
-
-    def rules_key(self, request: PlanRequest) -> str:
-        """A key that is equal for requests with the same model and rules; "" without a folder."""
-        path = self.state_path(request)
-        return "" if path is None else _rules_key(path)
 
     def _states_with_rules(self, path: Path) -> list[Path]:
         """States with the same rules as `path`, newest first."""
