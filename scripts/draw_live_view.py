@@ -61,7 +61,7 @@ def states_of(world: SimulatedWorld) -> dict[str, ViewState]:
             ticks.append(demo)
             frames.append(world.plant.link_poses())
     builder.set_plan(PLAN, ticks[0].scene, ticks[0].state.q)
-    builder.begin_step(1)
+    builder.begin_step(0)
     free = next(k for k, one in enumerate(ticks) if one.state.stamp > 3.0)
     strongest = int(np.argmax([one.result.delta for one in ticks]))
     found = {
@@ -79,10 +79,10 @@ def states_of(world: SimulatedWorld) -> dict[str, ViewState]:
 
 def _state(builder: StateBuilder, demo: DemoTick, frames) -> ViewState:
     tick = tick_of_result(
-        demo.state, demo.scene, demo.result, in_contract=True, skill="place", phase="carry", action="NONE", check=""
+        demo.state, demo.scene, demo.result, in_contract=True, skill="grasp", phase="approach", action="NONE", check=""
     )
     builder.count(tick.delta)
-    return builder.build(tick, frames, (f"{tick.t:.1f} s  place: carry",))
+    return builder.build(tick, frames, (f"{tick.t:.1f} s  grasp: approach",))
 
 
 class Repeater:

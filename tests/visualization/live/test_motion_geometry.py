@@ -95,7 +95,7 @@ def test_a_step_is_at_the_object_or_place_that_it_names():
         Action("grasp", {"object": "absent"}),
     )
     steps = plan_steps(actions, scene(), home)
-    assert [step.label for step in steps] == ["grasp red cube", "place bowl", "home", "grasp absent"]
+    assert [step.label for step in steps] == ["grasp red cube", "place at bowl", "home", "grasp absent"]
     assert steps[0].position == scene().find("red_cube").pose.position
     assert steps[2].position == steps[3].position == home
 

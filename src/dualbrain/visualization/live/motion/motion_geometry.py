@@ -25,6 +25,8 @@ PAIR_TOLERANCE_M = 0.004
 GRADIENT_STEP_M = 1e-4
 TARGET_PARAMETERS = ("object", "destination", "target", "place", "onto", "position")
 """Parameters of skills that name the place of a step, in the order in which they are looked up."""
+SKILL_WORDS = {"place": "place at"}
+"""Words for skills whose name before the name of an object would mean something else."""
 
 
 def unfiltered_configuration(robot_model: RobotModel, q: Array, u_nom: Array) -> Array:
@@ -80,7 +82,8 @@ def plan_steps(actions: Sequence[Action], scene: Scene, tool_home: Vector) -> tu
         names = [str(action.params[key]) for key in TARGET_PARAMETERS if key in action.params]
         known = next((name for name in names if name in places), "")
         x, y, z = places[known] if known else tool_home
-        label = f"{action.skill} {known or (names[0] if names else '')}".strip().replace("_", " ")
+        words = (SKILL_WORDS.get(action.skill, action.skill), known or (names[0] if names else ""))
+        label = " ".join(words).strip().replace("_", " ")
         steps.append(PlanStep(label=label, position=(x, y, z)))
     return tuple(steps)
 

@@ -89,8 +89,9 @@ STARTING = OperatorStatus(
 )
 """The status before the first tick."""
 RESET_STEPS = (
-    "When the danger is over: open “operator”, enter the code, and press “1. release the emergency stop”.",
-    "Press “2. reset, into hold”. The arm holds still until you press “resume”.",
+    "When the danger is over: open “operator”, enter the code that the terminal shows, and press “1. release the "
+    "emergency stop”.",
+    "Press “2. reset, into hold”. The arm holds still until you press “resume” there.",
 )
 AFTER_RUN = "The run has ended, and with it the drive is off. Find and remove the cause before the next instruction."
 FAULT_RESET_STEPS = ("Find and remove the cause.", RESET_STEPS[1])
@@ -99,17 +100,20 @@ FAULT_RESET_STEPS = ("Find and remove the cause.", RESET_STEPS[1])
 A run whose contract ends so ends too; its page then shows `AFTER_RUN`.
 """
 
+RESUME = "To continue, open “operator” and press “resume”."
+MOVE_AWAY = "Move away from the arm: it continues by itself."
+
 _CHECKS: dict[str, Check] = {check.name: check for check in (*CHECKS, RESET_HELD)}
 _NEXT_BY_CHECK = {
-    "paused": "Press “resume” to continue.",
-    "takeover": "Guide the arm by hand; press “hand back” when you are done.",
+    "paused": RESUME,
+    "takeover": "Guide the arm by hand; open “operator” and press “hand back” when you are done.",
     "abort": "Give a new instruction.",
     "estop_disagrees": "Repair the wiring of the emergency stop, then start the program again.",
     "falling": "Keep away from the arm, check its brakes, then start the program again.",
 }
 _NEXT_BY_POLICY = {
-    ClearPolicy.ON_CONTINUE: "Remove the cause, then press “resume” or give a new instruction.",
-    ClearPolicy.ON_RESUME: "Press “resume” to continue.",
+    ClearPolicy.ON_CONTINUE: "Remove the cause. Then open “operator” and press “resume”, or give a new instruction.",
+    ClearPolicy.ON_RESUME: RESUME,
     ClearPolicy.ON_TWO_STEP_RESET: "Reset in two steps:",
     ClearPolicy.ON_RESTART: "Start the program again; nothing else ends this state.",
 }
@@ -193,13 +197,13 @@ def _moving(now: Situation) -> OperatorStatus:
         return OperatorStatus(
             state=OperatorState.GIVING_WAY,
             reason=WAITING_PHASES[now.phase],
-            next_action="Step back: it continues by itself.",
+            next_action=MOVE_AWAY,
         )
     if changed and limit is not None and limit.is_person:
         return OperatorStatus(
             state=OperatorState.GIVING_WAY,
             reason=f"{_pair(limit)}, so the safety filter {_change(now.speed_share)}.",
-            next_action="Step back: it continues by itself.",
+            next_action=MOVE_AWAY,
         )
     words = PHASE_WORDS.get(now.phase, f"The robot carries out the step “{now.phase}”")
     cause = f"; {_pair(limit).lower()}, so the safety filter {_change(now.speed_share)}" if changed and limit else ""
@@ -211,7 +215,7 @@ def _moving(now: Situation) -> OperatorStatus:
 def _pair(limit: FilterLimit) -> str:
     body = f"the person ({limit.other})" if limit.is_person else limit.other
     distance = f"{max(0.0, limit.clearance) * 1e3:.0f} mm from the safety margin of"
-    return f"The {limit.part} is {distance} {body}"
+    return f"The robot's {limit.part} is {distance} {body}"
 
 
 def _change(speed_share: float) -> str:
