@@ -3,11 +3,12 @@
     python -m benchmarks.planner_speed.before_after PLANNER [--count 50] [--threads 1] [--log FILE]
 
 Both variants answer the same questions, one after the other in alternating order, so that other load affects both.
-`before`: examples chosen for each question (models without an adapter), every token generated. `after`: as planners
-serve, with saved states of the constant part of the prompt. The first question of each process is not measured, nor is
-the first one about all objects of a kind, because they read this constant part. The questions are the 60 held-out
-instructions of the experiment `starter` and 40 others of the same generator, mixed, so that any prefix is a sample of
-both. With `--log`, answers are appended to a JSONL file, and a later call continues.
+`before`: every token generated; for models without an adapter, examples chosen for each question, and the names in the
+scene listed after it. `after`: as planners serve, with saved states of the constant part of the prompt. The first
+question of each process is not measured, nor is the first one about all objects of a kind, because they read this
+constant part. The questions are the 60 held-out instructions of the experiment `starter` and 40 others of the same
+generator, mixed, so that any prefix is a sample of both. With `--log`, answers are appended to a JSONL file, and a
+later call continues.
 """
 
 from __future__ import annotations
@@ -112,8 +113,10 @@ def open_variant(name: str, kind: str, threads: int, states: Path) -> Planner:
 
 
 def render_with_selected(request: PlanRequest) -> list[ChatMessage]:
-    """The full prompt with examples that are chosen for the question."""
-    return render_with_examples(request, selected_examples(request))
+    """The full prompt with examples that are chosen for the question, and with the names in the scene once more."""
+    names = [line for line in request.skills_text.splitlines() if line.startswith(("graspable:", "receptive:"))]
+    with_names = replace(request, scene="\n".join((request.scene, *names)))
+    return render_with_examples(with_names, selected_examples(request))
 
 
 def answer(planner: Planner, question: Sample) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import re
 
 import jsonschema_rs
 import pytest
@@ -31,9 +32,12 @@ from dualbrain.planner.prompt.full_prompt import (
 )
 from dualbrain.records import Passage, RetrievedContext
 from dualbrain.robots.loader import load_robot
+from dualbrain.runtime.data_collection.rollouts import build_request
+from dualbrain.runtime.data_collection.synthetic_scenes import generate_examples
 from dualbrain.skills.registry import arm_skill_registry
 from tests.planner.sample_requests import REGISTRY, exemplar, plan_request
 
+NAME_LINES = ("graspable:", "receptive:")
 MARKS = ("<scene>", "</scene>", "<instruction>", "</instruction>")
 
 
@@ -48,10 +52,22 @@ def test_the_constant_part_comes_first() -> None:
     assert one[-1] != two[-1]
 
 
-def test_names_of_one_scene_do_not_change_the_system_message() -> None:
-    other = render(plan_request(skills_text="grasp(...)\ngraspable: zinc_tin\nreceptive: tray"))
+def test_names_of_one_scene_are_in_its_summary_only() -> None:
+    names = "graspable: zinc_tin\nreceptive: tray"
+    other = render(plan_request(skills_text=f"grasp(...)\n{names}", scene="zinc_tin: object\ntray: container"))
     assert "zinc_tin" not in other[0]["content"]
-    assert "graspable: zinc_tin" in other[-1]["content"]
+    assert "zinc_tin: object" in other[-1]["content"]
+    assert "graspable" not in text_of(other[1:])
+
+
+@pytest.mark.parametrize("robot", ["panda", "base"])
+def test_a_scene_summary_states_every_name_that_a_contract_may_contain(robot: str) -> None:
+    for sample in generate_examples(20, "test", 5, {robot: 1.0}, exemplar_share=0.0):
+        request = build_request(sample)
+        words = set(re.findall(r"\w+", request.scene))
+        names = [line.partition(":")[2] for line in request.skills_text.splitlines() if line.startswith(NAME_LINES)]
+        assert len(names) == len(NAME_LINES)
+        assert {name.strip() for line in names for name in line.split(",")} - {"nothing"} <= words
 
 
 def test_turns_alternate_and_end_with_the_request() -> None:
@@ -203,7 +219,7 @@ def test_prompts_of_single_goals_have_their_recorded_bytes():
         driving,
     ]
     prompts = json.dumps([render(one) for one in requests])
-    assert hashlib.sha256(prompts.encode()).hexdigest()[:16] == "726b24af83a7da27"
+    assert hashlib.sha256(prompts.encode()).hexdigest()[:16] == "d04e029f4fecd414"
     assert template_hash() == "3176d6486c4a8502"
 
 

@@ -32,7 +32,7 @@ from dualbrain.planner.prompt.sanitize import compact_json, format_block, saniti
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Exemplar
 
-TEMPLATE_VERSION = 4
+TEMPLATE_VERSION = 5
 """Increases with every change of text or order; an adapter is valid for one version only (see `template_hash`)."""
 
 INSTRUCTION_LIMIT = 400
@@ -96,7 +96,7 @@ def render(request: PlanRequest) -> list[ChatMessage]:
 
 def render_with_examples(request: PlanRequest, examples: Iterable[WorkedExample]) -> list[ChatMessage]:
     """The messages for `request` with these `examples` instead of the usual ones, the best one last."""
-    names, skills = _split_names(request.skills_text)
+    skills = _without_names(request.skills_text)
     form = ANSWER_FORMAT.format(robot=request.robot, registry=request.registry_hash)
     system = _system(request).format(robot=request.robot, skills=skills, form=form)
     messages: list[ChatMessage] = [{"role": "system", "content": system}]
@@ -104,7 +104,7 @@ def render_with_examples(request: PlanRequest, examples: Iterable[WorkedExample]
         contract_id = f"c-{number:04d}"
         messages.append({"role": "user", "content": _question(example.scene, example.instruction, contract_id)})
         messages.append({"role": "assistant", "content": _answer(request, contract_id, list(example.actions))})
-    messages.append({"role": "user", "content": _last_question(request, names)})
+    messages.append({"role": "user", "content": _last_question(request)})
     return messages
 
 
@@ -176,11 +176,9 @@ def _system(request: PlanRequest) -> str:
     return mobile_base_examples.SYSTEM if _is_mobile_base(request) else SYSTEM
 
 
-def _split_names(skills_text: str) -> tuple[str, str]:
-    """The lines with names in the scene, and the other lines, which are the same for every scene."""
-    lines = skills_text.splitlines()
-    names = [line for line in lines if line.startswith(("graspable:", "receptive:"))]
-    return "\n".join(names), "\n".join(line for line in lines if line not in names)
+def _without_names(skills_text: str) -> str:
+    """The lines that are the same for every scene: without those of the names, which the scene summary states, too."""
+    return "\n".join(line for line in skills_text.splitlines() if not line.startswith(("graspable:", "receptive:")))
 
 
 def _examples(request: PlanRequest) -> list[WorkedExample]:
@@ -233,11 +231,10 @@ def _question(scene: str, instruction: str, contract_id: str) -> str:
     return "\n".join(parts)
 
 
-def _last_question(request: PlanRequest, names: str) -> str:
+def _last_question(request: PlanRequest) -> str:
     warnings = [_warning(exemplar) for exemplar in request.recall.warnings[:MAX_WARNINGS]]
-    scene = f"{request.scene}\n{names}" if names else request.scene
     parts = [part for part in (_knowledge(request), *warnings) if part]
-    parts.append(_question(scene, request.instruction, request.contract_id))
+    parts.append(_question(request.scene, request.instruction, request.contract_id))
     if needs := multi_goal.detect_needs(request):
         parts.insert(-1, multi_goal.format_rules(needs))
     if request.failure_feedback is not None:
