@@ -4,11 +4,11 @@
 
 Both variants answer the same questions, one after the other in alternating order, so that other load affects both.
 `before`: every token generated; for models without an adapter, examples chosen for each question, and the names in the
-scene listed after it. `after`: as planners serve, with saved states of the constant part of the prompt. The first
-question of each process is not measured, nor is the first one about all objects of a kind, because they read this
-constant part. The questions are the 60 held-out instructions of the experiment `starter` and 40 others of the same
-generator, mixed, so that any prefix is a sample of both. With `--log`, answers are appended to a JSONL file, and a
-later call continues.
+scene listed after it. `after`: as planners serve, with saved states of the constant part of the prompt; a name such as
+`transformers:base-135m` compares this adapter in torch with llama.cpp before. The first question of each process is not
+measured, nor is the first one about all objects of a kind, because they read this constant part. The questions are the
+60 held-out instructions of the experiment `starter` and 40 others of the same generator, mixed, so that any prefix is a
+sample of both. With `--log`, answers are appended to a JSONL file, and a later call continues.
 """
 
 from __future__ import annotations
@@ -26,9 +26,10 @@ from typing import Any
 
 import numpy as np
 
+from dualbrain.adaptation.adapters.naming import TORCH_PREFIX, strip_torch_prefix
 from dualbrain.adaptation.adapters.packaged import packaged_names
 from dualbrain.adaptation.curation.sample import Sample
-from dualbrain.adaptation.serving.open_planner import N_CTX, open_adapter
+from dualbrain.adaptation.serving.open_planner import N_CTX, open_adapter, open_planner
 from dualbrain.core.paths import cache_folder, dualbrain_home
 from dualbrain.core.storage.jsonl_log import JsonlLog
 from dualbrain.core.weights import locate_weights
@@ -103,9 +104,17 @@ def unmeasured_questions() -> list[Sample]:
 
 
 def open_variant(name: str, kind: str, threads: int, states: Path) -> Planner:
-    """The planner called `name`, without (`before`) or with (`after`) the change under test."""
+    """The planner called `name`, without (`before`) or with (`after`) the change under test.
+
+    The variant before of an adapter in torch is this adapter in llama.cpp.
+    """
     cache = states if kind == AFTER else None
     config = LlamaConfig(threads=threads, n_ctx=N_CTX, jump_forward=kind == AFTER, prompt_cache=cache)
+    if name.startswith(TORCH_PREFIX):
+        if kind == AFTER:
+            adapters = dualbrain_home() / "adapters"
+            return open_planner(name, cache_folder(), adapters=adapters, threads=threads)
+        name = strip_torch_prefix(name)
     if name in packaged_names():
         return open_adapter(name, cache_folder(), adapters=dualbrain_home() / "adapters", config=config)
     prompt_format = FULL_PROMPT if kind == AFTER else replace(FULL_PROMPT, messages=render_with_selected)
