@@ -24,6 +24,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from dualbrain.adaptation.adapters.naming import TORCH_PREFIX, strip_torch_prefix
@@ -124,7 +125,7 @@ def open_variant(name: str, kind: str, threads: int, states: Path) -> Planner:
 def render_with_selected(request: PlanRequest) -> list[ChatMessage]:
     """The full prompt with examples that are chosen for the question, and with the names in the scene once more."""
     names = [line for line in request.skills_text.splitlines() if line.startswith(("graspable:", "receptive:"))]
-    with_names = replace(request, scene="\n".join((request.scene, *names)))
+    with_names = msgspec.structs.replace(request, scene="\n".join((request.scene, *names)))
     return render_with_examples(with_names, selected_examples(request))
 
 
