@@ -1,5 +1,6 @@
 """A robot for agents: checks without effects, contracts and instructions with outcomes, repetition, and stops."""
 
+import json
 import os
 import signal
 import time
@@ -18,6 +19,7 @@ from dualbrain.memory.ledger.ledger import LedgerReader
 from dualbrain.memory.state.episode_record import decode_event_header, decode_stored_episode
 from dualbrain.planner.scripted import ScriptedPlanner
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
+from dualbrain.visualization.html import run_report
 
 pytestmark = pytest.mark.realtime
 
@@ -33,7 +35,7 @@ def home(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_contracts_are_checked_executed_once_and_remembered_under_their_client(home):
+def test_contracts_are_checked_executed_once_and_remembered_under_their_client(home, monkeypatch):
     ledger, runs = home / "ledger.sqlite", home / "runs"
     planner = ScriptedPlanner(["no contract"])
     with Robot.simulated("panda", scene="bare:0", ledger=ledger, runs=runs, planner=planner) as robot:
@@ -51,6 +53,7 @@ def test_contracts_are_checked_executed_once_and_remembered_under_their_client(h
         assert planned.rejected.stage == "syntax"
         assert [one["state"] for one in robot.recent()][:2] == ["rejected", "finished"]
         assert robot.call("get_outcome", {"id": "c-0001"})["outcome"]["succeeded"]
+        check_failed_report(robot, monkeypatch)
     check_memory(ledger, runs, first)
 
 
@@ -66,6 +69,15 @@ def check_checks(robot):
     assert robot._scene_report().q == pytest.approx(before, abs=1e-3)
 
 
+def check_failed_report(robot, monkeypatch):
+    """A report that cannot be written changes no outcome, and is an event."""
+    monkeypatch.setattr(run_report, "write_report", lambda *parts: {}["missing"])
+    assert robot.run(hold(robot, 500.0, "c-0003")).rejected.stage == "envelope"
+    event = robot.events()[-1]
+    assert event["kind"] == "recorder"
+    assert event["text"].startswith("No report of the run ")
+
+
 def check_memory(ledger, runs, first):
     """The ledger holds every episode that reached the gate, and each one is saved in its folder."""
     with LedgerReader(ledger) as reader:
@@ -74,8 +86,15 @@ def check_memory(ledger, runs, first):
         episodes = [decode_stored_episode(event.payload).episode for event in events]
     sources = {episode.id: header.provenance.source for episode, header in zip(episodes, headers, strict=True)}
     assert sources[first.episode] == "desk agent"
+    versions = json.loads((runs / first.episode / "episode.json").read_bytes())["versions"]
+    assert {"dualbrain", "kernel", "prompt", "beside"} <= versions.keys()
     assert sorted(sources) == sorted(folder.name for folder in runs.iterdir())
     assert all((folder / "episode.json").is_file() for folder in runs.iterdir())
+    assert sum(not (folder / "report.html").is_file() for folder in runs.iterdir()) == 1
+    report = (runs / first.episode / "report.html").read_text()
+    assert "pause briefly" in report
+    assert "accepted" in report
+    assert first.outcome.actions[0].reason in report
 
 
 def test_a_running_contract_excludes_others_and_can_be_checked_against_and_stopped(home):

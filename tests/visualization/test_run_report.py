@@ -173,6 +173,12 @@ def test_a_rejected_contract_has_no_plot(rejected: Episode) -> None:
     assert "rejected at envelope" in parsed.text
 
 
+def test_a_motion_whose_ticks_are_elsewhere_is_not_called_none(episode: Episode) -> None:
+    text = _Page(render_report(episode, EMPTY)).text
+    assert "the gatekeeper records them" in text
+    assert "No control was executed" not in text
+
+
 def test_a_run_that_was_taken_over_is_reported(taken_over: Episode, trace: Trace) -> None:
     short = Trace(7)
     short.extend(trace.rows[:4000])

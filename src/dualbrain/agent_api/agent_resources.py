@@ -9,20 +9,17 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
-import msgspec
-
 from dualbrain.adaptation.serving.open_planner import planner_provenance
+from dualbrain.agent_api.saved_runs import SavedRuns, SavingMemory
 from dualbrain.core.paths import cache_folder, dualbrain_home
-from dualbrain.core.storage.atomic_files import write_atomically
 from dualbrain.core.storage.private_files import create_private_folder
 from dualbrain.memory.config import MemoryConfig
-from dualbrain.memory.embedding.image_features import ImageFeatures
-from dualbrain.memory.embedding.posture_features import Posture, PostureLimits
+from dualbrain.memory.embedding.posture_features import PostureLimits
 from dualbrain.memory.embedding.text_encoder import MiniLmEncoder
 from dualbrain.memory.ledger.ledger import Ledger
-from dualbrain.memory.memory import Memory, StoreReport
+from dualbrain.memory.memory import Memory
+from dualbrain.planner.prompt.full_prompt import conditional_text_hash, template_hash
 from dualbrain.planner.protocol import Planner
-from dualbrain.records import Episode
 from dualbrain.robots.model import RobotModel
 from dualbrain.runtime.agent import EpisodicMemory, NoMemory
 from dualbrain.safety.cbf.kernel import kernel_hash
@@ -36,10 +33,14 @@ LOCK_TIMEOUT = 5.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AgentResources:
-    """The open `planner` (None without one), the `memory`, and the `versions` that episodes record."""
+    """The open `planner` (None without one), the `memory`, and the `versions` that episodes record.
+
+    `runs` are the run folders, in which the memory saves each episode; None without a folder for them.
+    """
 
     planner: Planner | None
     memory: EpisodicMemory
+    runs: SavedRuns | None
     versions: dict[str, str]
     stack: ExitStack
 
@@ -61,29 +62,19 @@ def open_agent_resources(
         opened = _open_planner(planner, robot_model, stack) if isinstance(planner, str) else planner
         memory = _open_memory(ledger, robot_model, stack) if ledger else NoMemory()
         versions = {"dualbrain": metadata.version("dualbrain"), "kernel": kernel_hash()}
-        versions |= planner_provenance(opened) if opened else {}
+        if opened:
+            versions |= {"prompt": template_hash(), "beside": conditional_text_hash()} | planner_provenance(opened)
+        saved = SavedRuns(runs, robot_model) if runs else None
         return AgentResources(
-            planner=opened, memory=SavingMemory(memory, runs) if runs else memory, versions=versions, stack=stack
+            planner=opened,
+            memory=SavingMemory(memory, saved) if saved else memory,
+            runs=saved,
+            versions=versions,
+            stack=stack,
         )
     except BaseException:
         stack.close()
         raise
-
-
-class SavingMemory:
-    """A memory whose episodes are saved in a folder of their own before they are stored."""
-
-    def __init__(self, memory: EpisodicMemory, runs: Path) -> None:
-        """Store in `memory`, and save each episode as `runs`/ID/episode.json."""
-        self._memory, self._runs = memory, runs
-        self.retrieve = memory.retrieve
-
-    def store(self, episode: Episode, state: Posture, *, now: float, image: ImageFeatures | None = None) -> StoreReport:
-        """Save the episode, then store it; see `EpisodicMemory.store`."""
-        folder = self._runs / episode.id
-        create_private_folder(folder)
-        write_atomically(folder / "episode.json", msgspec.json.format(msgspec.json.encode(episode), indent=2))
-        return self._memory.store(episode, state, now=now, image=image)
 
 
 def _open_planner(name: str, robot_model: RobotModel, stack: ExitStack) -> Planner:

@@ -28,8 +28,9 @@ from dualbrain.grounding.instruction.review import refuse_hostile
 from dualbrain.grounding.instruction.stop_commands import is_stop_command
 from dualbrain.planner.protocol import Planner
 from dualbrain.planner.scripted import FixedContractPlanner
+from dualbrain.records import Episode
 from dualbrain.runtime.agent import Agent
-from dualbrain.runtime.episode import GroundTruth, run_episode
+from dualbrain.runtime.episode import GroundTruth, log_weight_changes, run_episode
 from dualbrain.runtime.planning.episode_request import EpisodeRequest
 from dualbrain.runtime.planning.planning_time import PlanningClock
 
@@ -178,17 +179,20 @@ class Executions:
 
     def _run(self, submission: Submission, request: EpisodeRequest, agent: Agent, *, retried: str) -> None:
         """Run one episode to its end; an exception ends the submission as lost."""
-        model = self._connection.robot_model
+        model, before = self._connection.robot_model, self._feed.newest
         log = FlightLog(
             Trace(model.n),
             None,
-            lambda event: self._feed.add(event.t, event.kind, event.text),
+            lambda event: self._feed.add(event.t, event.kind, event.text, event.data),
             submission.on_attempt,
         )
         truth = GroundTruth(start_contract=lambda contract: None, judge=lambda: None, versions=self._resources.versions)
         try:
             executor = RemoteExecutor(model, self._connection.client, log, lambda: submission.interrupted)
-            episode, _ = run_episode(request, agent, executor, PlanningClock(time.monotonic, measured=True), truth)
+            clock = PlanningClock(time.monotonic, measured=True)
+            episode, stored = run_episode(request, agent, executor, clock, truth)
+            log_weight_changes(log, executor.state.stamp, stored)
+            self._save_report(episode, before, executor.state.stamp)
             submission.finish(episode)
         except Exception as error:  # every failure is reported to the client; the robot stays behind its gatekeeper
             submission.lose(f"{type(error).__name__}: {error}")
@@ -196,6 +200,12 @@ class Executions:
             if retried:
                 with self._lock:
                     self._retries.finish(retried, submission)
+
+    def _save_report(self, episode: Episode, before: int, now: float) -> None:
+        """Save the report, with the events after the one with the number `before`; a failure is an event, too."""
+        runs = self._resources.runs
+        if runs is not None and (problem := runs.save_report(episode, self._feed.events_after(before))):
+            self._feed.add(now, "recorder", problem)
 
 
 def _reject_instruction(instruction: str) -> Rejected | None:

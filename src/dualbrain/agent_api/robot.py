@@ -92,7 +92,7 @@ class Robot:
         `speed` is the speed scale, (0, 1]. `recording` is an MCAP file for every tick, `report` a file for the ground
         truth at the end. With a `planner` (a name as for `dualbrain run --planner`, or an object), `do` plans
         instructions. With a `ledger`, the episodes become memories under the name of their client; with a folder
-        `runs`, each episode is saved in it.
+        `runs`, each episode is saved in it with its report.
 
         Raises `ConfigurationError`, `UnknownNameError` and `MissingDependencyError`.
         """
@@ -316,7 +316,7 @@ class Robot:
     def _receive(self, message: Message) -> None:
         """Keep an event of the gatekeeper; called by the thread that reads from it."""
         if isinstance(message, EventReport):
-            self._feed.add(message.t, message.kind, message.text)
+            self._feed.add(message.t, message.kind, message.text, message.data)
 
     def _scene_report(self) -> SceneReport:
         return self._connection.client.request_scene()

@@ -12,6 +12,7 @@ import msgspec
 
 from dualbrain.contracts.contract import Contract
 from dualbrain.control.executor import Executor
+from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.grounding.instruction.recalled_steps import fit_recall
 from dualbrain.grounding.instruction.review import Refusal, StopCommand
 from dualbrain.grounding.outcome.evidence import Evidence
@@ -115,6 +116,13 @@ def run_episode(
         withheld_skills=decision.withheld,
     )
     return episode, agent.memory.store(episode, context.posture, now=request.now, image=context.image)
+
+
+def log_weight_changes(log: FlightLog, t: float, stored: StoreReport) -> None:
+    """Log the weight changes that an outcome caused, at the time `t` [s]."""
+    for one in stored.weight_updates:
+        text = f"{one.memory}: {one.rule}d" if one.rule == "reinforce" else f"{one.memory}: suppressed"
+        log.note(t, "memory", text, episode_id=one.memory, before=one.before, after=one.after)
 
 
 def _planning_context(executor: Executor, ground_truth: GroundTruth) -> PlanningContext:

@@ -13,7 +13,6 @@ import msgspec
 
 from dualbrain import __version__
 from dualbrain.adaptation.serving.open_planner import planner_provenance
-from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.trace import Trace
 from dualbrain.core.text import storable_text
 from dualbrain.grounding.instruction.stop_commands import is_stop_command
@@ -30,7 +29,7 @@ from dualbrain.runtime.agent import Agent
 from dualbrain.runtime.backends.backend import Backend, RunContext, RunningRobot
 from dualbrain.runtime.backends.simulated import SimulatedBackend
 from dualbrain.runtime.config import Clocks, RunConfig, RunObserver, RunResult
-from dualbrain.runtime.episode import run_episode
+from dualbrain.runtime.episode import log_weight_changes, run_episode
 from dualbrain.runtime.inspection.counterfactual import CounterfactualQueries
 from dualbrain.runtime.planning.episode_request import EpisodeRequest
 from dualbrain.runtime.planning.replanning import Try, successive_tries
@@ -175,7 +174,7 @@ class Session:
                 log.note(executor.state.stamp, "planner", f"planning again: {reason}", **details)
             request = self._episode_request(one, episodes[0].scene if episodes else None)
             result = run_episode(request, agent, executor, robot.clock, robot.ground_truth)
-            _log_weight_changes(log, executor.state.stamp, result[1])
+            log_weight_changes(log, executor.state.stamp, result[1])
             results.append(result)
             episodes.append(result[0])
         return results
@@ -241,10 +240,3 @@ class Session:
     ) -> None:
         """Close everything."""
         self._stack.close()
-
-
-def _log_weight_changes(log: FlightLog, t: float, stored: StoreReport) -> None:
-    """Log the weight changes that an outcome caused."""
-    for one in stored.weight_updates:
-        text = f"{one.memory}: {one.rule}d" if one.rule == "reinforce" else f"{one.memory}: suppressed"
-        log.note(t, "memory", text, episode_id=one.memory, before=one.before, after=one.after)

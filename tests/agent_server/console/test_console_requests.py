@@ -13,14 +13,17 @@ import msgspec
 import pytest
 from starlette.routing import Route
 
+from dualbrain.agent_api.saved_runs import SavedRuns
 from dualbrain.agent_api.tools import verdict_view
 from dualbrain.agent_server.console.console_robot import ConsoleRobot
 from dualbrain.agent_server.console.report_tickets import LIFETIME, MAX_TICKETS, ReportTickets
 from dualbrain.agent_server.console.routes import console_routes, is_public
 from dualbrain.agent_server.console.run_list import list_runs, read_report
 from dualbrain.contracts.gate.strict_json import MAX_BYTES
+from dualbrain.control.recording.trace import Event
 from dualbrain.core.untrusted.bounded_file import FileRefusal
 from dualbrain.records import Passage, RetrievedContext
+from dualbrain.robots.loader import load_robot
 from tests.agent_server.console.console_server import REGISTRY, TOKEN, ConsoleServer, FakeRobot, serve_console
 from tests.memory.memory_samples import NOW, REST_POSTURE, episode, open_ledger, open_memory
 
@@ -211,6 +214,17 @@ def test_runs_are_listed_with_their_citations_and_other_entries_are_counted(tmp_
         False,
     )
     assert list_runs(tmp_path / "none") == {"runs": [], "omitted": 0}
+
+
+@pytest.mark.parametrize("kind", ["succeeded", "failed", "rejected", "aborted", "stopped"])
+def test_the_console_lists_and_opens_the_report_of_an_agent(kind, tmp_path) -> None:
+    saved, run = SavedRuns(tmp_path, load_robot("panda")), episode("r-1", kind=kind)
+    saved.save_episode(run)
+    assert saved.save_report(run, [Event(0.5, "verdict", "the contract was checked")]) == ""
+    assert [(one["name"], one["report"]) for one in list_runs(tmp_path)["runs"]] == [("r-1", True)]
+    report = read_report(tmp_path, "r-1")
+    assert isinstance(report, bytes)
+    assert all(part in report for part in (b"put the red cube in the bowl", b"the contract was checked"))
 
 
 @pytest.mark.parametrize("name", ["", ".", "..", "../secret", "link", "a/b", "none\0", "file", "linked_report"])

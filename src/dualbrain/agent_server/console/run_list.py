@@ -8,11 +8,11 @@ from typing import Any
 
 import msgspec
 
+from dualbrain.agent_api.saved_runs import EPISODE_FILE, REPORT_FILE
 from dualbrain.core.text import storable_text
 from dualbrain.core.untrusted.bounded_file import FileRefusal, read_regular_file
 from dualbrain.errors import DECODE_ERRORS
 
-EPISODE_FILE, REPORT_FILE = "episode.json", "report.html"
 MAX_EPISODE_BYTES, MAX_REPORT_BYTES = 8 << 20, 64 << 20
 """Largest files that are read [bytes]."""
 MAX_RUNS = 200

@@ -37,6 +37,10 @@ IMAGE_WIDTH = 960
 """Largest width of an image [pixel]: a click enlarges it to this width."""
 NO_INSTRUCTION_TITLE = "a given contract"
 MAX_TEXT_CHARACTERS = 4000
+NO_CONTROL = "No control was executed, so there is nothing to plot."
+TICKS_ELSEWHERE = (
+    "The control ticks are not in this report; the gatekeeper records them if it is started with --record."
+)
 FILTER_OFF_NOTICE = "The safety filter was off: Δ and clearances are only measured."
 
 
@@ -57,8 +61,9 @@ def write_report(
     projection: MemoryProjection | None = None,
     earlier: Sequence[Episode] = (),
 ) -> None:
-    """Write the report of `episode` to `path`; `trace` is empty if the gate rejected the contract.
+    """Write the report of `episode` to `path`.
 
+    `trace` has no ticks if the gate rejected the contract, or if they are in the recording of a gatekeeper.
     `earlier` are the tries of the same instruction before this episode.
     """
     write_atomically(path, render_report(episode, trace, snapshots, projection, earlier).encode())
@@ -168,9 +173,8 @@ def _snapshot_figure(shot: Snapshot) -> Html:
 
 def _time_course_section(episode: Episode, trace: Trace) -> Html:
     if not len(trace):
-        return section(
-            "Time course", element("p", "No control was executed, so there is nothing to plot.", class_="muted")
-        )
+        reason = NO_CONTROL if episode.outcome.Delta is None else TICKS_ELSEWHERE
+        return section("Time course", element("p", reason, class_="muted"))
     note = f"{len(trace)} control ticks; shaded where δ > {DEAD_BAND:g}"
     return section("Time course", element("div", strip_chart(episode, trace), class_="card chart"), note=note)
 
