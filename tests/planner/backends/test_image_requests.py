@@ -17,11 +17,12 @@ from PIL import Image
 from dualbrain.errors import ConfigurationError
 from dualbrain.evaluation.planners.answer_cache import request_hash
 from dualbrain.planner import protocol
-from dualbrain.planner.backends.image_message import IMAGE_NOTE
+from dualbrain.planner.backends.image_message import announce_image
 from dualbrain.planner.backends.openai_server import DIALECTS, ServerConfig, ServerPlanner
 from dualbrain.planner.camera_image import MAX_IMAGE_BYTES, CameraImage, encode_camera_image, read_camera_image
 from dualbrain.planner.introspection import require_image_input, takes_images
-from dualbrain.planner.prompt.full_prompt import render
+from dualbrain.planner.prompt import image_note
+from dualbrain.planner.prompt.full_prompt import conditional_text_hash, render, template_hash
 from dualbrain.planner.scripted import ScriptedPlanner
 from tests.planner.backends.fake_chat_server import chat_completion, respond_with, serve
 from tests.planner.sample_requests import plan_request
@@ -70,8 +71,15 @@ def test_the_server_gets_the_bytes_of_the_image_and_an_unchanged_prompt(dialect:
     text, data = parts(body)
     assert data == IMAGE.data
     assert (proposal.text, proposal.finish_reason) == (CONTRACT, protocol.STOP)
-    assert text == f"{IMAGE_NOTE}\n{render(plan_request())[-1]['content']}"
+    assert text == f"{image_note.IMAGE_NOTE}\n{render(plan_request())[-1]['content']}"
     assert body["messages"][:-1] == render(plan_request())[:-1]
+
+
+def test_the_text_about_the_image_is_in_the_hash_of_conditional_text_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    before, template = conditional_text_hash(), template_hash()
+    monkeypatch.setattr(image_note, "IMAGE_NOTE", "other words")
+    assert announce_image(render(plan_request()))[-1]["content"].startswith("other words\n")
+    assert (conditional_text_hash() == before, template_hash()) == (False, template)
 
 
 @pytest.mark.parametrize("dialect", DIALECTS)

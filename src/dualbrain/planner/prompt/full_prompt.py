@@ -13,7 +13,7 @@ import json
 from collections.abc import Iterable
 from typing import Any, TypedDict
 
-from dualbrain.planner.prompt import mobile_base_examples, mobile_manipulator_examples, multi_goal
+from dualbrain.planner.prompt import image_note, mobile_base_examples, mobile_manipulator_examples, multi_goal
 from dualbrain.planner.prompt.arm_examples import (
     DECLINE_EXAMPLE,
     LOW_EXAMPLE,
@@ -153,8 +153,8 @@ def template_hash() -> str:
 def conditional_text_hash() -> str:
     """First 16 hex digits of the SHA-256 of fixed text that is in some requests only and not in `template_hash`.
 
-    This is the text for several goals, for planning again, and for mobile manipulators. First requests with a single
-    goal to an arm or a base contain none of it.
+    This is the text for several goals, for planning again, for mobile manipulators, and beside a camera image. First
+    requests with a single goal to an arm or a base, without an image, contain none of it.
     """
     fixed = [
         FAILURE_FEEDBACK_VERSION,
@@ -165,6 +165,7 @@ def conditional_text_hash() -> str:
     ]
     fixed += [mobile_manipulator_examples.MOBILE_MANIPULATOR_VERSION, mobile_manipulator_examples.SYSTEM]
     fixed += [list(example) for example in mobile_manipulator_examples.EXAMPLES]
+    fixed.append(image_note.IMAGE_NOTE)
     examples = [list(example) for group in multi_goal.EXAMPLES.values() for example in group]
     return hashlib.sha256(json.dumps([fixed, examples], sort_keys=True).encode()).hexdigest()[:16]
 
