@@ -47,7 +47,7 @@ class RobotOptions:
     """Memory file in which episodes are stored under the name of their client. Default: none are stored."""
 
     runs: Path | None = None
-    """Folder in which each contract gets a folder with its episode. Default: none are saved."""
+    """Folder in which each contract gets a folder with its episode and its report. Default: none are saved."""
 
 
 DEFAULT_ROBOT = RobotOptions()
