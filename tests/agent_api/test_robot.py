@@ -16,6 +16,7 @@ from dualbrain.errors import ConfigurationError
 from dualbrain.memory.embedding.hashing_encoder import HashingEncoder
 from dualbrain.memory.embedding.text_encoder import MiniLmEncoder
 from dualbrain.memory.ledger.ledger import LedgerReader
+from dualbrain.memory.state.derivation import derive_state
 from dualbrain.memory.state.episode_record import decode_event_header, decode_stored_episode
 from dualbrain.planner.scripted import ScriptedPlanner
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
@@ -48,13 +49,14 @@ def test_contracts_are_checked_executed_once_and_remembered_under_their_client(h
         assert robot.contract([])["id"] == "c-0002"
         refused = robot.run(hold(robot, 0.5, "c-0002"), "stop")
         assert refused.rejected.hint == "stop the robot instead of submitting a contract"
+        other = robot.run(hold(robot, 0.5, "c-0002"), client="other agent")
         planned = robot.do("put the red cube in the bowl", timeout=20.0)
         assert (planned.state, planned.accepted) == ("rejected", False)
         assert planned.rejected.stage == "syntax"
         assert [one["state"] for one in robot.recent()][:2] == ["rejected", "finished"]
         assert robot.call("get_outcome", {"id": "c-0001"})["outcome"]["succeeded"]
         check_failed_report(robot, monkeypatch)
-    check_memory(ledger, runs, first)
+    check_memory(ledger, runs, first, other)
 
 
 def check_checks(robot):
@@ -78,14 +80,19 @@ def check_failed_report(robot, monkeypatch):
     assert event["text"].startswith("No report of the run ")
 
 
-def check_memory(ledger, runs, first):
-    """The ledger holds every episode that reached the gate, and each one is saved in its folder."""
+def check_memory(ledger, runs, first, other):
+    """The ledger holds every episode that reached the gate, and each one is saved in its folder.
+
+    A success that the senses do not confirm is a candidate.
+    """
     with LedgerReader(ledger) as reader:
         events = list(reader.events("episode"))
         headers = [decode_event_header(event.payload) for event in events]
         episodes = [decode_stored_episode(event.payload).episode for event in events]
+        statuses = {memory.id: memory.status for memory in derive_state(reader).memories}
     sources = {episode.id: header.provenance.source for episode, header in zip(episodes, headers, strict=True)}
-    assert sources[first.episode] == "desk agent"
+    assert (sources[first.episode], first.senses, statuses[first.episode]) == ("desk agent", "agrees", "active")
+    assert (sources[other.episode], other.senses, statuses[other.episode]) == ("other agent", "none", "candidate")
     versions = json.loads((runs / first.episode / "episode.json").read_bytes())["versions"]
     assert {"dualbrain", "kernel", "prompt", "beside"} <= versions.keys()
     assert sorted(sources) == sorted(folder.name for folder in runs.iterdir())
