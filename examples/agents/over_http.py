@@ -1,7 +1,7 @@
 """A robot over plain HTTP, without any SDK: one POST per call of the Model Context Protocol.
 
-Run: `DUALBRAIN_TOKEN=a-token-of-your-own dualbrain mcp --scene 8 --http 8765`, and with the same variable
-`python examples/agents/over_http.py`.
+Run `dualbrain mcp --scene 8 --http 8765`, which prints the file that holds its token, and with this FILE
+`DUALBRAIN_TOKEN=$(cat FILE) python examples/agents/over_http.py`.
 """
 
 from __future__ import annotations
