@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.guards.guards.dualbrain_guard import DualbrainGuard
-from benchmarks.guards.guards.guard import BenchmarkedGuard, TargetGuard
+from benchmarks.guards.guards.guard import BenchmarkedGuard, ClosableGuard, TargetGuard
 from benchmarks.guards.guards.hand_filter import HandFilter
 from benchmarks.guards.guards.path_braking import CLEARANCE, PathBraking
 from benchmarks.guards.guards.relative_clamp import RelativeClamp
@@ -20,6 +20,7 @@ from benchmarks.guards.policies import PERIOD, CarefulPolicy, CarelessPolicy, Po
 from benchmarks.guards.robot_interface import RobotInterface
 from benchmarks.guards.scene import GuardScene, is_clear, load_panda
 from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.plant.stepped_plant import SteppedPlant
 from experiments.safety.plant_judge import PlantJudge
 
@@ -75,18 +76,28 @@ def run_episode(scene: GuardScene, policy_name: str, guard_name: str, duration: 
 
     The row states contacts, the time to the goal, and the cost per action.
     """
+    return run_guarded(scene, policy_name, lambda _plant, interface: GUARDS[guard_name](scene, interface), duration)
+
+
+def run_guarded(
+    scene: GuardScene,
+    policy_name: str,
+    make_guard: Callable[[Plant, RobotInterface], BenchmarkedGuard],
+    duration: float | None = None,
+) -> dict[str, Any]:
+    """As `run_episode`, behind a guard that may use sensors of the plant."""
     robot_model, _ = load_panda()
     plant = scene.make_plant()
     robot, judge = SteppedPlant(plant, contacts=False), PlantJudge(plant)
     interface = RobotInterface(robot_model, scene.start)
     policy = POLICIES[policy_name](scene, np.random.default_rng([scene.seed, 11]))
-    guard = GUARDS[guard_name](scene, interface)
+    guard = make_guard(plant, interface)
     goal = scene.goal if policy_name != "random" else None
     longest = duration or (RANDOM_DURATION if goal is None else DURATION)
     try:
         reached, costs = _run(robot, judge, interface, policy, guard, goal, longest)
     finally:
-        if isinstance(guard, RobotDam):
+        if isinstance(guard, ClosableGuard):
             guard.close()
     return {
         "contact": judge.n_below_zero > 0,

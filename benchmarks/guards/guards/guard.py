@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,15 @@ class BenchmarkedGuard(Protocol):
 
     def velocity(self, q: Array, v: Array, now: float) -> Array:
         """The velocity (n,) [rad/s] for the next period at the measured joint state."""
+        ...
+
+
+@runtime_checkable
+class ClosableGuard(Protocol):
+    """A guard that holds a process or a renderer."""
+
+    def close(self) -> None:
+        """Release it."""
         ...
 
 

@@ -1,0 +1,1 @@
+"""Tests of `dualbrain.safety.integration.point_clouds`."""
