@@ -99,6 +99,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         Starter(),
         RobosuiteTasks(),
         PolicyGuards(),
+        DepthObstacles(),
         Ros2Rates(),
         FrankaLimits(),
         CarelessServos(),

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.guards import tables
+from benchmarks.guards.depth_obstacles import DepthObstacles, run_with_cameras
 from benchmarks.guards.episode import GUARDS, run_episode
 from benchmarks.guards.guards.guard import TargetGuard
 from benchmarks.guards.guards.path_braking import PathBraking
@@ -17,6 +18,7 @@ from benchmarks.guards.robot_interface import RobotInterface
 from benchmarks.guards.scene import PATH_CLEARANCE, is_clear, load_panda, make_scene
 from dualbrain.core.geometry.shapes import Box, Capsule, Pose, Sphere
 from dualbrain.safety.cbf.obstacles import Obstacle
+from dualbrain.safety.integration.point_clouds.point_cloud_source import PointCloudConfig
 from experiments.safety.reference_judge import rotation_matrix
 from tests.safety import geometry_oracle
 
@@ -164,6 +166,26 @@ def test_the_units_cover_every_policy_and_the_tables_count_safe_successes():
     assert tables.is_safe_success(reached)
     assert not tables.is_safe_success(hit)
     assert not tables.is_safe_success(missed)
+
+
+def test_depth_cameras_keep_a_careless_policy_free_of_contacts(scene):
+    with_cameras = run_with_cameras(scene, "careless", unknown_is_occupied=False, duration=1.0)
+    assert not with_cameras["contact"]
+    assert with_cameras["images"] >= 3 * 10
+    assert 0 < with_cameras["boxes"] <= PointCloudConfig(lower=(0.0,) * 3, upper=(1.0,) * 3).max_boxes
+
+
+def test_the_tables_of_depth_cameras_count_contacts_by_source():
+    found = {"contact": False, "min_scene_distance": 0.1, "min_self_distance": 0.04, "action_us": [1e3, 2e3]}
+    seen = {**found, "reached": 2.0, "images": 30, "boxes": 48, "voxels": 300, "lost": 0.01, "image_ms": 60.0}
+    hit = {**seen, "contact": True, "min_scene_distance": -0.01}
+    sources = dict.fromkeys(("none", "known shapes", "depth cameras", "depth cameras, unknown occupied"), seen)
+    rows = [{"seed": 1, "policy": "careless", "sources": sources}]
+    rows.append({"seed": 2, "policy": "careless", "sources": sources | {"none": hit}})
+    text = "\n".join(DepthObstacles().report(rows))
+    assert "| none | 2 | 1 of 2" in text
+    assert "| depth cameras | 2 | 0 of 2" in text
+    assert "| depth cameras | 60 | 300 | 48 | 10 | 60 |" in text
 
 
 def test_without_a_guard_every_target_is_executed():
