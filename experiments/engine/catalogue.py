@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from benchmarks.guards.depth_obstacles import DepthObstacles
 from benchmarks.guards.policy_guards import PolicyGuards
 from experiments.adaptation.ablation_curve import AblationCurve
 from experiments.adaptation.named_alternatives import NamedAlternatives
