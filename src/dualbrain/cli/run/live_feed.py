@@ -27,6 +27,8 @@ from dualbrain.visualization.live.view import FRAME_RATE_HZ, LiveView
 from dualbrain.visualization.live.view_state import ViewState
 
 MAX_LINES = 12
+MIN_PERIOD_S = 0.9 / FRAME_RATE_HZ
+"""Time [s] between two shown ticks; less than a period of the view, because the reports of a gatekeeper jitter."""
 
 
 class LiveFeed:
@@ -150,7 +152,7 @@ class LiveFeed:
         """Count δ of `tick`; whether the view draws it, because a frame has passed since the last one."""
         if tick.in_contract:
             self._states.count(tick.delta)
-        return not 0.0 <= tick.t - self._shown_at < 1.0 / FRAME_RATE_HZ
+        return not 0.0 <= tick.t - self._shown_at < MIN_PERIOD_S
 
     def _show(self, tick: Tick) -> None:
         self._shown_at = tick.t

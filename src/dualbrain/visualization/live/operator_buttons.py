@@ -21,7 +21,7 @@ from dualbrain.control.gatekeeper.operator_commands import UNRESTRICTED_ACTIONS
 from dualbrain.control.gatekeeper.protocol.messages import OperatorAction
 from dualbrain.visualization.html.page import element
 from dualbrain.visualization.live.attempt_limit import AttemptLimit
-from dualbrain.visualization.live.panel import PANEL_CSS
+from dualbrain.visualization.live.panel import panel_block
 
 if TYPE_CHECKING:
     from viser import ClientHandle, GuiApi, ViserServer
@@ -111,7 +111,7 @@ class OperatorButtons:
         result = gui.add_html("", order=-8.0)
 
         def show(text: str) -> None:
-            result.content = PANEL_CSS + element("div", element("p", text, id="operator-result"), class_="db")
+            result.content = panel_block(element("p", text, id="operator-result"))
 
         stop = gui.add_button("EMERGENCY STOP", color="red", hint="needs no code", order=-10.0)
         stop.on_click(lambda _: show(self._access.apply(page, "estop")))

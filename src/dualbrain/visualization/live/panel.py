@@ -22,28 +22,11 @@ from dualbrain.visualization.live.view_state import ViewState
 if TYPE_CHECKING:
     from viser import GuiApi, GuiUplotHandle
 
-MAX_HISTORY_POINTS = 450
-"""Points of the plots: half a minute at 15 Hz."""
+MAX_HISTORY_POINTS = 240
+"""Points of the plots: two minutes at the rate of `view.py`."""
 MAX_LINES = 8
 DETAILS_ORDER = 1e6
 """Place of the details in the panel: at its end."""
-
-PANEL_CSS = """<style>
-.db { font: 13px/1.5 system-ui, "DejaVu Sans", sans-serif; font-variant-numeric: tabular-nums; padding: 0 10px; }
-.db table { width: 100%; border-collapse: collapse; } .db td { padding: 2px 0; border-bottom: 1px solid #8883; }
-.db td + td { text-align: right; font-weight: 600; } .db td small { font-weight: 400; opacity: .65; margin-left: 3px; }
-.db ul { margin: 0; padding-left: 16px; } .db li { overflow-wrap: anywhere; margin: 2px 0; }
-.db h4 { margin: 2px 0 6px; font-size: 15px; overflow-wrap: anywhere; }
-.db p { margin: 4px 0; overflow-wrap: anywhere; }
-.db .good { color: #0a7f5f; } .db .bad { color: #c4500a; }
-[data-mantine-color-scheme="dark"] .db .good { color: #43c39b; }
-[data-mantine-color-scheme="dark"] .db .bad { color: #f08a50; }
-.db .legend { padding: 0; list-style: none; } .db .legend li { display: flex; gap: 9px; align-items: center; }
-.db .sign { flex: none; width: 24px; height: 5px; background: currentColor; }
-.db .sign.arrow { height: 12px; clip-path: polygon(0 38%, 62% 38%, 62% 0, 100% 50%, 62% 100%, 62% 62%, 0 62%); }
-.db .sign.ghost { height: 14px; opacity: .35; } .db .sign.part { height: 14px; border-radius: 4px; }
-.db .sign.halo { height: 14px; border-radius: 7px; opacity: .4; }
-</style>"""
 
 NumberRow = tuple[str, str, str]
 """Name in `ViewState.numbers`, label for people, unit."""
@@ -94,6 +77,11 @@ def _table_row(identity: str, label: str, text: str, unit: str, **more: str) -> 
     return element("tr", element("td", label), shown)
 
 
+def panel_block(*children: str) -> str:
+    """A block of the panel, in the style of `web/panel.css`; a plain string, because viser encodes no other."""
+    return str(element("div", *children, class_="db"))
+
+
 def numbers_html(state: ViewState, speeds: tuple[NumberRow, ...] = JOINT_SPEED_ROWS) -> str:
     """Table of the live numbers as HTML."""
     shown = (*NUMBER_ROWS, *speeds, *TRAILING_ROWS)
@@ -101,7 +89,7 @@ def numbers_html(state: ViewState, speeds: tuple[NumberRow, ...] = JOINT_SPEED_R
         _table_row(f"live-{name}", label, format_live_number(name, state.numbers.get(name)), unit)
         for name, label, unit in shown
     )
-    return PANEL_CSS + element("div", element("table", *rows), class_="db")
+    return panel_block(element("table", *rows))
 
 
 def plain_html(state: ViewState) -> str:
@@ -116,14 +104,12 @@ def plain_html(state: ViewState) -> str:
         _table_row("plain-distance", "to the nearest safety margin", distance, "mm"),
         _table_row("plain-speed", "speed that the filter permits", f"{100 * min(1.0, situation.speed_share):.0f}", "%"),
     )
-    return PANEL_CSS + element("div", element("table", *rows), class_="db")
+    return panel_block(element("table", *rows))
 
 
 def lines_html(lines: tuple[str, ...]) -> str:
     """The last `MAX_LINES` lines as HTML, the newest first."""
-    return PANEL_CSS + element(
-        "div", element("ul", *(element("li", line) for line in reversed(lines[-MAX_LINES:]))), class_="db"
-    )
+    return panel_block(element("ul", *(element("li", line) for line in reversed(lines[-MAX_LINES:]))))
 
 
 def final_html(episode: Episode) -> str:
@@ -137,11 +123,13 @@ def final_html(episode: Episode) -> str:
     head = element(
         "h4", element("span", outcome.kind.replace("_", " "), class_=tone, id="final-outcome", data_value=outcome.kind)
     )
-    return PANEL_CSS + element("div", head, element("p", outcome.reason), element("table", *rows), class_="db")
+    return panel_block(head, element("p", outcome.reason), element("table", *rows))
 
 
 class LivePanel:
     """GUI elements of the panel."""
+
+    _shown_lines: tuple[str, ...]
 
     def __init__(self, gui: GuiApi, speeds: tuple[NumberRow, ...] = JOINT_SPEED_ROWS) -> None:
         """Add the final result (hidden), numbers, plots and lines; the rows `speeds` are below "details"."""
@@ -152,6 +140,7 @@ class LivePanel:
         self._plain = gui.add_html("")
         self._h = _add_plot(gui, "distance to the nearest safety margin [mm]", {"stroke": "#2f86c6", "width": 1.5})
         self._lines = gui.add_html("")
+        self._shown_lines = ()
         with gui.add_folder("details", expand_by_default=False, order=DETAILS_ORDER):
             self._numbers = gui.add_html("")
             filled = {"stroke": "#d0601c", "width": 1.5, "fill": "#d0601c33"}
@@ -159,13 +148,18 @@ class LivePanel:
 
     def show_instruction(self, instruction: str) -> None:
         """Show the instruction of the run."""
-        self._instruction.content = PANEL_CSS + element("div", element("h4", f"“{instruction}”"), class_="db")
+        self._instruction.content = panel_block(element("h4", f"“{instruction}”"))
 
     def update(self, state: ViewState) -> None:
-        """Show the numbers and lines of `state`, and append its h_min and δ to the plots."""
+        """Show the numbers for the operator and the lines of `state`."""
         self._plain.content = plain_html(state)
+        if state.lines != self._shown_lines:
+            self._shown_lines = state.lines
+            self._lines.content = lines_html(state.lines)
+
+    def update_details(self, state: ViewState) -> None:
+        """Show all numbers of `state`, and append its h_min and δ to the plots."""
         self._numbers.content = numbers_html(state, self._speeds)
-        self._lines.content = lines_html(state.lines)
         h, delta = state.numbers.get("h_min"), state.numbers.get("delta")
         if isinstance(h, float | int) and isinstance(delta, float | int) and np.isfinite((h, delta)).all():
             self._history.append((state.t, 1e3 * h, delta))

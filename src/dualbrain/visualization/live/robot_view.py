@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import dist
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.core.geometry.shapes import Pose
 from dualbrain.robots.model import RobotModel
+from dualbrain.visualization.live.motion.link_frames import LinkFrames
 from dualbrain.visualization.live.view_state import ViewState
 
 if TYPE_CHECKING:
-    from viser import BatchedMeshHandle, FrameHandle, SceneApi
+    from viser import BatchedMeshHandle, SceneApi
 
     from dualbrain.simulation.models.visual_meshes import ColouredMesh
 
@@ -25,23 +24,12 @@ LinkMeshes = Mapping[str, "Sequence[ColouredMesh]"]
 
 LIMITING_COLOUR: Colour = (210, 82, 30)
 """Colour of a link that limits the motion."""
-VISIBLE_MOTION_M, VISIBLE_TURN = 5e-4, 5e-4
-"""Smallest motion [m] and smallest distance of two quaternions that are drawn."""
 MERGE_CELL_M = 0.008
 """Size [m] of the surface details that are not sent to the browser, which may have no graphics card."""
 
 COLOUR_CLEARANCES_M = (0.0, 0.01, 0.03, 0.08)
 """Clearances [m] of the colours in `CLEARANCE_COLOURS`; colours between them are interpolated."""
 CLEARANCE_COLOURS = np.array([[200, 60, 10], [235, 150, 30], [120, 170, 190], [70, 130, 190]], float)
-
-
-def is_moved(shown: Pose | None, pose: Pose) -> bool:
-    """Whether `pose` differs visibly from the `shown` one; equal poses cost a comparison of viser each."""
-    return (
-        shown is None
-        or dist(shown.position, pose.position) > VISIBLE_MOTION_M
-        or dist(shown.quaternion, pose.quaternion) > VISIBLE_TURN
-    )
 
 
 def clearance_colours(clearances: Array) -> NDArray[np.uint8]:
@@ -66,7 +54,7 @@ def simplify_mesh(
 
 
 class LiveRobot:
-    """Scene nodes of one robot; links without a pose in an update keep their last pose."""
+    """Scene nodes of one robot."""
 
     def __init__(self, scene: SceneApi, robot_model: RobotModel, link_meshes: LinkMeshes) -> None:
         """Add the meshes of the links, or for links without a mesh the spheres that cover them."""
@@ -74,53 +62,52 @@ class LiveRobot:
         self._spheres: BatchedMeshHandle | None = None
         self._show_spheres = False
         self.root = scene.add_frame("/robot", show_axes=False)
-        self._links: dict[str, FrameHandle] = {}
+        self._links = LinkFrames(scene, "/robot", robot_model)
         self._surfaces: dict[str, list[tuple[Any, Colour]]] = {link.name: [] for link in robot_model.links}
         self._tinted: frozenset[str] = frozenset()
-        self._shown_poses: dict[str, Pose] = {}
         for link in robot_model.links:
-            self._links[link.name] = scene.add_frame(f"/robot/{link.name}", show_axes=False)
             self._add_link_meshes(link.name, link_meshes.get(link.name, ()))
         self._add_link_spheres(robot_model, link_meshes)
 
     def update(self, state: ViewState) -> None:
-        """Set the poses of the links, and the positions and colours of the spheres."""
-        self._set_link_poses(state.frames)
-        self._tint(state.limiting_links)
-        if not len(state.radii):
-            return
-        clearances = state.clearances if len(state.clearances) else np.full(len(state.radii), np.inf)
-        colours = clearance_colours(clearances)
-        if self._spheres is None or len(self._spheres.batched_positions) != len(state.radii):
-            self._spheres = self._add_sphere_batch(state, colours)
-        self._spheres.visible = self._show_spheres
-        if self._show_spheres:
-            self._spheres.batched_positions = state.centres.astype(np.float32)
-            self._spheres.batched_colors = colours
+        """Set the poses of the links, and the positions and colours of the spheres if they are shown."""
+        self._links.update(state.frames)
+        if self._show_spheres and len(state.radii):
+            self._update_spheres(state)
+        elif self._spheres is not None:
+            self._spheres.visible = False
 
-    def show_spheres(self, visible: bool) -> None:
-        """Show or hide the spheres of the filter from the next update on."""
-        self._show_spheres = visible
-
-    def _set_link_poses(self, frames: Mapping[str, Pose]) -> None:
-        for name, pose in frames.items():
-            if (link := self._links.get(name)) is not None and is_moved(self._shown_poses.get(name), pose):
-                link.position, link.wxyz = pose.position, pose.quaternion
-                self._shown_poses[name] = pose
-
-    def _tint(self, links: frozenset[str]) -> None:
+    def tint(self, links: frozenset[str]) -> None:
         """Colour the surfaces of `links`, and give the others their own colour again."""
         for name in links ^ self._tinted:
             for surface, own in self._surfaces.get(name, ()):
                 surface.color = LIMITING_COLOUR if name in links else own
         self._tinted = links
 
+    def show_spheres(self, visible: bool) -> None:
+        """Show or hide the spheres of the filter from the next update on."""
+        self._show_spheres = visible
+
+    def _update_spheres(self, state: ViewState) -> None:
+        clearances = state.clearances if len(state.clearances) else np.full(len(state.radii), np.inf)
+        colours = clearance_colours(clearances)
+        if self._spheres is None or len(self._spheres.batched_positions) != len(state.radii):
+            self._spheres = self._add_sphere_batch(state, colours)
+        self._spheres.visible = True
+        self._spheres.batched_positions = state.centres.astype(np.float32)
+        self._spheres.batched_colors = colours
+
     def _add_link_meshes(self, link: str, patches: Sequence[ColouredMesh]) -> None:
         for k, patch in enumerate(patches):
             points, faces = simplify_mesh(patch.points, patch.faces)
             red, green, blue = np.round(255 * (0.86 * np.array(patch.colour) + 0.02)).astype(int).tolist()
             surface = self._scene.add_mesh_simple(
-                f"/robot/{link}/{k}", points, faces, color=(red, green, blue), side="double", receive_shadow=False
+                f"{self._links.paths[link]}/{k}",
+                points,
+                faces,
+                color=(red, green, blue),
+                side="double",
+                receive_shadow=False,
             )
             self._surfaces[link].append((surface, (red, green, blue)))
 
@@ -128,7 +115,7 @@ class LiveRobot:
         for k, sphere in enumerate(robot_model.spheres):
             if link_meshes.get(sphere.link):
                 continue
-            name, grey = f"/robot/{sphere.link}/{k}", (205, 208, 212)
+            name, grey = f"{self._links.paths[sphere.link]}/{k}", (205, 208, 212)
             surface = self._scene.add_icosphere(name, sphere.radius, color=grey, subdivisions=2, position=sphere.centre)
             self._surfaces[sphere.link].append((surface, grey))
 

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dualbrain.core.geometry.shapes import Bowl, Box, Capsule, Cylinder, HalfSpace, Pose, Shape, Sphere
+from dualbrain.core.geometry.shapes import Bowl, Box, Capsule, Cylinder, HalfSpace, Shape, Sphere
 from dualbrain.core.untrusted.visible_text import visible_text
 from dualbrain.records import Place, SceneObject
-from dualbrain.visualization.live.robot_view import LinkMeshes, is_moved
+from dualbrain.visualization.live.motion.frame_pose import FramePose
+from dualbrain.visualization.live.robot_view import LinkMeshes
 from dualbrain.visualization.live.view_state import ViewState
 
 if TYPE_CHECKING:
@@ -60,13 +61,13 @@ MARGIN_COLOUR, MARGIN_OPACITY = (240, 150, 40), 0.24
 
 @dataclass(slots=True, kw_only=True)
 class _ObjectNodes:
-    """Scene nodes of one object, with the shape, the margin [m] and the pose that they show."""
+    """Scene nodes of one object, with the shape and the margin [m] that they show, and the pose of their frame."""
 
     shape: Shape
     margin: float
     frame: FrameHandle
     margin_mesh: MeshHandle | None
-    pose: Pose | None = None
+    pose: FramePose
 
 
 class LiveScene:
@@ -136,9 +137,7 @@ class LiveScene:
             if node is not None:
                 node.frame.remove()
             node = self._objects[scene_object.name] = self._add_object(scene_object, margin)
-        if is_moved(node.pose, scene_object.pose):
-            node.pose = scene_object.pose
-            node.frame.position, node.frame.wxyz = node.pose.position, node.pose.quaternion
+        node.pose.show(scene_object.pose)
         if node.margin_mesh is not None:
             node.margin_mesh.visible = self._show_margins
 
@@ -157,7 +156,7 @@ class LiveScene:
         margin_mesh = (
             self._add_mesh(f"{path}/margin", shape, margin, MARGIN_COLOUR, MARGIN_OPACITY) if inflated else None
         )
-        return _ObjectNodes(shape=shape, margin=margin, frame=frame, margin_mesh=margin_mesh)
+        return _ObjectNodes(shape=shape, margin=margin, frame=frame, margin_mesh=margin_mesh, pose=FramePose(frame))
 
     def _add_patches(self, path: str, patches: Sequence[ColouredMesh]) -> None:
         for k, patch in enumerate(patches):

@@ -94,14 +94,17 @@ class StateBuilder:
     def __init__(self, robot_model: RobotModel) -> None:
         """Start without ticks."""
         self._robot_model, self._kinematics = robot_model, SafetyFilter(robot_model)
-        self._deltas: list[float] = []
+        self._ticks = self._interventions = 0
+        self._delta_sum = 0.0
         self._plan: tuple[PlanStep, ...] = ()
         fixed = {link.name for link in robot_model.links if link.frame == 0}
         self._moving = np.array([sphere.link not in fixed for sphere in robot_model.spheres])
 
     def count(self, delta: float) -> None:
         """Count the δ of a tick of a contract for the averages."""
-        self._deltas.append(delta)
+        self._ticks += 1
+        self._delta_sum += delta
+        self._interventions += delta > DEAD_BAND
 
     def set_plan(self, actions: tuple[Action, ...], scene: Scene, q: Array) -> None:
         """Show the steps of an accepted contract from now on."""
@@ -142,13 +145,13 @@ class StateBuilder:
         )
 
     def _numbers(self, tick: Tick) -> dict[str, float | str]:
-        deltas = np.array(self._deltas or [0.0])
+        ticks = max(1, self._ticks)
         order = f" [{tick.action}: {tick.check}]" if tick.check else ""
         return {
             "h_min": tick.h_min,
             "delta": tick.delta,
-            "Delta": float(deltas.mean()),
-            "intervention_frequency": float((deltas > DEAD_BAND).mean()),
+            "Delta": self._delta_sum / ticks,
+            "intervention_frequency": self._interventions / ticks,
             **commanded_speeds(self._robot_model, tick.u),
             "elapsed": tick.t,
             "phase": f"{tick.skill}: {tick.phase}{order}",

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import socket
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from math import inf
 from threading import Event as Signal
@@ -32,14 +33,34 @@ from dualbrain.visualization.live.web.own_pages import OwnPages
 if TYPE_CHECKING:
     from viser import ViserServer
 
-FRAME_RATE_HZ, PANEL_RATE_HZ = 12.0, 4.0
-"""Maximum rate of the 3D scene, and of the texts and plots [1/s]."""
+FRAME_RATE_HZ, SIGN_RATE_HZ, PANEL_RATE_HZ, DETAILS_RATE_HZ = 15.0, 7.5, 4.0, 2.0
+"""Maximum rates [1/s] of robot, objects and bar; of the signs of the filter's work; of the texts; of the details
+and plots.
+
+The first is the rate at which a gatekeeper reports ticks.
+"""
 MAX_PORTS_TRIED = 20
 RESULT_TIME_S = 0.8
 """Time [s] in which every open page asks for the result of a run at least once."""
 ARM_CAMERA = (1.34, -0.92, 0.84), (0.36, 0.0, 0.12)
 BASE_CAMERA = (0.4, -4.3, 3.4), (2.9, -0.3, 0.0)
 """Initial position of the camera and the point that it looks at [m], for an arm at a table and for a base in a room."""
+
+
+class SlowPart:
+    """A part of the page that changes less often than the robot."""
+
+    def __init__(self, rate: float, draw: Callable[[ViewState], None]) -> None:
+        """Draw it with `draw`, at most `rate` times per second [1/s]."""
+        self._period, self._draw, self._next_at = 1.0 / rate, draw, -inf
+        self._shown: ViewState | None = None
+
+    def update(self, state: ViewState, now: float) -> bool:
+        """Draw `state` unless it is too early at `now` [s]; whether the part shows it."""
+        if state is not self._shown and now >= self._next_at:
+            self._draw(state)
+            self._shown, self._next_at = state, now + self._period
+        return state is self._shown
 
 
 class LiveView:
@@ -70,7 +91,7 @@ class LiveView:
         self.port = find_free_port(port, MAX_PORTS_TRIED if allow_other_port else 1)
         self.notice = "" if self.port == port else f"Port {port} is in use; the live view is on port {self.port}."
         self.url = f"http://{HOST}:{self.port}"
-        self._closing, self._drawn, self._stale = Signal(), Signal(), Signal()
+        self._closing, self._drawn, self._changed = Signal(), Signal(), Signal()
         self._pages = OwnPages(access.emergency_stop if access is not None else None)
         self._status, self._speeds = StatusTracker(), speed_rows(robot_model)
         self._server = start_server(self.port, self._pages)
@@ -78,7 +99,7 @@ class LiveView:
             self._server.initial_camera.position, self._server.initial_camera.look_at = BASE_CAMERA
         self._robot = LiveRobot(self._server.scene, robot_model, link_meshes or {})
         self._scene = LiveScene(self._server.scene, object_meshes)
-        self._overlay = MotionOverlay(self._server.scene, link_meshes or {})
+        self._overlay = MotionOverlay(self._server.scene, robot_model, link_meshes or {})
         self._panel = LivePanel(self._server.gui, self._speeds)
         self._server.gui.add_html(legend_html())
         self._add_toggles()
@@ -89,25 +110,32 @@ class LiveView:
             self._panel.show_instruction(instruction)
         self._latest: ViewState | None = None
         self._episode: Episode | None = None
-        self._panel_at = -inf
-        self._server.on_client_connect(lambda client: self._stale.set())
+        self._slow_parts = (
+            SlowPart(SIGN_RATE_HZ, self._draw_signs),
+            SlowPart(PANEL_RATE_HZ, self._panel.update),
+            SlowPart(DETAILS_RATE_HZ, self._panel.update_details),
+        )
+        self._server.on_client_connect(lambda client: self._changed.set())
         self._thread = Thread(target=self._draw, name="live view", daemon=True)
         self._thread.start()
 
     def show(self, state: ViewState) -> None:
         """Show `state` at the next frame; returns immediately."""
         self._latest = state
+        self._changed.set()
 
     def finish(self, episode: Episode, timeout: float = 2.0) -> None:
         """Show the result of the run; returns when it has been drawn, or after `timeout` [s]."""
         self._drawn.clear()
         self._episode = episode
+        self._changed.set()
         self._drawn.wait(timeout)
 
     def close(self) -> None:
         """Stop serving, after open pages had time to receive the result; further calls have no effect."""
         if not self._closing.is_set():
             self._closing.set()
+            self._changed.set()
             if self._episode is not None and self._server.get_clients():
                 time.sleep(RESULT_TIME_S)
             self._thread.join(2.0)
@@ -125,22 +153,24 @@ class LiveView:
             self._robot.root.visible = surface.value
             self._robot.show_spheres(spheres.value)
             self._scene.show_margins(margins.value)
-            self._stale.set()
+            self._changed.set()
 
         for box in (surface, spheres, margins):
             box.on_update(apply)
 
     def _draw(self) -> None:
-        drawn: tuple[ViewState | None, Episode | None] = (None, None)
-        while not self._closing.wait(1.0 / FRAME_RATE_HZ):
-            newest = (self._latest, self._episode)
-            if newest[0] is drawn[0] and newest[1] is drawn[1] and not self._stale.is_set():
-                continue
-            self._stale.clear()
-            self._draw_one(*newest)
-            drawn = newest
-            if newest[1] is not None:
+        """Draw the newest state after every change, at most at `FRAME_RATE_HZ`."""
+        while True:
+            self._changed.wait()
+            if self._closing.is_set():
+                return
+            start = time.monotonic()
+            self._changed.clear()
+            state, episode = self._latest, self._episode
+            self._draw_one(state, episode)
+            if episode is not None:
                 self._drawn.set()
+            self._closing.wait(max(0.0, start + 1.0 / FRAME_RATE_HZ - time.monotonic()))
 
     def _publish(self, state: ViewState | None, episode: Episode | None) -> None:
         """Publish the words and numbers of the pages that do not need the 3D client."""
@@ -159,25 +189,22 @@ class LiveView:
 
     def _draw_one(self, state: ViewState | None, episode: Episode | None) -> None:
         self._publish(state, episode)
-        if episode is None and not self._server.get_clients():  # a page that opens sets `_stale`
+        if episode is None and not self._server.get_clients():  # a page that opens sets `_changed`
             return
         with self._server.atomic():
             if state is not None:
                 self._robot.update(state)
                 self._scene.update(state)
-                self._overlay.update(state)
-                self._update_panel(state)
+                self._overlay.follow_tool(state)
+                now = time.monotonic()
+                if not all([part.update(state, now) for part in self._slow_parts]):
+                    self._changed.set()  # the late parts are drawn with a later frame
             if episode is not None:
                 self._panel.finish(episode)
 
-    def _update_panel(self, state: ViewState) -> None:
-        """Update the texts and plots at `PANEL_RATE_HZ`, because they take most of the time."""
-        now = time.monotonic()
-        if now - self._panel_at < 1.0 / PANEL_RATE_HZ:
-            self._stale.set()
-            return
-        self._panel_at = now
-        self._panel.update(state)
+    def _draw_signs(self, state: ViewState) -> None:
+        self._robot.tint(state.limiting_links)
+        self._overlay.update(state)
 
 
 def find_free_port(first_port: int, max_tries: int) -> int:

@@ -16,7 +16,7 @@ from dualbrain.core.text import storable_text
 from dualbrain.grounding.instruction.stop_commands import is_stop_command
 from dualbrain.visualization.html.page import element, join
 from dualbrain.visualization.live.operator_buttons import OperatorAccess
-from dualbrain.visualization.live.panel import PANEL_CSS
+from dualbrain.visualization.live.panel import panel_block
 
 if TYPE_CHECKING:
     from viser import ClientHandle, GuiEvent, GuiFormHandle, GuiTextHandle, ViserServer
@@ -51,7 +51,7 @@ class InstructionField:
         with self._lock:
             self._lines.appendleft((storable_text(text, MAX_LINE_LENGTH), tone))
             items = join(element("li", line, class_=f"line {one}") for line, one in self._lines)
-            self._html.content = PANEL_CSS + element("div", element("ul", items, id="instruction-lines"), class_="db")
+            self._html.content = panel_block(element("ul", items, id="instruction-lines"))
 
     def enter(self, page: int, text: str) -> None:
         """Submit `text` as the instruction of `page`, and show whether it was accepted; an empty text has no effect."""

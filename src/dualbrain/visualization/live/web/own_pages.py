@@ -122,7 +122,7 @@ class OwnPages:
             element("meta", http_equiv="refresh", content=f"{REFRESH_S}; url=/text"),
             element("meta", name="viewport", content="width=device-width, initial-scale=1"),
             element("title", f"{status.state.value} – dualbrain"),
-            element("style", Html(_own_file("text_page.css"))),
+            element("style", Html(_own_file("text_page.css") + _own_file("panel.css"))),
         )
         main = element(
             "main",
@@ -146,7 +146,7 @@ def index_page() -> tuple[bytes, bytes]:
         FileNotFoundError: the installed viser has no built client.
     """
     client = resources.files("viser").joinpath("client", "build", "index.html").read_text("utf-8")
-    style, script = _own_file("status_bar.css"), _own_file("status_bar.js")
+    style, script = _own_file("status_bar.css") + _own_file("panel.css"), _own_file("status_bar.js")
     own = f"<head><style>{style}</style><script>{script}</script>"
     page = client.replace("<head>", own, 1).replace("<title>Viser</title>", "<title>dualbrain</title>", 1)
     data = page.encode("utf-8", "surrogatepass")
