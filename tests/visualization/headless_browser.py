@@ -71,6 +71,11 @@ class Browser:
         """Result of the script."""
         return self._call("POST", "/execute/sync", {"script": script, "args": []})
 
+    def type(self, selector: str, text: str) -> None:
+        """Type a text into an element, key by key without a pause."""
+        (element,) = self._call("POST", "/element", {"using": "css selector", "value": selector}).values()
+        self._call("POST", f"/element/{element}/value", {"text": text})
+
     def send(self, path: str, body: object) -> Any:
         """Another command of the protocol, such as key strokes."""
         return self._call("POST", path, body)

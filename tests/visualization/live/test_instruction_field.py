@@ -1,6 +1,6 @@
 """Field for instructions in the live page: who may submit, which texts are accepted, and the shown lines."""
 
-from contextlib import nullcontext
+import re
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -26,25 +26,24 @@ class Page:
     client_id = 3
 
     def __init__(self) -> None:
-        self.gui, self.html, self.field, self.submit = self, SimpleNamespace(content=""), None, None
+        self.gui, self.field, self.leave = self, None, None
+        self.html = SimpleNamespace(content="")
+        self.token = ""
 
     def on_client_connect(self, callback) -> None:
         callback(self)
 
-    def add_html(self, *_args, **_options):
+    def on_client_disconnect(self, callback) -> None:
+        self.leave = lambda: callback(self)
+
+    def add_html(self, content: str, **_options):
+        if found := re.search('data-token="([^"]+)"', content):
+            self.token = found[1]
         return self.html
 
-    def add_form(self, *_args, **_options):
-        return nullcontext(SimpleNamespace(on_submit=lambda callback: setattr(self, "submit", callback)))
-
-    def add_text(self, *_args, **_options):
-        self.field = SimpleNamespace(value="")
-        return self.field
-
-    def type(self, text: str) -> None:
-        """Type `text` and press Enter."""
-        self.field.value = text
-        self.submit(None)
+    def type(self, text: str) -> str:
+        """Type `text` and press Enter; the answer."""
+        return self.field.enter(self.token, text)
 
 
 def field_of(page: Page, access: OperatorAccess | None = None, answer: str = "") -> tuple[InstructionField, list[str]]:
@@ -55,16 +54,15 @@ def field_of(page: Page, access: OperatorAccess | None = None, answer: str = "")
         received.append(text)
         return answer
 
-    return InstructionField(page, submit, access), received
+    page.field = InstructionField(page, submit, access)
+    return page.field, received
 
 
-def test_a_submitted_instruction_reaches_the_callback_once_and_the_field_is_empty_again():
+def test_a_submitted_instruction_reaches_the_callback_once():
     page = Page()
     _, received = field_of(page)
-    page.type(f"  {WORDS} ")
-    page.type("   ")
+    assert page.type(f"  {WORDS} ") == page.type("   ") == ""
     assert received == [WORDS]
-    assert page.field.value == ""
     assert WORDS in page.html.content
 
 
@@ -81,6 +79,20 @@ def test_a_locked_page_may_only_submit_stop_commands():
     assert received == ["Stop!", WORDS]
 
 
+def test_no_token_but_that_of_an_open_page_has_its_permissions():
+    access = OperatorAccess(lambda action, speed: "", CODE)
+    page = Page()
+    field, received = field_of(page, access)
+    access.unlock(page.client_id, CODE)
+    for token in ("", "x", page.token[:-1], str(page.client_id)):
+        assert "code" in field.enter(token, WORDS)
+    page.leave()
+    assert "code" in page.type(WORDS)
+    assert received == []
+    assert field.enter("", "stop") == ""
+    assert received == ["stop"]
+
+
 @pytest.mark.parametrize("length", [MAX_INSTRUCTION_LENGTH, MAX_INSTRUCTION_LENGTH + 1, 10**6])
 def test_an_instruction_above_the_limit_is_not_submitted(length):
     page = Page()
@@ -92,7 +104,7 @@ def test_an_instruction_above_the_limit_is_not_submitted(length):
 def test_a_refused_instruction_shows_the_reason():
     page = Page()
     field_of(page, answer="the arm is moving; type stop first")
-    page.type(WORDS)
+    assert page.type(WORDS) == "the arm is moving; type stop first"
     assert "the arm is moving" in page.html.content
     assert WORDS not in page.html.content
 
@@ -109,35 +121,42 @@ def test_lines_are_escaped_limited_and_the_newest_is_first():
     assert len(page.html.content) < 10_000
 
 
-TYPE = f"""
-const field = document.querySelector('form input');
-if (!field) return null;
-Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set.call(field, '{WORDS}');
-field.dispatchEvent(new Event('input', {{bubbles: true}}));
-return true;"""
-SUBMIT = "document.querySelector('form').requestSubmit(); return true;"
-READ = "const lines = document.getElementById('instruction-lines'); return lines && lines.textContent;"
-
-
-def test_an_instruction_typed_in_a_browser_reaches_the_callback(tmp_path: Path) -> None:
+def open_view(port: int, received: list[str], access: OperatorAccess) -> LiveView:
+    """A view of a robot with few spheres; `received` gets the instructions."""
     robot_model = load_robot("panda")
-    received: list[str] = []
-
-    def submit(text: str) -> str:
-        received.append(text)
-        return ""
-
     few_spheres = msgspec.structs.replace(robot_model, spheres=robot_model.spheres[::12])
-    view = LiveView(few_spheres, 18160, submit=submit)
-    assert view.instruction_field is not None
-    view.instruction_field.show_line("grasp: done", "good")
+    return LiveView(few_spheres, port, access=access, submit=lambda text: received.append(text) or "")
+
+
+READY = "return document.getElementById('db-page') && document.getElementById('db-instruction') && true;"
+LINES = "return document.getElementById('instruction-lines')?.textContent.includes('“{}”');"
+ANSWER = "return document.getElementById('db-answer').textContent;"
+STATE = """
+const field = document.getElementById('db-instruction');
+return {value: field.value, focused: document.activeElement == field};"""
+ENTER = "\ue007"
+REPEATS = 20
+
+
+def test_typed_text_reaches_the_callback_whole_without_a_pause_before_enter(tmp_path: Path) -> None:
+    received, sent = [], []
+    access = OperatorAccess(lambda action, speed: sent.append(action) or "", CODE)
+    view = open_view(18160, received, access)
     try:
         with Browser(tmp_path / "profile", (700, 500)) as browser:
             browser.open(view.url)
-            browser.wait_for(TYPE, 90.0)
-            browser.execute_script(SUBMIT)
-            shown = browser.wait_for(f"const t = (() => {{ {READ} }})(); return t && t.includes('red') ? t : null;")
+            browser.wait_for(READY, 90.0)
+            browser.type("#db-instruction", f"{WORDS}{ENTER}")
+            browser.wait_for(f"{ANSWER.removesuffix(';')}.includes('code');")
+            assert received == []
+            (page,) = view._server.get_clients()
+            access.unlock(page, CODE)
+            for k in range(REPEATS):
+                browser.type("#db-instruction", f"{k} {WORDS}{ENTER}")
+            browser.wait_for(LINES.format(f"{REPEATS - 1} {WORDS}"))
+            assert browser.execute_script(STATE) == {"value": "", "focused": True}
+            assert browser.execute_script(ANSWER) == ""
     finally:
         view.close()
-    assert received == [WORDS]
-    assert shown == f"“{WORDS}”grasp: done"
+    assert received == [f"{k} {WORDS}" for k in range(REPEATS)]
+    assert sent == [], "typed letters are not keys of the operator"

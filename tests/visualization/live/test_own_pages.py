@@ -9,7 +9,7 @@ import msgspec
 import pytest
 from websockets.datastructures import Headers
 
-from dualbrain.visualization.live.connection_guard import _refuse_stop
+from dualbrain.visualization.live.connection_guard import _refuse_action
 from dualbrain.visualization.live.operator.operator_status import STARTING, OperatorState, Situation, describe_situation
 from dualbrain.visualization.live.web.own_pages import STALE, STALE_AFTER_S, OwnPages, index_page
 
@@ -93,10 +93,11 @@ def test_without_an_emergency_stop_there_is_no_button():
     assert "EMERGENCY STOP" not in text_of(pages)
 
 
+@pytest.mark.parametrize("path", ["/estop?x", "/instruction"])
 @pytest.mark.parametrize("site", ["cross-site", "same-site", "same-origin", "none"])
-def test_a_link_of_a_foreign_page_cannot_stop_the_robot(site):
-    request = SimpleNamespace(path="/estop?x", headers=Headers({"Sec-Fetch-Site": site}))
-    assert bool(_refuse_stop(request)) is (site in ("cross-site", "same-site"))
+def test_a_link_of_a_foreign_page_neither_stops_the_robot_nor_gives_an_instruction(site, path):
+    request = SimpleNamespace(path=path, headers=Headers({"Sec-Fetch-Site": site}))
+    assert bool(_refuse_action(request)) is (site in ("cross-site", "same-site"))
 
 
 def test_the_client_page_contains_the_bar_and_names_the_project():
@@ -137,3 +138,16 @@ def luminance(colour: str) -> float:
     shares = [int(digits[k : k + 2], 16) / 255 for k in (0, 2, 4)]
     linear = [share / 12.92 if share <= 0.04045 else ((share + 0.055) / 1.055) ** 2.4 for share in shares]
     return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+def test_an_instruction_is_one_text_of_one_page():
+    pages, entered = OwnPages(), []
+    assert pages.receive_instruction(["stop"], ["t"]).status == 404
+    pages.enter_instruction = lambda token, text: entered.append((token, text)) or "a reason"
+    assert status_of(pages)["can_instruct"]
+    for texts, tokens in (([], ["t"]), (["stop"], []), (["a", "b"], ["t"]), (["a"], ["t", "u"])):
+        assert pages.receive_instruction(texts, tokens).status == 400
+    assert entered == []
+    response = pages.receive_instruction(["gr%C3%BCn %F0%9F%A7%8A %ff"], ["t"])
+    assert (response.status, response.body) == (200, b"a reason")
+    assert entered == [("t", "gr\u00fcn \U0001f9ca \ufffd")]

@@ -24,7 +24,14 @@ from http import HTTPStatus
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Protocol
 
-from dualbrain.visualization.live.web.own_pages import ESTOP_PATH, OwnPages, PageResponse
+from dualbrain.visualization.live.web.own_pages import (
+    ESTOP_PATH,
+    INSTRUCTION_PATH,
+    PAGE_FIELD,
+    TEXT_FIELD,
+    OwnPages,
+    PageResponse,
+)
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
@@ -138,7 +145,7 @@ def _guarded(process_request: RequestHandler | None, pages: OwnPages | None) -> 
 
     def process(connection: ServerConnection, request: Request) -> Response | None:
         port = connection.local_address[1]
-        if reason := refuse_request(request.headers, port) or _refuse_stop(request):
+        if reason := refuse_request(request.headers, port) or _refuse_action(request):
             response = connection.respond(403, f"Refused: {reason}.\n")
         elif own := _own_page(request, pages):
             response = _as_response(connection, own)
@@ -154,16 +161,23 @@ def _guarded(process_request: RequestHandler | None, pages: OwnPages | None) -> 
     return process
 
 
-def _refuse_stop(request: Request) -> str:
-    """The reason to refuse an emergency stop: a link of another site leads to it. "" for every other request."""
-    is_stop = request.path.partition("?")[0] == ESTOP_PATH
+def _refuse_action(request: Request) -> str:
+    """The reason to refuse an emergency stop or an instruction: a link of another site leads to it; else ""."""
+    acts = _path(request) in (ESTOP_PATH, INSTRUCTION_PATH)
     foreign = any(site.lower() not in OWN_SITES for site in request.headers.get_all("Sec-Fetch-Site"))
-    return "the request is from a foreign page" if is_stop and foreign else ""
+    return "the request is from a foreign page" if acts and foreign else ""
+
+
+def _path(request: Request) -> str:
+    return request.path.partition("?")[0]
 
 
 def _own_page(request: Request, pages: OwnPages | None) -> PageResponse | None:
     if pages is None or request.headers.get("Upgrade", "").lower() == "websocket":
         return None
+    if _path(request) == INSTRUCTION_PATH:
+        headers = request.headers
+        return pages.receive_instruction(headers.get_all(TEXT_FIELD), headers.get_all(PAGE_FIELD))
     return pages.respond(request.path, accepts_gzip="gzip" in request.headers.get("Accept-Encoding", ""))
 
 

@@ -106,6 +106,8 @@ class LiveView:
         if access is not None:
             OperatorButtons(self._server, access)
         self.instruction_field = InstructionField(self._server, submit, access) if submit is not None else None
+        if self.instruction_field is not None:
+            self._pages.enter_instruction = self.instruction_field.enter
         if instruction:
             self._panel.show_instruction(instruction)
         self._latest: ViewState | None = None

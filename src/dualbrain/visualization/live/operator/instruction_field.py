@@ -1,12 +1,15 @@
-"""Field for the next instruction in the live page, with lines of progress and result below it.
+"""Field for the next instruction in the bar of the live page, with lines of progress and result in its panel.
 
-The field passes the text to a callback and does nothing else with it: gate, filter and recording are on the path of
-the callback. A page needs the operator's code for an instruction, as for every button that can start a motion; a stop
-command needs no code.
+The bar sends the whole text at once (`web/own_pages.py`), because a field of viser sends typed letters after a pause of
+50 ms and loses those that are typed just before Enter. The text comes with a token that viser sent to its page, so the
+page is known. The field passes the text to a callback and does nothing else with it: gate, filter and recording are on
+the path of the callback. A page needs the operator's code for an instruction, as for every button that can start a
+motion; a stop command needs no code.
 """
 
 from __future__ import annotations
 
+import secrets
 from collections import deque
 from collections.abc import Callable
 from threading import Lock
@@ -19,7 +22,7 @@ from dualbrain.visualization.live.operator_buttons import OperatorAccess
 from dualbrain.visualization.live.panel import panel_block
 
 if TYPE_CHECKING:
-    from viser import ClientHandle, GuiEvent, GuiFormHandle, GuiTextHandle, ViserServer
+    from viser import ClientHandle, ViserServer
 
 SubmitCallback = Callable[[str], str]
 """Receives an instruction; returns "" if it was accepted, else the reason. It must return without waiting."""
@@ -27,24 +30,30 @@ LineTone = Literal["plain", "good", "bad"]
 
 MAX_INSTRUCTION_LENGTH, MAX_LINE_LENGTH, MAX_LINES = 400, 300, 12
 """Longest instruction and longest shown line [characters], number of lines."""
-FIELD_ORDER, LINES_ORDER = -7.0, -6.9
-"""Place in the panel: below the operator buttons, above the numbers."""
+LINES_ORDER = -7.0
+"""Place of the lines in the panel: below the operator buttons, above the numbers."""
+UNKNOWN_PAGE = -1
+"""Number of a page without a token; no code unlocks it."""
+PAGE_ELEMENT, TOKEN_BYTES = "db-page", 16
+"""Element of the page with its token (`web/instruction_form.js`), and the random bytes of a token."""
 TOO_LONG = f"not accepted: an instruction has at most {MAX_INSTRUCTION_LENGTH} characters"
 LOCKED = "not accepted: enter the operator's code first (a stop command needs none)"
 
 
 class InstructionField:
-    """A text field in every page, and lines that all pages share; every method may be called from any thread."""
+    """Instructions from the field in every page, and lines that all pages share; callable from any thread."""
 
     def __init__(self, server: ViserServer, submit: SubmitCallback, access: OperatorAccess | None = None) -> None:
-        """Add the field to each page that opens on `server` from now on.
+        """Accept instructions of each page that opens on `server` from now on.
 
         Without `access` every page may submit instructions; that is for simulations.
         """
         self._submit, self._access, self._lock = submit, access, Lock()
         self._lines: deque[tuple[str, LineTone]] = deque(maxlen=MAX_LINES)
+        self._pages: dict[str, int] = {}
         self._html = server.gui.add_html("", order=LINES_ORDER)
-        server.on_client_connect(self._add_field)
+        server.on_client_connect(self._add_page)
+        server.on_client_disconnect(self._remove_page)
 
     def show_line(self, text: str, tone: LineTone = "plain") -> None:
         """Show a line of progress or of a result below the field, the newest first; the oldest lines disappear."""
@@ -53,14 +62,17 @@ class InstructionField:
             items = join(element("li", line, class_=f"line {one}") for line, one in self._lines)
             self._html.content = panel_block(element("ul", items, id="instruction-lines"))
 
-    def enter(self, page: int, text: str) -> None:
-        """Submit `text` as the instruction of `page`, and show whether it was accepted; an empty text has no effect."""
+    def enter(self, token: str, text: str) -> str:
+        """Submit `text` as the instruction of the page with `token`, and show whether it was accepted.
+
+        Returns "" or the reason of a refusal; an empty text has no effect.
+        """
         if not (instruction := storable_text(text.strip(), MAX_INSTRUCTION_LENGTH + 1)):
-            return
-        if reason := self._refusal(page, instruction) or self._submit(instruction):
-            self.show_line(reason, "bad")
-        else:
-            self.show_line(f"“{instruction}”")
+            return ""
+        page = self._pages.get(token, UNKNOWN_PAGE)
+        reason = self._refusal(page, instruction) or self._submit(instruction)
+        self.show_line(reason or f"“{instruction}”", "bad" if reason else "plain")
+        return reason
 
     def _refusal(self, page: int, instruction: str) -> str:
         if len(instruction) > MAX_INSTRUCTION_LENGTH:
@@ -68,12 +80,11 @@ class InstructionField:
         unlocked = self._access is None or self._access.is_unlocked(page)
         return "" if unlocked or is_stop_command(instruction) else LOCKED
 
-    def _add_field(self, client: ClientHandle) -> None:
-        with client.gui.add_form(None, order=FIELD_ORDER) as form:
-            field: GuiTextHandle = client.gui.add_text("instruction", "", hint="Enter sends it; 'stop' needs no code")
+    def _add_page(self, client: ClientHandle) -> None:
+        token = secrets.token_urlsafe(TOKEN_BYTES)
+        self._pages[token] = client.client_id
+        client.gui.add_html(panel_block(element("span", id=PAGE_ELEMENT, data_token=token)), order=LINES_ORDER)
 
-        def submitted(_: GuiEvent[GuiFormHandle]) -> None:
-            text, field.value = field.value, ""
-            self.enter(client.client_id, text)
-
-        form.on_submit(submitted)
+    def _remove_page(self, client: ClientHandle) -> None:
+        for token in [token for token, page in self._pages.items() if page == client.client_id]:
+            self._pages.pop(token, None)

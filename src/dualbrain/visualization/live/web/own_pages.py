@@ -5,6 +5,8 @@
   loop of the 3D scene, so a browser without WebGL shows no panel at all; the bar leads such a browser here.
 - `/status`: the words as JSON, for the bar.
 - `/estop`: sends the emergency stop and leads back to `/text`. It needs no code, as on the gatekeeper's socket.
+- `/instruction`: receives the text of the field in the bar (`instruction_form.js`) in a header field, because the
+  server reads no body. A page of another site cannot set such a field without a permission, which is never given.
 
 The pages are prepared by the view; a request only reads them, so that many viewers cost little.
 """
@@ -13,17 +15,19 @@ from __future__ import annotations
 
 import gzip
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
 from threading import Thread
+from urllib.parse import unquote
 
 import msgspec
 
 from dualbrain.visualization.html.page import Html, element, join
 from dualbrain.visualization.live.operator.operator_status import STARTING, OperatorState, OperatorStatus
 
+PLAIN_TEXT = "text/plain; charset=utf-8"
 STALE_AFTER_S = 2.0
 """Age of the newest state [s] above which the bar does not show it any more."""
 STALE = OperatorStatus(
@@ -32,7 +36,11 @@ STALE = OperatorStatus(
     next_action="Keep clear. If it stays so, press the emergency stop and look at the terminal.",
 )
 REFRESH_S = 1
-ESTOP_PATH = "/estop"
+ESTOP_PATH, INSTRUCTION_PATH = "/estop", "/instruction"
+TEXT_FIELD, PAGE_FIELD = "X-Dualbrain-Text", "X-Dualbrain-Page"
+"""Header fields of an instruction: its text in percent encoding, and the token of its page."""
+EnterCallback = Callable[[str, str], str]
+"""Receives the token of a page and an instruction; returns "" or the reason of a refusal, without waiting."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,6 +64,7 @@ class OwnPages:
         self._status: OperatorStatus = STARTING
         self._numbers: Callable[[], str] = str
         self._published_at, self._ended, self._expires, self._notice = clock(), False, False, ""
+        self.enter_instruction: EnterCallback | None = None
 
     def publish(
         self, status: OperatorStatus, numbers: Callable[[], str], *, expires: bool, ended: bool = False
@@ -66,6 +75,15 @@ class OwnPages:
         """
         self._status, self._numbers, self._ended, self._expires = status, numbers, ended, expires
         self._published_at = self._clock()
+
+    def receive_instruction(self, texts: Sequence[str], tokens: Sequence[str]) -> PageResponse:
+        """Enter an instruction, with all values of the two header fields; the body is the reason of a refusal."""
+        if self.enter_instruction is None:
+            return PageResponse(status=404, media_type=PLAIN_TEXT, body=b"There is no field for instructions here.\n")
+        if len(texts) != 1 or len(tokens) != 1:
+            return PageResponse(status=400, media_type=PLAIN_TEXT, body=b"Use the field in the bar of the page.\n")
+        reason = self.enter_instruction(tokens[0], unquote(texts[0], errors="replace"))
+        return PageResponse(status=200, media_type=PLAIN_TEXT, body=reason.encode("utf-8", "replace"))
 
     def respond(self, path: str, *, accepts_gzip: bool) -> PageResponse | None:
         """The response to a request for `path`, None if it is not a page of this class."""
@@ -78,9 +96,9 @@ class OwnPages:
                 )
             case "/estop":
                 if self._emergency_stop is None:
-                    return PageResponse(status=404, media_type="text/plain", body=b"There is no emergency stop here.\n")
+                    return PageResponse(status=404, media_type=PLAIN_TEXT, body=b"There is no emergency stop here.\n")
                 Thread(target=self._stop, args=(self._emergency_stop,), name="emergency stop", daemon=True).start()
-                return PageResponse(status=303, media_type="text/plain", body=b"sent\n", headers={"Location": "/text"})
+                return PageResponse(status=303, media_type=PLAIN_TEXT, body=b"sent\n", headers={"Location": "/text"})
             case "/" | "/index.html":
                 plain, compressed = index_page()
                 return PageResponse(
@@ -109,6 +127,7 @@ class OwnPages:
                 "next": " ".join(filter(None, (status.next_action, self._notice))),
                 "steps": status.steps,
                 "can_stop": self._emergency_stop is not None,
+                "can_instruct": self.enter_instruction is not None,
                 "ended": self._ended,
             }
         )
@@ -146,7 +165,8 @@ def index_page() -> tuple[bytes, bytes]:
         FileNotFoundError: the installed viser has no built client.
     """
     client = resources.files("viser").joinpath("client", "build", "index.html").read_text("utf-8")
-    style, script = _own_file("status_bar.css") + _own_file("panel.css"), _own_file("status_bar.js")
+    style = "".join(_own_file(name) for name in ("status_bar.css", "instruction_form.css", "panel.css"))
+    script = _own_file("status_bar.js") + _own_file("instruction_form.js")
     own = f"<head><style>{style}</style><script>{script}</script>"
     page = client.replace("<head>", own, 1).replace("<title>Viser</title>", "<title>dualbrain</title>", 1)
     data = page.encode("utf-8", "surrogatepass")

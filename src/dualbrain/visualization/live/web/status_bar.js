@@ -89,6 +89,7 @@
     if (status.can_stop && !document.getElementById("db-stop")) addStop();
     const stopButton = document.getElementById("db-stop");
     if (stopButton) stopButton.innerHTML = status.state === "EMERGENCY_STOP" ? "STOP<br>IS ACTIVE" : "EMERGENCY<br>STOP";
+    if (status.can_instruct) dispatchEvent(new Event("db-can-instruct"));
   }
 
   function receive({ data }) {
