@@ -65,6 +65,8 @@ class RunConfig:
     """Folder of the adapter registry; None: the folder `adapters` beside the ledger."""
     planner_threads: int = 1
     """Processor threads of a model that runs in llama.cpp or torch; 1 beside a control loop in real time."""
+    retry_when_busy: bool = False
+    """Whether a contract is tried again that stopped because this machine was too busy for a robot in real time."""
     target: str = ""
     """Emulated board on which the filter runs, in lockstep with the simulation; "" runs it in this process."""
 
@@ -79,6 +81,8 @@ class RunConfig:
             del fields["after"]
         if self.planner_threads == 1:
             del fields["planner_threads"]
+        if not self.retry_when_busy:
+            del fields["retry_when_busy"]
         if not self.target:
             del fields["target"]
         stored = {STORED_NAMES.get(name, name): value for name, value in fields.items()}

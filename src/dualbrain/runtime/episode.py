@@ -196,7 +196,11 @@ def _judge(
     request: EpisodeRequest, decision: Decision, outcome: Outcome, evidence: Evidence, ground_truth: GroundTruth
 ) -> Judgement | None:
     """The judgement on ground truth; None before another try, and where nothing can judge."""
-    judged = None if should_retry(outcome, request.tries_left) else ground_truth.judge()
+    judged = (
+        None
+        if should_retry(outcome, request.tries_left, machine_was_busy=request.machine_was_busy())
+        else ground_truth.judge()
+    )
     if isinstance(decision.local_answer, StopCommand):
         judged = judge_stop(outcome, judged)
     return judge_decline(judged, request.instruction, evidence)

@@ -13,7 +13,7 @@ import msgspec
 
 from dualbrain import __version__
 from dualbrain.adaptation.serving.open_planner import planner_provenance
-from dualbrain.control.recording.trace import Trace
+from dualbrain.control.recording.trace import Event, Trace
 from dualbrain.core.text import storable_text
 from dualbrain.grounding.instruction.stop_commands import is_stop_command
 from dualbrain.memory.ledger.anchors import RUN_ANCHOR_FILE
@@ -23,7 +23,7 @@ from dualbrain.memory.maintenance.edits import record_uses
 from dualbrain.memory.memory import Memory, StoreReport
 from dualbrain.planner.prompt.full_prompt import MAX_RECALLED, conditional_text_hash, template_hash
 from dualbrain.planner.protocol import Planner
-from dualbrain.records import Episode, Scene
+from dualbrain.records import Episode, FailureFeedback, Scene
 from dualbrain.robots.model import RobotModel
 from dualbrain.runtime.agent import Agent
 from dualbrain.runtime.backends.backend import Backend, RunContext, RunningRobot
@@ -31,6 +31,7 @@ from dualbrain.runtime.backends.simulated import SimulatedBackend
 from dualbrain.runtime.config import Clocks, RunConfig, RunObserver, RunResult
 from dualbrain.runtime.episode import log_weight_changes, run_episode
 from dualbrain.runtime.inspection.counterfactual import CounterfactualQueries
+from dualbrain.runtime.planning.busy_machine import ContractEnding
 from dualbrain.runtime.planning.episode_request import EpisodeRequest
 from dualbrain.runtime.planning.replanning import Try, successive_tries
 from dualbrain.runtime.run_folder import END_STATE_FILE, SavingMemory
@@ -70,7 +71,7 @@ class Session:
         out = config.out if config.out.name not in ("", "..") else config.out.resolve()  # a run needs a name
         self.config, self.clocks = replace(config, instruction=storable_text(config.instruction), out=out), clocks
         self._agent = agent
-        self._stop_requested = False
+        self._stop_requested, self._ending = False, ContractEnding()
         self.interrupted_runs: tuple[InterruptedRun, ...] = ()
         with ExitStack() as stack:
             self._resources = open_resources(self.config, clocks, environ, planner, stack)
@@ -121,7 +122,7 @@ class Session:
             self.ledger.anchor(config.out / RUN_ANCHOR_FILE)
         context = self._context()
         folder.release_recording_space()
-        with self.backend.start(context, observer) as robot:
+        with self.backend.start(context, self._observe_endings(observer)) as robot:
             results = self._run_tries(robot)
             held = robot.executor.held_object or ""
         if end := self.backend.end_state(context, held):
@@ -159,6 +160,18 @@ class Session:
             interrupted=lambda: self._stop_requested,
         )
 
+    def _observe_endings(self, observer: RunObserver) -> RunObserver:
+        """`observer`, with its events passed on to `_ending` as well."""
+
+        def on_event(event: Event) -> None:
+            self._ending.on_event(event)
+            observer.on_event(event)
+
+        return replace(observer, on_event=on_event)
+
+    def _machine_was_busy(self) -> bool:
+        return self.config.retry_when_busy and self._ending.busy_machine() is not None
+
     def _run_tries(self, robot: RunningRobot) -> list[TryResult]:
         """Run every try of the instruction; a given contract is tried once."""
         given = self._agent or Agent(self.planner, self.memory, self._resources.retrieve_passages)
@@ -167,17 +180,26 @@ class Session:
         results: list[TryResult] = []
         episodes: list[Episode] = []
         tries = 1 if self.config.contract else self.config.tries
-        for one in successive_tries(self.config.out.name, tries, episodes, lambda: executor.held_object):
+        name, held = self.config.out.name, lambda: executor.held_object
+        for one in successive_tries(name, tries, episodes, held, self._machine_was_busy):
             if feedback := one.failure_feedback:
-                reason = f"{feedback.outcome.replace('_', ' ')}: {feedback.failed_action}: {feedback.reason}"
                 details = msgspec.to_builtins(feedback)
-                log.note(executor.state.stamp, "planner", f"planning again: {reason}", **details)
+                log.note(executor.state.stamp, "planner", self._describe_retry(feedback, one.tries_left), **details)
+            self._ending.begin_try()
             request = self._episode_request(one, episodes[0].scene if episodes else None)
             result = run_episode(request, agent, executor, robot.clock, robot.ground_truth)
             log_weight_changes(log, executor.state.stamp, result[1])
             results.append(result)
             episodes.append(result[0])
         return results
+
+    def _describe_retry(self, feedback: FailureFeedback, tries_left: int) -> str:
+        """Why the instruction is planned again, in one line."""
+        check = self._ending.busy_machine()
+        if self.config.retry_when_busy and check is not None:
+            number = f"try {self.config.tries - tries_left + 1} of {self.config.tries}"
+            return f"planning again ({number}), because this machine may have been too busy: {check.description}"
+        return f"planning again: {feedback.outcome.replace('_', ' ')}: {feedback.failed_action}: {feedback.reason}"
 
     def _episode_request(self, one: Try, first_scene: Scene | None) -> EpisodeRequest:
         """The request of one try; a given contract has one shot, and nothing is retrieved for it."""
@@ -195,6 +217,7 @@ class Session:
             continuation=one.continuation,
             grants=self._resources.site.grants,
             first_scene=first_scene,
+            machine_was_busy=self._machine_was_busy,
             instruction_check="given_contract" if given else "all",
         )
 

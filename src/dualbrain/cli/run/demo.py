@@ -7,8 +7,10 @@ from pathlib import Path
 
 from dualbrain.cli.common.console import StderrConsole
 from dualbrain.cli.common.spinner import Spinner
-from dualbrain.cli.run.run import DEFAULT_TRIES
 from dualbrain.planner.registry import PACKAGED_PLANNER
+
+DEMO_TRIES = 3
+"""Contracts that may be executed; a busy machine ends one of them now and then."""
 
 
 def demo(
@@ -21,6 +23,9 @@ def demo(
     out: Path | None = None,
 ) -> int:
     """Run a task while a person's forearm crosses the table. Exit code 0 only if the simulator confirms the success.
+
+    Up to three contracts are tried: after a failure, and after a stop because this machine was too busy for a robot in
+    real time.
 
     Parameters
     ----------
@@ -41,5 +46,5 @@ def demo(
 
         shown = not headless
         config = default_config(instruction, out=out)
-        config = replace(config, scene=scene, planner=planner, tries=DEFAULT_TRIES, measured=shown)
+        config = replace(config, scene=scene, planner=planner, tries=DEMO_TRIES, retry_when_busy=True, measured=shown)
         return execute_run(config, RunView(live_view=shown, keep_open=shown, real_time=shown), loading)

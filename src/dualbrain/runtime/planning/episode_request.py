@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -43,5 +44,7 @@ class EpisodeRequest:
     continuation: tuple[dict[str, Any], ...] = ()
     grants: Grants | None = None
     first_scene: Scene | None = None
+    machine_was_busy: Callable[[], bool] = lambda: False
+    """Whether a busy machine can have ended the contract of a simulated robot; see `should_retry`."""
     instruction_check: InstructionCheck = "all"
     """Which checks of the words the instruction and the contract pass."""

@@ -31,21 +31,29 @@ class Try:
     continuation: tuple[dict[str, Any], ...] = ()
 
 
-def should_retry(outcome: Outcome, tries_left: int) -> bool:
-    """Whether another contract is tried after `outcome`, where `tries_left` counts the try that has just ended."""
-    return tries_left > 1 and outcome.kind in RETRIABLE_OUTCOMES
+def should_retry(outcome: Outcome, tries_left: int, *, machine_was_busy: bool = False) -> bool:
+    """Whether another contract is tried after `outcome`, where `tries_left` counts the try that has just ended.
+
+    With `machine_was_busy`, which only a simulated robot may state, a contract that a fault has stopped is tried again.
+    """
+    retriable = (*RETRIABLE_OUTCOMES, "stopped") if machine_was_busy else RETRIABLE_OUTCOMES
+    return tries_left > 1 and outcome.kind in retriable
 
 
 def successive_tries(
-    name: str, tries: int, finished: Sequence[Episode], held: Callable[[], str | None] = lambda: None
+    name: str,
+    tries: int,
+    finished: Sequence[Episode],
+    held: Callable[[], str | None] = lambda: None,
+    machine_was_busy: Callable[[], bool] = lambda: False,
 ) -> Iterator[Try]:
     """The tries of the instruction `name`, one after another; the caller appends each episode to `finished`.
 
     The first try has the instruction's name, the others the name with their number. `held` returns the name of the
-    object in the hand at that time.
+    object in the hand at that time, `machine_was_busy` whether a busy machine can have ended the last try.
     """
     yield Try(name, tries)
-    while should_retry(finished[-1].outcome, tries - len(finished) + 1):
+    while should_retry(finished[-1].outcome, tries - len(finished) + 1, machine_was_busy=machine_was_busy()):
         number = len(finished) + 1
         last, load = finished[-1], held()
         yield Try(f"{name}.{number}", tries - number + 1, failure_feedback_of(last, load), continuation_of(last, load))
