@@ -76,6 +76,17 @@ class Browser:
         (element,) = self._call("POST", "/element", {"using": "css selector", "value": selector}).values()
         self._call("POST", f"/element/{element}/value", {"text": text})
 
+    def slow_down(self, factor: float, latency_ms: float, bytes_per_second: float) -> None:
+        """Make the processor of the page slower by `factor`, and its network slow."""
+        network = {"offline": False, "latency": latency_ms}
+        rates = dict.fromkeys(("downloadThroughput", "uploadThroughput"), bytes_per_second)
+        for command, parameters in (
+            ("Emulation.setCPUThrottlingRate", {"rate": factor}),
+            ("Network.enable", {}),
+            ("Network.emulateNetworkConditions", network | rates),
+        ):
+            self._call("POST", "/goog/cdp/execute", {"cmd": command, "params": parameters})
+
     def send(self, path: str, body: object) -> Any:
         """Another command of the protocol, such as key strokes."""
         return self._call("POST", path, body)
