@@ -40,7 +40,7 @@ DEPTH_NOISE, DROPOUT = 0.001, 0.02
 WORKSPACE = ((-0.9, -0.9, 0.0), (0.9, 0.9, 1.3))
 VOXEL = 0.025
 UNKNOWN_OCCUPIED = {"unknown_is_occupied": True, "max_boxes": 96, "free_at_start": 0.25}
-"""Settings with unknown space as an obstacle: its surface needs more boxes, and the arm stands in space that is hidden
+"""Settings with unknown space as an obstacle: its surface needs more boxes, and the arm begins in space that is hidden
 from the cameras at the start."""
 SOURCE = "depth cameras"
 
