@@ -17,6 +17,7 @@ from dualbrain.visualization.html.key_numbers import (
     key_numbers,
 )
 from dualbrain.visualization.html.page import Html, element
+from dualbrain.visualization.live.operator.operator_status import OperatorState, describe_situation
 from dualbrain.visualization.live.view_state import ViewState
 
 if TYPE_CHECKING:
@@ -99,10 +100,12 @@ def plain_html(state: ViewState) -> str:
         (f"{k} of {len(state.plan)}: {one.label}" for k, one in enumerate(state.plan, 1) if one.is_current), "–"
     )
     distance = f"{1e3 * h_min:.0f}" if isinstance(h_min, float | int) and np.isfinite(h_min) else "–"
+    moves = describe_situation(situation).state in (OperatorState.MOVING, OperatorState.GIVING_WAY)
+    speed = f"{100 * min(1.0, situation.speed_share):.0f}" if moves else "–"
     rows = (
         _table_row("plain-step", "step", step, ""),
         _table_row("plain-distance", "to the nearest safety margin", distance, "mm"),
-        _table_row("plain-speed", "speed that the filter permits", f"{100 * min(1.0, situation.speed_share):.0f}", "%"),
+        _table_row("plain-speed", "speed that the filter permits", speed, "%"),
     )
     return panel_block(element("table", *rows))
 
