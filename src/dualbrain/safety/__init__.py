@@ -24,6 +24,12 @@ if TYPE_CHECKING:
         InterventionLog,
         read_intervention_log,
     )
+    from dualbrain.safety.integration.point_clouds.pinhole_camera import PinholeCamera
+    from dualbrain.safety.integration.point_clouds.point_cloud_source import (
+        CloudReport,
+        PointCloudConfig,
+        PointCloudSource,
+    )
     from dualbrain.safety.integration.policy_guard.action_layout import ActionLayout
     from dualbrain.safety.integration.policy_guard.guard import GuardLimits, GuardReport, PolicyGuard
     from dualbrain.safety.integration.policy_guard.joint_actions import JointPosition, JointVelocity
@@ -91,6 +97,12 @@ _MODULES = {
         "InterventionLog",
         "read_intervention_log",
     ),
+    "safety.integration.point_clouds.pinhole_camera": ("PinholeCamera",),
+    "safety.integration.point_clouds.point_cloud_source": (
+        "CloudReport",
+        "PointCloudConfig",
+        "PointCloudSource",
+    ),
     "safety.integration.policy_guard.action_layout": ("ActionLayout",),
     "safety.integration.policy_guard.guard": (
         "GuardLimits",
@@ -152,6 +164,7 @@ __all__ = [
     "BarrierRow",
     "BatchResult",
     "BodyRegion",
+    "CloudReport",
     "ConstraintRow",
     "Contact",
     "ControlThread",
@@ -174,6 +187,9 @@ __all__ = [
     "Obstacle",
     "PerceivedShape",
     "PersonLimits",
+    "PinholeCamera",
+    "PointCloudConfig",
+    "PointCloudSource",
     "PolicyGuard",
     "PythonBarrier",
     "Rank",

@@ -4,15 +4,17 @@ import re
 
 import pytest
 
+from dualbrain.records import Scene
 from dualbrain.visualization.live.operator.operator_status import Situation
 from dualbrain.visualization.live.panel import plain_html
 from dualbrain.visualization.live.view_state import ViewState
 
+EMPTY = Scene(robot="panda", stamp=0.0, version=1, objects=(), places=())
 CARRYING = Situation(in_contract=True, phase="carry", delta=0.1, speed_share=0.4)
 
 
 def permitted_speed(situation):
-    shown = plain_html(ViewState(t=0.0, frames={}, situation=situation))
+    shown = plain_html(ViewState(t=0.0, frames={}, scene=EMPTY, situation=situation))
     return re.search(r"id=['\"]plain-speed['\"][^>]*>([^<]*)", str(shown))[1]
 
 
