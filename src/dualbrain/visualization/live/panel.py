@@ -169,6 +169,7 @@ class LivePanel:
         if len(self._history) > 1:
             t, millimetre, magnitude = np.array(self._history).T
             self._h.data, self._delta.data = (t, millimetre), (t, magnitude)
+            self._h.visible = self._delta.visible = True
 
     def finish(self, episode: Episode) -> None:
         """Show the final result in place of the live numbers."""
@@ -177,7 +178,7 @@ class LivePanel:
 
 
 def _add_plot(gui: GuiApi, title: str, line: Any) -> GuiUplotHandle:
-    """Add an empty plot over time."""
+    """Add a plot over time, which is hidden until it has data: the client keeps the range of an empty plot."""
     empty = np.array([0.0, 1e-3])
     axis: Any = {"stroke": "#888", "size": 40, "grid": {"stroke": "#8882"}, "ticks": {"size": 3, "stroke": "#8884"}}
     time: Any = {**axis, "size": 26}
@@ -189,4 +190,5 @@ def _add_plot(gui: GuiApi, title: str, line: Any) -> GuiUplotHandle:
         height=130,
         legend={"show": False},
         scales={"x": {"time": False}},
+        visible=False,
     )
