@@ -1,6 +1,6 @@
 """A robot over plain HTTP, without any SDK: one POST per call of the Model Context Protocol.
 
-Run `dualbrain mcp --scene 8 --http 8765`, which prints the file that holds its token, and with this FILE
+Run `dualbrain mcp --scene 8 --http 8765`, which prints the FILE that holds its token, and then
 `DUALBRAIN_TOKEN=$(cat FILE) python examples/agents/over_http.py`.
 """
 
@@ -11,8 +11,7 @@ from typing import Any
 
 import httpx
 
-VERSION = "2026-07-28"
-PREFIX = "io.modelcontextprotocol/"
+VERSION, PREFIX = "2026-07-28", "io.modelcontextprotocol/"
 META = {f"{PREFIX}protocolVersion": VERSION, f"{PREFIX}clientInfo": {"name": "over_http", "version": "1"}}
 
 
@@ -22,9 +21,8 @@ def call_tool(url: str, token: str, name: str, arguments: dict[str, Any]) -> dic
     headers |= {"MCP-Protocol-Version": VERSION, "Mcp-Method": "tools/call", "Mcp-Name": name}
     parameters = {"name": name, "arguments": arguments, "_meta": META | {f"{PREFIX}clientCapabilities": {}}}
     body = {"jsonrpc": "2.0", "id": 1, "method": "tools/call", "params": parameters}
-    return (
-        httpx.post(url, headers=headers, json=body, timeout=90).raise_for_status().json()["result"]["structuredContent"]
-    )
+    reply = httpx.post(url, headers=headers, json=body, timeout=90)
+    return reply.raise_for_status().json()["result"]["structuredContent"]
 
 
 def main(url: str, token: str) -> None:
@@ -36,4 +34,6 @@ def main(url: str, token: str) -> None:
 
 
 if __name__ == "__main__":
+    if "DUALBRAIN_TOKEN" not in os.environ:
+        raise SystemExit("Set DUALBRAIN_TOKEN to the token of the server; it prints the file of its token at start.")
     main("http://127.0.0.1:8765/mcp", os.environ["DUALBRAIN_TOKEN"])

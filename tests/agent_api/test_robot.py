@@ -8,6 +8,8 @@ import time
 import pytest
 
 from dualbrain import Robot
+from dualbrain.agent_api import saved_runs
+from dualbrain.agent_api.tools import report_view
 from dualbrain.contracts.verdict import Accepted
 from dualbrain.control.gatekeeper.config import GatekeeperConfig
 from dualbrain.control.gatekeeper.process import GatekeeperProcess
@@ -21,6 +23,7 @@ from dualbrain.memory.state.episode_record import decode_event_header, decode_st
 from dualbrain.planner.scripted import ScriptedPlanner
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from dualbrain.visualization.html import run_report
+from tests.agent_api.test_saved_runs import full_disk
 
 pytestmark = pytest.mark.realtime
 
@@ -55,6 +58,7 @@ def test_contracts_are_checked_executed_once_and_remembered_under_their_client(h
         assert planned.rejected.stage == "syntax"
         assert [one["state"] for one in robot.recent()][:2] == ["rejected", "finished"]
         assert robot.call("get_outcome", {"id": "c-0001"})["outcome"]["succeeded"]
+        check_unsaved_episode(robot, monkeypatch)
         check_failed_report(robot, monkeypatch)
     check_memory(ledger, runs, first, other)
 
@@ -80,6 +84,17 @@ def check_failed_report(robot, monkeypatch):
     assert event["text"].startswith("No report of the run ")
 
 
+def check_unsaved_episode(robot, monkeypatch):
+    """An episode that cannot be saved leaves the outcome true, with a warning, and is an event."""
+    with monkeypatch.context() as patch:
+        patch.setattr(saved_runs, "write_atomically", full_disk)
+        rejected = robot.run(hold(robot, 500.0, "c-0004"))
+    assert (rejected.state, rejected.rejected.stage) == ("rejected", "envelope")
+    assert "is not saved" in rejected.warning
+    assert report_view(rejected)["warning"] == rejected.warning
+    assert robot.events()[-1]["text"] == rejected.warning
+
+
 def check_memory(ledger, runs, first, other):
     """The ledger holds every episode that reached the gate, and each one is saved in its folder.
 
@@ -96,8 +111,8 @@ def check_memory(ledger, runs, first, other):
     versions = json.loads((runs / first.episode / "episode.json").read_bytes())["versions"]
     assert {"dualbrain", "kernel", "prompt", "beside"} <= versions.keys()
     assert sorted(sources) == sorted(folder.name for folder in runs.iterdir())
-    assert all((folder / "episode.json").is_file() for folder in runs.iterdir())
-    assert sum(not (folder / "report.html").is_file() for folder in runs.iterdir()) == 1
+    assert sum(not (folder / "episode.json").is_file() for folder in runs.iterdir()) == 1
+    assert sum(not (folder / "report.html").is_file() for folder in runs.iterdir()) == 2
     report = (runs / first.episode / "report.html").read_text()
     assert "pause briefly" in report
     assert "accepted" in report

@@ -27,7 +27,11 @@ def client(received):
 
     app = Starlette(routes=[Route("/{path:path}", endpoint, methods=["GET", "POST"])])
     policy = AccessPolicy(
-        token=TOKEN, hosts=("127.0.0.1", "localhost"), port=PORT, is_public=lambda path: path.startswith("/static/")
+        token=TOKEN,
+        hosts=("127.0.0.1", "localhost"),
+        port=PORT,
+        is_public=lambda path: path.startswith("/static/"),
+        overview="The console is /console.",
     )
     return TestClient(AccessControl(app, policy), base_url=f"http://127.0.0.1:{PORT}")
 
@@ -37,7 +41,9 @@ def client(received):
     [
         (401, {"Authorization": ""}),
         (401, {"Authorization": f"Bearer {TOKEN}x"}),
-        (401, {"Authorization": f"bearer {TOKEN}"}),
+        (401, {"Authorization": f"Bearer  {TOKEN}"}),
+        (401, {"Authorization": f"Basic {TOKEN}"}),
+        (401, {"Authorization": f"Bearer {TOKEN.upper()}"}),
         (401, {"Authorization": TOKEN}),
         (421, {"Host": "example.org"}),
         (421, {"Host": "127.0.0.1:80"}),
@@ -57,10 +63,27 @@ def test_a_request_without_access_is_refused(status, headers, client, received):
         assert reply.headers["WWW-Authenticate"].startswith("Bearer")
 
 
-@pytest.mark.parametrize("headers", [{}, {"Origin": f"http://127.0.0.1:{PORT}"}, {"Host": f"localhost:{PORT}"}])
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {},
+        {"Origin": f"http://127.0.0.1:{PORT}"},
+        {"Host": f"localhost:{PORT}"},
+        {"Authorization": f"bearer {TOKEN}"},  # the scheme is case-insensitive (RFC 9110, 11.1), the token is not
+        {"Authorization": f"BEARER {TOKEN}"},
+    ],
+)
 def test_a_request_with_access_passes(headers, client, received):
     assert client.post("/mcp", headers=GOOD | headers, content=b'{"a": 1}').text == "reached"
     assert received == [b'{"a": 1}']
+
+
+def test_the_root_states_without_a_token_where_everything_is_and_refuses(client, received):
+    host = {"Host": f"127.0.0.1:{PORT}"}
+    root, other = client.get("/", headers=host, follow_redirects=False), client.get("/mcp", headers=host)
+    assert (root.status_code, other.status_code, received) == (401, 401, [])
+    assert root.json()["error"] == f"{other.json()['error']} The console is /console."
+    assert "console" not in client.get("/", headers={"Host": "example.org"}).text
 
 
 def test_a_body_that_is_too_long_is_refused_with_and_without_its_length(client, received):

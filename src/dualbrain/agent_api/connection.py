@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import tempfile
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -46,13 +47,13 @@ class SimulationOptions:
 class Connection:
     """A connected commander: the `client`, the robot's model, and the `socket` of its gatekeeper.
 
-    `process_id` is that of a gatekeeper that was started here, 0 for one that was running.
+    `process` is that of a gatekeeper that was started here, None for one that was running.
     """
 
     client: GatekeeperClient
     robot_model: RobotModel
     socket: Path
-    process_id: int = 0
+    process: GatekeeperProcess | None = None
 
 
 def start_simulation(
@@ -79,9 +80,7 @@ def start_simulation(
     process = GatekeeperProcess(config)
     stack.callback(process.stop)
     found = connect(Path(config.socket), Path(config.keys), options.robot, options.site, on_report, stack)
-    return Connection(
-        client=found.client, robot_model=found.robot_model, socket=found.socket, process_id=process.process.pid
-    )
+    return dataclasses.replace(found, process=process)
 
 
 def connect(

@@ -40,6 +40,10 @@ DEFAULT_CLIENT = "agent"
 """The author of contracts that name no client."""
 RECENT = 20
 """Number of submissions that `recent` reports."""
+CLOSED = "the program that commands the robot ended"
+"""Reason of an outcome that the end of this program caused."""
+OUTCOME_TIMEOUT = 1.2
+"""Longest wait for the outcome of a contract that is stopped because this program ends [s]."""
 KEPT_SUBMISSIONS = 100
 """Number of submissions whose reports are kept."""
 
@@ -60,6 +64,7 @@ class Executions:
         """Open planner and memory in the thread that uses them; see `open_agent_resources` for its errors."""
         self._connection, self._feed, self._retries = connection, feed, retries
         self._lock, self._submissions, self._newest = Lock(), dict[str, Submission](), ""
+        self._closing = False
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="episode")
         try:
             self._resources: AgentResources = self._worker.submit(
@@ -135,25 +140,32 @@ class Executions:
         if newest is not None:
             newest.interrupt()
 
+    def begin_close(self) -> None:
+        """Begin to end a submission in progress, and reject further ones, without waiting."""
+        with self._lock:
+            self._closing, newest = True, self._submissions.get(self._newest)
+        if newest is not None:
+            newest.interrupt(CLOSED)
+
     def close(self) -> None:
-        """End a submission in progress, and close planner and memory."""
-        self.interrupt()
+        """End a submission in progress, whose episode is completed, and close planner and memory."""
+        self.begin_close()
+        self.wait("", OUTCOME_TIMEOUT)  # the arm brakes to rest, and the gatekeeper reports the outcome
         self._connection.client.close()
         self._worker.submit(self._resources.close).result()
         self._worker.shutdown()
 
     def _busy(self) -> Rejected | None:
-        """The rejection while a submission is in progress; None otherwise."""
+        """The rejection while a submission is in progress, and after the end has begun; None otherwise."""
         newest = self._submissions.get(self._newest)
-        if newest is None or newest.has_ended:
+        if self._closing:
+            got, allowed, hint = CLOSED, "a contract for a robot that is not being closed", "open the robot again"
+        elif newest is not None and not newest.has_ended:
+            got, allowed = f"{self._newest} is in progress", "one contract at a time"
+            hint = "wait for its outcome, or stop it"
+        else:
             return None
-        return Rejected(
-            stage="authorization",
-            pointer="",
-            got=f"{self._newest} is in progress",
-            allowed="one contract at a time",
-            hint="wait for its outcome, or stop it",
-        )
+        return Rejected(stage="authorization", pointer="", got=got, allowed=allowed, hint=hint)
 
     def _begin(self, name: str, state: State, digest: str) -> Submission:
         """A new submission, which is the newest; the oldest one is forgotten."""
@@ -188,12 +200,17 @@ class Executions:
         )
         truth = GroundTruth(start_contract=lambda contract: None, judge=lambda: None, versions=self._resources.versions)
         try:
-            executor = RemoteExecutor(model, self._connection.client, log, lambda: submission.interrupted)
+            executor = RemoteExecutor(
+                model,
+                self._connection.client,
+                log,
+                lambda: submission.interrupted,
+                interruption=lambda: submission.interruption,
+            )
             clock = PlanningClock(time.monotonic, measured=True)
             episode, stored = run_episode(request, agent, executor, clock, truth)
             log_weight_changes(log, executor.state.stamp, stored)
-            self._save_report(episode, before, executor.state.stamp)
-            submission.finish(episode)
+            submission.finish(episode, self._save_report(episode, before, executor.state.stamp))
         except Exception as error:  # every failure is reported to the client; the robot stays behind its gatekeeper
             submission.lose(f"{type(error).__name__}: {error}")
         finally:
@@ -201,11 +218,17 @@ class Executions:
                 with self._lock:
                     self._retries.finish(retried, submission)
 
-    def _save_report(self, episode: Episode, before: int, now: float) -> None:
-        """Save the report, with the events after the one with the number `before`; a failure is an event, too."""
+    def _save_report(self, episode: Episode, before: int, now: float) -> str:
+        """Save the report, with the events after the one with the number `before`; a failure is an event, too.
+
+        Returns why the episode is not saved, "" if it is.
+        """
         runs = self._resources.runs
-        if runs is not None and (problem := runs.save_report(episode, self._feed.events_after(before))):
+        if runs is None:
+            return ""
+        if problem := runs.problem or runs.save_report(episode, self._feed.events_after(before)):
             self._feed.add(now, "recorder", problem)
+        return runs.problem
 
 
 def _reject_instruction(instruction: str) -> Rejected | None:

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
+from threading import Lock
 from types import TracebackType
 from typing import Any, Self
 
@@ -60,7 +61,7 @@ class Robot:
         retries: Path | None,
     ) -> None:
         """Use `Robot.simulated` or `Robot.connect`."""
-        self._stack, self._feed = ExitStack(), EventFeed()
+        self._stack, self._feed, self._closing = ExitStack(), EventFeed(), Lock()
         try:
             self._connection = open_connection(self._receive, self._stack)
             known = RetryLog(retries, now=time.time())
@@ -151,7 +152,8 @@ class Robot:
     @property
     def gatekeeper_process_id(self) -> int:
         """The process of the gatekeeper, 0 if it was running before."""
-        return self._connection.process_id
+        process = self._connection.process
+        return process.process.pid if process else 0
 
     @property
     def has_planner(self) -> bool:
@@ -300,8 +302,23 @@ class Robot:
     # --- life -------------------------------------------------------------------------------------------------------
 
     def close(self) -> None:
-        """Disconnect, and end a gatekeeper that was started here; its robot brakes to rest first."""
-        self._stack.close()
+        """Disconnect, and end a gatekeeper that was started here; its robot brakes to rest first.
+
+        A contract that runs is stopped, and its episode is completed. A second call waits for the first.
+        """
+        with self._closing:
+            self._stack.close()
+
+    def begin_close(self) -> None:
+        """Begin what `close` completes, without waiting: accept no contract any more, and brake to rest."""
+        self._executions.begin_close()
+        if (process := self._connection.process) is not None:
+            process.request_stop()
+
+    def kill(self) -> None:
+        """End a gatekeeper that was started here at once, with its simulated robot, without waiting."""
+        if (process := self._connection.process) is not None:
+            process.process.kill()
 
     def __enter__(self) -> Self:
         """The robot itself."""

@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 
 from dualbrain.control.recording.trace import Event, Trace
-from dualbrain.core.storage.atomic_files import write_atomically
+from dualbrain.core.storage.atomic_files import FileWriteError, write_atomically
 from dualbrain.core.storage.private_files import create_private_folder
 from dualbrain.errors import DualbrainError
 from dualbrain.memory.embedding.image_features import ImageFeatures
@@ -24,17 +24,28 @@ logger = logging.getLogger(__name__)
 
 
 class SavedRuns:
-    """The folder `runs` with one run folder per episode of `robot_model`."""
+    """The folder `runs` with one run folder per episode of `robot_model`.
+
+    `problem` is why the newest episode is not saved, "" if it is.
+    """
 
     def __init__(self, runs: Path, robot_model: RobotModel) -> None:
         """Save in `runs`, which is created with the first episode."""
-        self._runs, self._robot_model = runs, robot_model
+        self._runs, self._robot_model, self.problem = runs, robot_model, ""
 
     def save_episode(self, episode: Episode) -> None:
-        """Save the episode as `runs`/ID/episode.json; raises `FileWriteError`."""
-        folder = self._runs / episode.id
-        create_private_folder(folder)
-        write_atomically(folder / EPISODE_FILE, msgspec.json.format(msgspec.json.encode(episode), indent=2))
+        """Save the episode as `runs`/ID/episode.json.
+
+        The robot has moved already when its episode is saved, so a failure changes no outcome: it is logged, and is the
+        `problem`.
+        """
+        folder, self.problem = self._runs / episode.id, ""
+        try:
+            create_private_folder(folder)
+            write_atomically(folder / EPISODE_FILE, msgspec.json.format(msgspec.json.encode(episode), indent=2))
+        except (OSError, FileWriteError) as error:
+            self.problem = f"The run {episode.id} is not saved: {error}"
+            logger.warning("%s", self.problem)
 
     def save_report(self, episode: Episode, events: Sequence[Event]) -> str:
         """Save the report as `runs`/ID/report.html, with the `events` of the run; returns why it failed, or "".

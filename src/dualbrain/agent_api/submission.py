@@ -25,8 +25,9 @@ class SubmissionReport(msgspec.Struct, frozen=True, kw_only=True):
     `id` is that of the contract, or of the instruction. `rejected` is the reason of a rejection, `outcome` the robot's
     own verdict after the end, `senses` the check of that verdict by independent senses ("agrees", "disagrees", "none"),
     and `changes` the perceived changes of the scene in words. `contract` is the contract that the gate accepted.
-    `reason` explains a lost submission. `repeated`: a contract with this id and these actions was submitted before, and
-    this is its report; the robot did not move again.
+    `reason` explains a lost submission. `warning`: why the episode of a submission that has an outcome is not saved.
+    `repeated`: a contract with this id and these actions was submitted before, and this is its report; the robot did
+    not move again.
     """
 
     id: str
@@ -38,6 +39,7 @@ class SubmissionReport(msgspec.Struct, frozen=True, kw_only=True):
     contract: dict[str, Any] | None = None
     episode: str = ""
     reason: str = ""
+    warning: str = ""
     repeated: bool = False
 
     @property
@@ -57,7 +59,7 @@ class Submission:
     def __init__(self, report: SubmissionReport, digest: str, submitted_at: float) -> None:
         """Begin with `report`; `digest` identifies the content, `submitted_at` is in [s, 1970 UTC]."""
         self.digest, self.submitted_at = digest, submitted_at
-        self.interrupted = False
+        self.interrupted, self.interruption = False, ""
         self._report = report
         self._changed = Condition()
 
@@ -72,8 +74,9 @@ class Submission:
         """Whether the state does not change any more."""
         return self.report.state in ENDED
 
-    def interrupt(self) -> None:
-        """Make the robot stop, and drop an answer of the planner that has not arrived."""
+    def interrupt(self, reason: str = "") -> None:
+        """Make the robot stop, and drop an answer of the planner that has not arrived; the outcome names `reason`."""
+        self.interruption = self.interruption or reason
         self.interrupted = True
 
     def on_attempt(self, attempt: Attempt) -> None:
@@ -84,8 +87,8 @@ class Submission:
         elif has_answer(attempt.proposal):
             self._update(rejected=verdict)
 
-    def finish(self, episode: Episode) -> None:
-        """End with the outcome of `episode`."""
+    def finish(self, episode: Episode, warning: str = "") -> None:
+        """End with the outcome of `episode`; `warning` is why it is not saved."""
         outcome = episode.outcome
         self._update(
             state="rejected" if outcome.kind == "rejected" else "finished",
@@ -93,6 +96,7 @@ class Submission:
             senses=episode.second_opinion,
             changes=episode.changes,
             episode=episode.id,
+            warning=warning,
         )
 
     def lose(self, reason: str) -> None:

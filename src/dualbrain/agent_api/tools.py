@@ -171,6 +171,8 @@ def report_view(report: SubmissionReport) -> dict[str, Any]:
         view["rejected"] = _without_tag(msgspec.to_builtins(report.rejected))
     if report.reason:
         view["reason"] = report.reason
+    if report.warning:
+        view["warning"] = report.warning
     if report.outcome is not None and report.state == "finished":
         outcome = report.outcome
         view["outcome"] = {

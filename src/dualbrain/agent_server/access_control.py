@@ -25,7 +25,8 @@ LOOPBACK_HOSTS = ("127.0.0.1", "localhost", "[::1]")
 class AccessPolicy:
     """The `token` of clients, the allowed `hosts` (with or without a port), and the `port` of the server.
 
-    `scheme` is http or https. `is_public` decides by the path which files need no token.
+    `scheme` is http or https. `is_public` decides by the path which files need no token. `overview` is the sentence
+    about the server in the refusal of the path /.
     """
 
     token: str
@@ -33,6 +34,7 @@ class AccessPolicy:
     port: int
     scheme: str = "http"
     is_public: Callable[[str], bool] = lambda path: False
+    overview: str = ""
 
     def refusal(self, method: str, path: str, headers: Headers) -> Response | None:
         """The response to a request that has no access; None for one that has."""
@@ -44,9 +46,11 @@ class AccessPolicy:
             return _refused(403, "Requests from other web pages are refused.")
         if self.is_public(path) and method in ("GET", "HEAD"):
             return None
-        given = headers.get("authorization", "")
-        if not hmac.compare_digest(given.encode(), f"Bearer {self.token}".encode()):
-            reply = _refused(401, "Send the header `Authorization: Bearer TOKEN` with the token of this server.")
+        scheme, _, given = headers.get("authorization", "").partition(" ")
+        is_token = hmac.compare_digest(given.encode(), self.token.encode())
+        if not is_token or scheme.lower() != "bearer":  # RFC 9110, 11.1: a scheme is case-insensitive
+            reason = "Send the header `Authorization: Bearer TOKEN` with the token of this server."
+            reply = _refused(401, reason + (f" {self.overview}" if path == "/" and self.overview else ""))
             reply.headers["WWW-Authenticate"] = 'Bearer realm="dualbrain"'
             return reply
         return None

@@ -68,14 +68,15 @@ def serve_http(
     routes: Sequence[BaseRoute] = (),
     *,
     is_public: Callable[[str], bool] = lambda path: False,
+    overview: str = "",
     on_ready: Callable[[], None] = lambda: None,
     on_stop: Callable[[], None] = lambda: None,
 ) -> None:
     """Serve MCP at `/mcp` and the further `routes` on `listener` until SIGTERM, SIGINT or SIGHUP.
 
-    Paths that `is_public` accepts need no token. At a signal, `on_stop` is called at once in a thread of its own, while
-    open connections end. uvicorn's own handler of signals raises them again at its end, which would skip the clean-up
-    of the caller; so the signals are handled here.
+    Paths that `is_public` accepts need no token; `overview` is a sentence in the refusal of / without one. At a signal,
+    `on_stop` is called at once in a thread of its own, while open connections end. uvicorn's own handler of signals
+    raises them again at its end, which would skip the clean-up of the caller; so the signals are handled here.
     """
     hosts = (*LOOPBACK_HOSTS, config.host) if is_loopback(config.host) else (config.host,)
     policy = AccessPolicy(
@@ -84,6 +85,7 @@ def serve_http(
         port=config.port,
         scheme="https" if config.certificate else "http",
         is_public=is_public,
+        overview=overview,
     )
     app = server.streamable_http_app(
         streamable_http_path=MCP_PATH,

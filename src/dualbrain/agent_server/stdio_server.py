@@ -10,7 +10,8 @@ import io
 import os
 import signal
 import sys
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import suppress
 from threading import Thread
 from typing import Any, cast
 
@@ -41,9 +42,9 @@ class StandardStreams:
 class LineReader:
     """The messages of a descriptor as text, with contracts as text; a thread reads them until the input ends."""
 
-    def __init__(self, descriptor: int) -> None:
-        """Read from `descriptor` when the messages are iterated."""
-        self._descriptor = descriptor
+    def __init__(self, descriptor: int, on_end: Callable[[], None]) -> None:
+        """Read from `descriptor` when the messages are iterated; a thread calls `on_end` at the end of the input."""
+        self._descriptor, self._on_end = descriptor, on_end
 
     async def __aiter__(self) -> AsyncIterator[str]:
         """Each line, until the input ends."""
@@ -54,9 +55,11 @@ class LineReader:
             try:
                 for line in read_lines(self._descriptor):
                     anyio.from_thread.run(send.send, contract_as_text(line).decode("utf-8", "replace"), token=token)
-                anyio.from_thread.run_sync(send.close, token=token)
             except (RuntimeError, OSError, anyio.BrokenResourceError, anyio.ClosedResourceError):
-                return  # the server has ended
+                pass  # the server has ended, or the input cannot be read
+            self._on_end()
+            with suppress(RuntimeError):  # the server has ended
+                anyio.from_thread.run_sync(send.close, token=token)
 
         Thread(target=read, name="standard input", daemon=True).start()
         async with receive:
@@ -76,23 +79,24 @@ def read_lines(descriptor: int) -> Iterator[bytes]:
             rest, too_long = b"", True
 
 
-def serve_stdio(server: Server[Any], streams: StandardStreams) -> None:
-    """Serve one client until the input closes, or until SIGTERM, SIGINT or SIGHUP."""
-    anyio.run(_serve, server, streams)
+def serve_stdio(server: Server[Any], streams: StandardStreams, *, on_end: Callable[[], None] = lambda: None) -> None:
+    """Serve one client until the input closes, or until SIGTERM, SIGINT or SIGHUP; `on_end` is then called at once."""
+    anyio.run(_serve, server, streams, on_end)
 
 
-async def _serve(server: Server[Any], streams: StandardStreams) -> None:
+async def _serve(server: Server[Any], streams: StandardStreams, on_end: Callable[[], None]) -> None:
     output = io.TextIOWrapper(os.fdopen(streams.output, "wb", closefd=False), encoding="utf-8")
-    lines = cast("anyio.AsyncFile[str]", LineReader(streams.input))
+    lines = cast("anyio.AsyncFile[str]", LineReader(streams.input, on_end))
     async with anyio.create_task_group() as group:
-        group.start_soon(_cancel_on_signal, group.cancel_scope)
+        group.start_soon(_cancel_on_signal, group.cancel_scope, on_end)
         async with stdio_server(lines, anyio.wrap_file(output)) as (received, sent):
             await server.run(received, sent, server.create_initialization_options())
         group.cancel_scope.cancel()
 
 
-async def _cancel_on_signal(scope: anyio.CancelScope) -> None:
+async def _cancel_on_signal(scope: anyio.CancelScope, on_end: Callable[[], None]) -> None:
     with anyio.open_signal_receiver(*STOP_SIGNALS) as received:
         async for _ in received:
+            on_end()
             scope.cancel()
             return

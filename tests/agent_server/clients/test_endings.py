@@ -1,83 +1,81 @@
-"""The end of a server, of each kind and during a contract: gatekeeper and robot end with it."""
+"""The end of a server, of each kind: gatekeeper, gate and robot end with it, also during a motion and if one hangs."""
 
 import json
 import os
 import signal
-import subprocess
 import time
 from pathlib import Path
 
 import pytest
 
-from tests.agent_server.clients.test_clients import COMMAND, environment  # noqa: F401  (a fixture)
+from dualbrain.agent_api.executions import CLOSED
+from tests.agent_server.clients.running_server import HttpServer, StdioServer, running
+from tests.agent_server.clients.test_clients import environment  # noqa: F401  (a fixture)
 
 pytestmark = pytest.mark.realtime
 
 END_TIME = 2.0
-"""Longest time [s] until server, gatekeeper and robot have ended."""
+"""Longest time [s] until server, gatekeeper, gate and robot have ended."""
 
 
-def processes(environment):  # noqa: F811
-    """The processes that were started with the data folder of the test."""
-    mark = f"DUALBRAIN_HOME={environment['DUALBRAIN_HOME']}".encode()
-    found = []
-    for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            if mark in (folder / "environ").read_bytes().split(b"\0"):
-                found.append(int(folder.name))
-        except OSError:
-            continue
-    return found
+def end_time(server, how):
+    """Time [s] from the end to that of the last process."""
+    family = server.family()
+    assert len(family) == 4
+    started = time.monotonic()
+    server.end(how)
+    while running(family) and time.monotonic() - started < 10.0:
+        time.sleep(0.01)
+    assert not server.family().keys() - family.keys()
+    return time.monotonic() - started
 
 
-class StdioServer:
-    """A server whose messages the test writes itself, in the older generation of the protocol."""
-
-    def __init__(self, environment):  # noqa: F811
-        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
-        self.process = subprocess.Popen(COMMAND, env=environment, **pipes)
-        about = {"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": {"name": "t", "version": "1"}}
-        self.request("initialize", about)
-        self.send({"method": "notifications/initialized"})
-
-    def send(self, message):
-        self.process.stdin.write(json.dumps({"jsonrpc": "2.0"} | message).encode() + b"\n")
-        self.process.stdin.flush()
-
-    def request(self, method, params):
-        self.send({"id": 1, "method": method, "params": params})
-        while (reply := json.loads(self.process.stdout.readline())).get("id") != 1:
-            pass
-        return reply["result"]
-
-    def move(self):
-        """Begin a contract of several seconds."""
-        scene = self.request("tools/call", {"name": "get_scene", "arguments": {}})["structuredContent"]
-        contract = {
-            "id": scene["next_id"],
-            "context": {"robot": "panda", "registry": scene["registry"]},
-            "action_sequence": [{"skill": "hold", "params": {"duration": 9.0}}],
-        }
-        call = {"name": "submit_contract", "arguments": {"contract": contract, "wait_s": 0}}
-        assert self.request("tools/call", call)["structuredContent"]["state"] == "running"
+def outcomes(runs):
+    return [json.loads(path.read_bytes())["outcome"] for path in runs.glob("*/episode.json")]
 
 
-@pytest.mark.parametrize("end", ["closed input", pytest.param("SIGTERM", marks=pytest.mark.slow), "SIGKILL"])
-def test_gatekeeper_and_robot_end_with_the_server(end, environment):  # noqa: F811
-    server = StdioServer(environment)
+@pytest.mark.parametrize(
+    ("kind", "how"),
+    [
+        (StdioServer, "closed input"),
+        pytest.param(StdioServer, "SIGTERM", marks=pytest.mark.slow),
+        pytest.param(StdioServer, "SIGKILL", marks=pytest.mark.slow),
+        (HttpServer, "SIGTERM"),
+        (HttpServer, "SIGKILL"),
+    ],
+)
+def test_all_processes_end_with_the_server_during_a_motion(kind, how, environment, tmp_path):  # noqa: F811
+    runs = tmp_path / "runs"
+    server = kind(environment, "--runs", str(runs))
     try:
-        server.move()
-        assert len(processes(environment)) >= 3
-        started = time.monotonic()
-        if end == "closed input":
-            server.process.stdin.close()
-        else:
-            os.kill(server.process.pid, getattr(signal, end))
-        while processes(environment) and time.monotonic() - started < 10.0:
-            time.sleep(0.01)
-        assert time.monotonic() - started < END_TIME
+        server.begin_motion()
+        assert end_time(server, how) < END_TIME
     finally:
-        server.process.kill()
-        server.process.wait()
-        for pipe in (server.process.stdin, server.process.stdout):
-            pipe.close()
+        server.close()
+    expected = [] if how == "SIGKILL" else [("aborted", CLOSED)]
+    ended = outcomes(runs)
+    assert [(one["kind"], one["reason"]) for one in ended] == expected
+    assert all(one["h_min"] > 0.0 and one["actions"][0]["status"] == "stopped" for one in ended)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", ["SIGTERM", "SIGKILL"])
+def test_all_processes_end_with_the_server_at_rest(how, environment):  # noqa: F811
+    server = HttpServer(environment)
+    try:
+        assert end_time(server, how) < END_TIME
+    finally:
+        server.close()
+
+
+@pytest.mark.parametrize("module", ["gatekeeper.process", "simulated_robot"])
+def test_a_process_that_hangs_is_killed_in_time(module, environment):  # noqa: F811
+    server = HttpServer(environment)
+    try:
+        hangs = next(
+            pid for pid in server.family() if f"{module}\0".encode() in Path(f"/proc/{pid}/cmdline").read_bytes()
+        )
+        os.kill(hangs, signal.SIGSTOP)
+        assert end_time(server, "SIGTERM") < END_TIME
+    finally:
+        server.close()

@@ -6,15 +6,18 @@ import pytest
 
 from dualbrain.agent_server import http_server
 from dualbrain.cli.common.exit_codes import ExitCode
-from dualbrain.cli.servers import http_service
+from dualbrain.cli.servers import http_service, server_end
 from tests.agent_server.console.console_server import TOKEN, FakeRobot
 
 
 class Closable(FakeRobot):
     closed = False
 
-    def close(self):
+    def begin_close(self):
         self.closed = True
+
+    def kill(self):
+        pass
 
 
 @pytest.fixture
@@ -22,11 +25,13 @@ def served(monkeypatch):
     """The arguments with which the command serves; the server reports that it is ready, and ends."""
     robot, found = Closable(), {}
 
-    def serve(server, config, listener, routes, *, is_public, on_ready, on_stop):
-        found.update(robot=robot, config=config, routes=routes, is_public=is_public)
+    def serve(server, config, listener, routes, *, is_public, overview, on_ready, on_stop):
+        found.update(overview=overview, robot=robot, config=config, routes=routes, is_public=is_public)
         on_ready()
         on_stop()
 
+    monkeypatch.setattr(http_service, "end_process", lambda code: code)
+    monkeypatch.setattr(server_end.EndDeadline, "start", lambda self: None)
     monkeypatch.setattr(http_service, "open_robot", lambda options: nullcontext(robot))
     monkeypatch.setattr(http_server, "serve_http", serve)
     monkeypatch.setattr(http_server.HttpConfig, "open_listener", lambda self: nullcontext())
@@ -42,6 +47,7 @@ def test_both_commands_serve_agents_and_people_at_one_port(command, run_command,
     assert "Console: http://127.0.0.1:8700/console\n" in err
     assert TOKEN not in err
     assert {"/console", "/console/api/stop"} <= {route.path for route in served["routes"]}
+    assert served["overview"] == "The endpoint of MCP is /mcp, and the console for people is /console."
     assert served["is_public"]("/console")
     assert not served["is_public"]("/mcp")
     assert served["robot"].closed

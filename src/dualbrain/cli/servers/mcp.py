@@ -8,6 +8,8 @@ from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.servers.http_options import DEFAULT_HTTP, HttpOptions
 from dualbrain.cli.servers.http_service import serve_robot
 from dualbrain.cli.servers.robot_options import DEFAULT_ROBOT, RobotOptions, open_robot
+from dualbrain.cli.servers.server_end import ServerEnd
+from dualbrain.core.processes.process_end import end_process
 
 
 def mcp(*, http: int = 0, robot: RobotOptions = DEFAULT_ROBOT, server: HttpOptions = DEFAULT_HTTP) -> int:
@@ -27,5 +29,5 @@ def mcp(*, http: int = 0, robot: RobotOptions = DEFAULT_ROBOT, server: HttpOptio
     streams = StandardStreams()  # before the gatekeeper starts, which inherits standard output
     with open_robot(robot) as opened:
         print(f"dualbrain mcp: the robot {opened.name} is ready.", file=sys.stderr)
-        serve_stdio(make_mcp_server(opened), streams)
-    return ExitCode.SUCCESS
+        serve_stdio(make_mcp_server(opened), streams, on_end=ServerEnd(opened).begin)
+    return end_process(ExitCode.SUCCESS)

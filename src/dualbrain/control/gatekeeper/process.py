@@ -28,7 +28,8 @@ from dualbrain.control.gatekeeper.timing.tick_timing import TickTimingSummary
 from dualbrain.control.recording.recorder import Recorder
 from dualbrain.control.recording.recording_file import reserve_for_recording
 from dualbrain.control.recording.trace import Trace
-from dualbrain.core.processes.parent_pipe import ParentPipe, start_child
+from dualbrain.core.processes.parent_pipe import PARENT_ENDED, ParentPipe, start_child
+from dualbrain.core.processes.process_end import EndDeadline
 from dualbrain.core.processes.realtime_priority import release_realtime_priority, request_realtime_priority
 from dualbrain.core.storage.atomic_files import write_atomically
 from dualbrain.errors import ConfigurationError
@@ -37,6 +38,10 @@ SWITCH_INTERVAL = 1e-4
 """Interval of the interpreter's thread switches [s]: the longest wait of the control tick for another thread."""
 STARTUP_TIMEOUT = 60.0
 """Longest time [s] until a started gatekeeper listens."""
+STOP_LIMIT = 1.4
+"""Longest time [s] from a stop to the end of a child process which has a simulated robot and no file to complete."""
+STOP_TIMEOUT = 15.0
+"""Longest time [s] that a gatekeeper may take to end after it was asked to."""
 
 
 def run_gatekeeper(
@@ -44,8 +49,9 @@ def run_gatekeeper(
 ) -> TickTimingSummary:
     """Run a gatekeeper until the operator, SIGTERM or SIGINT shuts it down; returns the timing of its ticks.
 
-    With a `parent`, it also ends when its parent does, after the arm has braked. Without one, a person started it: it
-    ignores SIGHUP, so it continues when its terminal closes. `on_ready` is called before the first tick, once robot and
+    With a `parent`, it also ends when its parent does, after the arm has braked; if the robot is simulated and no file
+    is written, both end after `STOP_LIMIT` even if something hangs. Without one, a person started it: it ignores
+    SIGHUP, so it continues when its terminal closes. `on_ready` is called before the first tick, once robot and
     server are ready. Raises what `Deployment.from_config` raises, and `ConfigurationError` if the socket or the key
     file cannot be used.
     """
@@ -64,15 +70,22 @@ def run_gatekeeper(
     with ExitStack() as stack:
         gatekeeper, robot = _assemble(config, deployment, profile, stack)
 
+        deadline = EndDeadline(STOP_LIMIT, robot.process.kill, code=PARENT_ENDED)
+
+        def begin_stop() -> None:
+            gatekeeper.shut_down()
+            if parent is not None and not _has_files(config):
+                deadline.start()
+
         def stop(number: int, frame: FrameType | None) -> None:
             del number, frame
-            gatekeeper.shut_down()
+            begin_stop()
 
         for number in (signal.SIGTERM, signal.SIGINT, *((signal.SIGHUP,) if parent else ())):
             signal.signal(number, stop)
         if parent is not None:
             stack.callback(parent.on_end, lambda: None)
-            parent.on_end(gatekeeper.shut_down)
+            parent.on_end(begin_stop)
         with registration:
             on_ready()
             gatekeeper.run()
@@ -129,6 +142,11 @@ def _assemble(
     return gatekeeper, robot
 
 
+def _has_files(config: GatekeeperConfig) -> bool:
+    """Whether files are written at the end, or a driver has to be closed."""
+    return bool(config.recording or config.report or config.tick_timing or config.driver)
+
+
 class GatekeeperProcess:
     """A gatekeeper as a child process, which ends with this process."""
 
@@ -157,12 +175,17 @@ class GatekeeperProcess:
                 f"The gatekeeper process {happened}.", fix="See its messages on standard error."
             )
 
+    def request_stop(self) -> None:
+        """Ask the process to brake the robot and to end, without waiting for it."""
+        if self.process.poll() is None:
+            self.process.terminate()
+
     def stop(self) -> None:
         """Terminate the process, which brakes the robot first; kill it if it does not end."""
         if self.process.poll() is None:
             self.process.terminate()
             with suppress(subprocess.TimeoutExpired):
-                self.process.wait(timeout=15.0)
+                self.process.wait(timeout=STOP_TIMEOUT)
         if self.process.poll() is None:
             self.process.kill()
             self.process.wait()

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import msgspec
@@ -17,7 +18,7 @@ from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
 from dualbrain.control.executor import Grants
 from dualbrain.control.gatekeeper.protocol.client import ConnectionLostError, GatekeeperClient
-from dualbrain.control.gatekeeper.protocol.messages import RequestRefused
+from dualbrain.control.gatekeeper.protocol.messages import OutcomeReport, RequestRefused
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.records import Outcome
 from dualbrain.robots.interface import RobotState
@@ -26,15 +27,29 @@ from dualbrain.robots.model import RobotModel
 SCENE_REQUEST_PERIOD = 0.1
 """Time [s] between two requests of the scene while an episode waits."""
 
+STOPS = ("aborted", "stopped")
+"""Outcomes that an interruption can cause."""
+
 
 class RemoteExecutor:
     """Executes contracts through a gatekeeper; implements `Executor`."""
 
     def __init__(
-        self, robot_model: RobotModel, client: GatekeeperClient, log: FlightLog, interrupted: Callable[[], bool]
+        self,
+        robot_model: RobotModel,
+        client: GatekeeperClient,
+        log: FlightLog,
+        interrupted: Callable[[], bool],
+        *,
+        interruption: Callable[[], str] = lambda: "",
     ) -> None:
-        """Use `client`, and request the scene once; `interrupted`: whether a person wants the robot to stop."""
+        """Use `client`, and request the scene once.
+
+        `interrupted`: whether a person wants the robot to stop, or the program ends; `interruption`: the reason for
+        that, "" for the one that the gatekeeper gives.
+        """
         self.robot_model, self.client, self.log, self.interrupted = robot_model, client, log, interrupted
+        self._interruption = interruption
         self.refresh()
 
     def refresh(self) -> None:
@@ -64,22 +79,47 @@ class RemoteExecutor:
             self.refresh()
 
     def execute(self, contract: Contract) -> Outcome:
-        """Wait for the outcome of the contract that the gatekeeper has accepted; a person may interrupt it."""
+        """Wait for the outcome of the contract that the gatekeeper has accepted; a person may interrupt it.
+
+        A gatekeeper that ends after the contract, or because of it, may have sent the outcome before.
+        """
         del contract
-        abort_sent = False
         try:
-            while True:
-                if self.interrupted() and not abort_sent:
-                    self.client.operate("abort")
-                    abort_sent = True
-                ended = self.client.poll_outcome(SCENE_REQUEST_PERIOD)
-                if ended is not None:
-                    self.log.binding.update(ended.binding)
-                    self.refresh()
-                    return ended.outcome
+            ended = self._wait_for_outcome()
+            with suppress(ConnectionLostError):
                 self.refresh()
         except ConnectionLostError as error:
-            return Outcome(kind="stopped", reason=f"the connection to the gatekeeper was lost: {error}")
+            ended = self._last_outcome()
+            if ended is None:
+                return self._with_interruption(
+                    Outcome(kind="stopped", reason=f"the connection to the gatekeeper was lost: {error}")
+                )
+        self.log.binding.update(ended.binding)
+        return self._with_interruption(ended.outcome)
+
+    def _wait_for_outcome(self) -> OutcomeReport:
+        """The outcome; sends one abort if a person interrupts. Raises `ConnectionLostError`."""
+        abort_sent = False
+        while True:
+            if self.interrupted() and not abort_sent:
+                self.client.operate("abort")
+                abort_sent = True
+            if (ended := self.client.poll_outcome(SCENE_REQUEST_PERIOD)) is not None:
+                return ended
+            self.refresh()
+
+    def _last_outcome(self) -> OutcomeReport | None:
+        """The outcome that arrived before the connection ended, None without one."""
+        with suppress(ConnectionLostError):
+            return self.client.poll_outcome(SCENE_REQUEST_PERIOD)
+        return None
+
+    def _with_interruption(self, outcome: Outcome) -> Outcome:
+        """`outcome` with the reason of an interruption; a contract that ended by itself keeps its own."""
+        reason = self._interruption()
+        if reason and outcome.kind == "stopped":
+            reason = f"{reason}, and {outcome.reason}"
+        return msgspec.structs.replace(outcome, reason=reason) if reason and outcome.kind in STOPS else outcome
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,6 +21,7 @@ from importlib import import_module
 from threading import Lock, Thread
 from typing import NoReturn
 
+from dualbrain.core.processes.process_end import end_process
 from dualbrain.errors import DualbrainError
 
 STDIN = 0
@@ -123,13 +124,14 @@ def _exit() -> NoReturn:
 
 
 def main(arguments: list[str]) -> None:
-    """Run the module named on the command line."""
+    """Run the module named on the command line, and end this process."""
     parent, module, *rest = arguments
     pipe = ParentPipe(int(parent))
     try:
         import_module(module).main(rest, pipe)
     except DualbrainError as error:
         sys.exit(f"{module}: {error}")
+    end_process()
 
 
 if __name__ == "__main__":

@@ -38,6 +38,7 @@ except (OSError, AttributeError):
     pass
 from dualbrain.control.gatekeeper.gate.gate_process import serve
 serve(int(sys.argv[1]))
+os._exit(0)
 """
 """Program of the child, which gives up an inherited real-time priority before it imports anything."""
 

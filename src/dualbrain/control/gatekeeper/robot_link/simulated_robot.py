@@ -2,7 +2,7 @@
 
 If no valid command arrives for `WATCHDOG_TIMEOUT` seconds, the link is closed or the gatekeeper has ended, the drive
 is switched off and the brakes engage. Without a link, the simulation continues for `AFTERMATH_TIME` seconds, which the
-judgement then includes, and writes its report.
+judgement then includes, and writes its report; if no report is requested, it ends at once.
 """
 
 from __future__ import annotations
@@ -220,5 +220,8 @@ def main(arguments: list[str], parent: ParentPipe) -> None:
     link = socket.socket(fileno=int(arguments[0]))
     settings = msgspec.json.decode(parent.read_settings(), type=SimulatedRobotSettings)
     process = RobotProcess(settings, link)
-    parent.on_end(process.lose_gatekeeper)
+    if settings.report:
+        parent.on_end(process.lose_gatekeeper)
+    else:  # no report shows how the simulation continues
+        parent.on_end(lambda: None, grace=0.0)
     process.serve()
