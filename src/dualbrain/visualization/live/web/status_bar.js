@@ -11,7 +11,7 @@
   };
   const LOST = {
     state: "NO_CONNECTION", word: "NO CONNECTION", steps: [],
-    reason: "This page receives nothing from the robot's program: the picture is old, and the robot may still move.",
+    reason: "This page receives nothing from the robot's program: the image is old, and the robot may still move.",
     next: "Use the emergency stop at the robot, because this page may not reach it. Then look at the terminal in which the run was started.",
   };
   const address = new URL(location.href);
@@ -55,7 +55,7 @@
     bar.setAttribute("aria-live", "assertive");
     bar.innerHTML = '<svg viewBox="0 0 100 100" fill="currentColor" aria-hidden="true"></svg>' +
       '<div class="words"><div id="db-state"></div><div id="db-reason"></div><div id="db-next"></div><ol id="db-steps"></ol></div>' +
-      '<div id="db-side"><span id="db-slow" title="This browser draws slowly. The words and the emergency stop are not affected; the text view needs no drawing." hidden>slow browser: the picture is late</span>' +
+      '<div id="db-side"><span id="db-slow" title="This browser draws slowly. The words and the emergency stop are not affected; the text view needs no drawing." hidden>slow browser: the image is late</span>' +
       '<a href="/text">text view</a></div>';
     document.body.prepend(bar);
   }
