@@ -1,5 +1,6 @@
 """A process ends at once with its output, and at its deadline although its main thread hangs."""
 
+import os
 import subprocess
 import sys
 
@@ -29,7 +30,9 @@ time.sleep(60.0)
 
 
 def run(program):
-    done = subprocess.run([sys.executable, "-c", program], stdout=subprocess.PIPE, timeout=LIMIT, check=False)
+    buffered = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, stdout=subprocess.PIPE, timeout=LIMIT, check=False, env=buffered)
     return done.returncode, done.stdout
 
 

@@ -178,6 +178,29 @@ def test_a_covered_or_frozen_camera_is_refused_with_cause_and_remedy(source, hom
     assert "no finite point" in source.observe_points(np.full((5, 3), np.nan), (0.0, 0.0, 1.0), 1.0, home).problem
 
 
+def test_an_old_frame_does_not_free_space_that_a_later_one_saw_as_occupied(source, home):
+    source.observe_depth(noisy(render_depth([FLOOR, CRATE], ABOVE)), CAMERA, ABOVE, 1.0, home)
+    late = source.observe_depth(noisy(render_depth([FLOOR], ABOVE), 1), CAMERA, ABOVE, 0.9, home)
+    assert "out of order" in late.problem
+    after = source.observe_depth(noisy(render_depth([FLOOR, CRATE], ABOVE), 2), CAMERA, ABOVE, 1.0, home)
+    assert is_covered(after, np.array([[0.65, -0.25, 0.3]])).all()
+    assert "out of order" in source.observe_points(np.ones((3, 3)), (0.0, 0.0, 2.0), 0.5, home).problem
+
+
+def test_depths_in_millimetres_are_refused_with_the_unit(source, home):
+    depth = np.full((CAMERA.height, CAMERA.width), 1600, np.uint16)
+    assert "metres" in source.observe_depth(depth, CAMERA, ABOVE, 0.0, home).problem
+
+
+@pytest.mark.parametrize("stamp", [math.nan, math.inf, "now"])
+def test_a_stamp_that_is_no_time_is_an_error(source, home, stamp):
+    depth = noisy(render_depth([FLOOR, CRATE], ABOVE))
+    with pytest.raises(GeometryError, match="stamp"):
+        source.observe_depth(depth, CAMERA, ABOVE, stamp, home)
+    with pytest.raises(GeometryError, match="stamp"):
+        source.observe_points(np.ones((3, 3)), (0.0, 0.0, 2.0), stamp, home)
+
+
 @pytest.mark.parametrize(
     "changed",
     [
@@ -198,8 +221,17 @@ def test_input_that_is_not_usable_is_an_error(source, home, changed):
 
 @pytest.mark.parametrize(
     "field",
-    [{"self_margin": 0.001}, {"error": -1.0}, {"max_boxes": 0}, {"min_valid_share": 2.0}, {"speed": math.nan}],
-    ids=lambda field: next(iter(field)),
+    [
+        {"self_margin": 0.001},
+        {"error": -1.0},
+        {"max_boxes": 0},
+        {"min_valid_share": 2.0},
+        {"speed": math.nan},
+        {"memory": -1.0},
+        {"memory": math.nan},
+        {"unknown_is_occupied": "yes"},
+    ],
+    ids=str,
 )
 def test_a_configuration_that_is_not_usable_is_an_error(field):
     with pytest.raises(GeometryError):

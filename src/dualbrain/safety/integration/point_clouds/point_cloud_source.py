@@ -82,6 +82,9 @@ class PointCloudConfig(msgspec.Struct, frozen=True, kw_only=True):
             if type(value) is not int or not 0 < value <= MAX_POINTS:
                 raise GeometryError(f"PointCloudConfig.{name}", got=value, allowed="a whole number of 1 or more")
         validation.check_number("PointCloudConfig.min_valid_share", self.min_valid_share, 0.0, 1.0)
+        validation.check_flag("PointCloudConfig.unknown_is_occupied", self.unknown_is_occupied)
+        if not validation.check_real("PointCloudConfig.memory [s]", self.memory) >= 0.0:
+            raise GeometryError("PointCloudConfig.memory [s]", got=self.memory, allowed="0 or more")
         if self.self_margin < self.error:
             name, fix = "PointCloudConfig.self_margin [m]", "Points on the robot itself would count as obstacles."
             raise GeometryError(name, got=self.self_margin, allowed=f"error ({self.error}) or more", fix=fix)
@@ -125,7 +128,7 @@ class PointCloudSource:
         """
         self._name, self._safety, self._config, self._known = name, safety, config, tuple(known)
         self._grid = OccupancyGrid(config.lower, config.upper, config.voxel, config.memory)
-        self._frozen, self._has_started = FrozenSensorDetector(), False
+        self._frozen, self._last_stamp = FrozenSensorDetector(), -inf
 
     def scene_source(self, max_age: float, *, required: bool = True) -> SceneSource:
         """The entry of this source in `SceneFusion`; `max_age` [s] as there. The errors are those of the shapes."""
@@ -153,7 +156,7 @@ class PointCloudSource:
         marked = _as_mask("mask of people", people, size)
         body, turn, origin = self._body(q, opening), *_frame(pose)
         valid = camera.valid_pixels(image)
-        if problem := self._image_problem(image, valid, stamp):
+        if problem := self._order_problem(stamp) or self._image_problem(image, valid, stamp):
             return CloudReport(problem=problem, seconds=perf_counter() - begin)
         self._begin_frame(body, stamp)
         self._see_through_image(image, valid, camera, turn, origin, stamp)
@@ -184,7 +187,7 @@ class PointCloudSource:
         if not finite.any():
             problem = "The cloud has no finite point. Is the sensor covered, or out of its range?"
             return CloudReport(problem=problem, seconds=perf_counter() - begin)
-        if problem := self._frozen_problem(cloud, stamp):
+        if problem := self._order_problem(stamp) or self._frozen_problem(cloud, stamp):
             return CloudReport(problem=problem, seconds=perf_counter() - begin)
         self._begin_frame(body, stamp)
         self._grid.see_through_rays(start, cloud[finite], stamp)
@@ -200,17 +203,24 @@ class PointCloudSource:
 
     def _begin_frame(self, body: _OwnBody, stamp: float) -> None:
         """Free space of the first frame, and forgotten space of every one."""
-        if not self._has_started:
+        if self._last_stamp == -inf:
             near = self._grid.within_spheres(body.centres, body.radii + self._config.free_at_start)
             self._grid.mark_free(near, stamp)
-            self._has_started = True
+        self._last_stamp = stamp
         self._grid.forget(stamp)
+
+    def _order_problem(self, stamp: float) -> str:
+        """Why a frame is too old, or "": an old frame must not free voxels that a later one has seen as occupied."""
+        if validation.check_stamp("stamp of the frame [s]", stamp) >= self._last_stamp:
+            return ""
+        return f"The stamp {stamp} s is before the last one, {self._last_stamp} s: frames are out of order."
 
     def _image_problem(self, image: Array, valid: Mask, stamp: float) -> str:
         """Why an image is refused, or ""."""
         if (share := float(valid.mean())) < self._config.min_valid_share:
             least = f"at least {100 * self._config.min_valid_share:.0f} % are needed"
-            return f"Only {100 * share:.0f} % of the pixels hold a depth; {least}. Is the camera covered or too close?"
+            remedy = "Is the camera covered or too close, or are the depths not in metres?"
+            return f"Only {100 * share:.0f} % of the pixels hold a depth; {least}. {remedy}"
         return self._frozen_problem(image, stamp)
 
     def _frozen_problem(self, values: Array, stamp: float) -> str:
