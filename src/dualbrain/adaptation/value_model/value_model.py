@@ -30,6 +30,8 @@ CHOICE_MARGIN = 0.05
 """Least predicted advantage over the default alternative: smaller ones are noise at 100 places, and cost nothing."""
 MAX_FILE_BYTES = 4 << 20
 SCHEMA_VERSION = 1
+VALUE_MODEL_FILE = "value_model.json"
+"""Name of the file beside the data that a value model chose."""
 
 
 class ExecutedSiblings(msgspec.Struct, frozen=True):

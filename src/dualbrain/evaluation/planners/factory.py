@@ -20,7 +20,7 @@ from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.evaluation.planners.adversary import Adversary
 from dualbrain.evaluation.planners.answer_cache import AnswerCache, CachingPlanner
 from dualbrain.evaluation.planners.corrupted_prompt import CorruptedPromptPlanner
-from dualbrain.evaluation.planners.few_shot import FewShotPlanner
+from dualbrain.evaluation.planners.few_shot import BEST_FIXED, NO_CHANGE, FewShotPlanner
 from dualbrain.evaluation.planners.template import TemplatePlanner
 from dualbrain.evaluation.planners.value_planner import VALUE_PREFIX, load_value_planner, value_model_digest
 from dualbrain.evaluation.protocol.method import Method, PlannerRole
@@ -32,6 +32,8 @@ from dualbrain.planner.protocol import Planner
 RANDOM_PLANNERS = ("template", "adversary")
 """Planners with random answers: they are instantaneous, so no latency is measured."""
 CHAMPION_PLANNER = "adapter:champion"
+FIXED_ROLE: PlannerRole = "prompted_fixed"
+"""The role of method PE-fixed."""
 PLANNER_ROLES = tuple(part for part in get_args(PlannerRole) if part not in RANDOM_PLANNERS)
 """Roles for which a suite may name a planner, whether or not one of its methods uses the role."""
 UNLISTED_NAME_FORMS = (
@@ -155,6 +157,7 @@ class PlannerFactory:
         """The planner of `method` for `robot`, with constrained or unconstrained decoding, which are cached apart."""
         name, constrained = planner_name(self._suite, method), constrained and method.constrained
         parts = [name, "with a worked example" * _uses_worked_example(method, name)]
+        parts += ["of fixed parameters" * (method.planner_role == FIXED_ROLE)]
         parts += [
             f"prompt {method.prompt_corruption}" * (method.prompt_corruption != "no"),
             "bound by nothing" * (not constrained),
@@ -180,7 +183,7 @@ class PlannerFactory:
             self._open[name, robot, constrained] = self._sources.open(name, robot, constrained=constrained)
         planner = self._open[name, robot, constrained]
         if _uses_worked_example(method, name):
-            planner = FewShotPlanner(planner)
+            planner = FewShotPlanner(planner, BEST_FIXED if method.planner_role == FIXED_ROLE else NO_CHANGE)
         return (
             planner if method.prompt_corruption == "no" else CorruptedPromptPlanner(planner, method.prompt_corruption)
         )
@@ -195,4 +198,4 @@ class PlannerFactory:
 
 def _uses_worked_example(method: Method, name: str) -> bool:
     """Whether a worked example is added: the short prompt of an adapter has none, unlike the full prompt."""
-    return method.planner_role == "prompted" and is_adapter(strip_torch_prefix(name))
+    return method.planner_role in {"prompted", FIXED_ROLE} and is_adapter(strip_torch_prefix(name))

@@ -15,6 +15,7 @@ MemoryKind = Literal["none", "static", "dynamic"]
 PlannerRole = Literal[
     "base",
     "prompted",
+    "prompted_fixed",
     "adapted",
     "adapted_no_entropy",
     "adapted_no_kl",
@@ -81,6 +82,12 @@ B4 = Method(name="B4", description="CBF filter and static memory", memory="stati
 M = Method(name="M", description="CBF filter and dynamic memory", memory="dynamic")
 P = Method(name="P", description="CBF filter and adapted planner", planner_role="adapted")
 PE = Method(name="PE", description="CBF filter and the best prompt for the base planner", planner_role="prompted")
+PE_FIXED = replace(
+    PE,
+    name="PE-fixed",
+    planner_role="prompted_fixed",
+    description="PE, the worked example with the best fixed contract of an exploration",
+)
 V = Method(name="V", description="CBF filter and the choice of a value model, no language model", planner_role="value")
 FULL = Method(
     name="Full", description="CBF filter, dynamic memory and adapted planner", memory="dynamic", planner_role="adapted"
@@ -160,6 +167,7 @@ METHODS = {
         *SENSITIVITY_METHODS,
         *UNCONSTRAINED_METHODS,
         *DEPTH_METHODS,
+        PE_FIXED,
         V,
     )
 }

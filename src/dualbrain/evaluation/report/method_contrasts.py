@@ -31,6 +31,7 @@ DECLARED_PAIRS = (
     ("B3", "PE"),
     ("B3", "P"),
     ("PE", "P"),
+    ("PE-fixed", "P"),
     ("M", "Full"),
     ("P", "Full"),
     ("B3", "V"),

@@ -1,17 +1,22 @@
 """Rehearsal examples: instructions of every kind with the contract of the fitting levels, or with a decline.
 
 An adapter that is trained on placements alone would forget the other skills and when to decline. Nothing is executed:
-the gate with the rules of the scene accepts each contract.
+the gate with the rules of the scene accepts each contract. Clauses that contracts cannot express are not among them:
+the local check of instructions declines these before a planner is asked, and adapters that learned to decline clauses
+declined plain instructions too (docs/results/LOG.md).
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
 from dualbrain.adaptation.curation.sample import Sample
 from dualbrain.adaptation.synthetic.instruction import draw_instruction
 from dualbrain.adaptation.synthetic.split import Split
-from dualbrain.adaptation.synthetic.templates import load_templates
+from dualbrain.adaptation.synthetic.templates import Phrasings, load_templates
 from dualbrain.grounding.alternatives import alternatives
 from dualbrain.runtime.data_collection.exploration.place import Place
 from dualbrain.runtime.data_collection.exploration.proposals import make_sample
@@ -32,7 +37,8 @@ def _try_rehearsal(robot: str, part: Split, rng: np.random.Generator) -> Sample 
     """An example in a random scene; None if the drawn task is impossible there."""
     spec = draw_scene(robot, part, rng)
     context = make_scene_context(spec)
-    task = draw_instruction(context.names, context.mobile, load_templates(), load_phrasings(context.mobile, part), rng)
+    phrasings = plain_phrasings(context.mobile, part)
+    task = draw_instruction(context.names, context.mobile, load_templates(), phrasings, rng)
     if task is None:
         return None
     place = Place(context.scene, task.steps)
@@ -41,3 +47,11 @@ def _try_rehearsal(robot: str, part: Split, rng: np.random.Generator) -> Sample 
         if context.accepts(text.encode()):
             return make_sample(place, text, task.sentence, source=SOURCE)
     return None
+
+
+@cache
+def plain_phrasings(mobile: bool, part: Split) -> Phrasings:
+    """The phrasings of `part` without kinds of instructions that have a clause."""
+    found, kinds = load_phrasings(mobile, part), load_templates().kinds
+    sentences = {name: some for name, some in found.sentences.items() if not kinds[name].clause}
+    return replace(found, sentences=sentences)
