@@ -16,6 +16,7 @@ from dualbrain.grounding.instruction.goals.goal_reading import read_goal
 from dualbrain.grounding.vocabulary import load_skill_registry
 from dualbrain.runtime.data_collection.exploration import explore as exploration
 from dualbrain.runtime.data_collection.exploration import rehearsal
+from dualbrain.runtime.data_collection.exploration.corruption import FOREIGN_TEXTS, corrupt
 from dualbrain.runtime.data_collection.exploration.explore import TRIALS_FILE, explore, nth_place, read_trials
 from dualbrain.runtime.data_collection.exploration.place import Place
 from dualbrain.runtime.data_collection.exploration.proposals import SOURCE, propose_best
@@ -169,6 +170,28 @@ def test_a_training_set_has_the_declared_composition(value_model):
     assert 4 < with_exemplars < 20
     by_contract = {one.contract for one in placements}
     assert by_contract == {one.contract for one in trials}, "exemplars do not change the answer"
+
+
+def test_corrupted_prompts_keep_their_answer_and_its_names(value_model):
+    clean = clean_from_trials([trial(index, "fitted") for index in range(3)], EPSILON, value_model)
+    config = TrainingSetConfig(wordings=6, rehearsal=0.0, exemplars=0.0, corrupted=1.0)
+    complete = {one.place.summary for one in clean}
+    samples = build_training_set(clean, "panda", config)
+    assert {one.contract for one in samples} == {one.contract for one in clean}
+    text = [one.prompt[-1]["content"] for one in samples]
+    assert any(not any(scene in one for scene in complete) for one in text), "some scenes are incomplete"
+    assert any(words in one for one in text for words in FOREIGN_TEXTS)
+    for one in samples:
+        grasp, _ = msgspec.json.decode(one.contract)["action_sequence"]
+        assert grasp["params"]["object"] in one.prompt[-1]["content"]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_cut_scene_keeps_the_lines_of_the_names(seed):
+    scene = "robot panda; holding nothing\nred_cube: object, x\nblue_bowl: container\nperson: none\nplaces: table_left"
+    found, sentence = corrupt(scene, "put it", ("red_cube", "blue_bowl"), np.random.default_rng(seed))
+    assert {"red_cube", "blue_bowl"} <= {line.split(":")[0] for line in found.splitlines()}
+    assert sentence.endswith("put it")
 
 
 def test_the_weight_is_the_probability_to_beat_the_siblings(value_model):

@@ -30,6 +30,7 @@ from dualbrain.planner.prompt.short_prompt import (
     render_short_with_steps,
     short_template_hash,
 )
+from dualbrain.runtime.data_collection.exploration.corruption import corrupt
 from dualbrain.runtime.data_collection.exploration.place import Place
 from dualbrain.runtime.data_collection.exploration.proposals import draw_sentence, make_sample
 from dualbrain.runtime.data_collection.exploration.rehearsal import draw_rehearsal
@@ -66,12 +67,14 @@ class TrainingSetConfig(msgspec.Struct, frozen=True, kw_only=True):
     """Composition of a training set.
 
     `wordings` is the number of sentences for each clean contract, `rehearsal` the share of rehearsal examples in all
-    samples, `exemplars` the share of placements with exemplars in the prompt; `seed` determines all draws.
+    samples, `exemplars` the share of placements with exemplars in the prompt, `corrupted` the share of those without
+    exemplars whose prompt is corrupted (`corruption.py`); `seed` determines all draws.
     """
 
     wordings: int = 5
     rehearsal: float = 0.3
     exemplars: float = 0.3
+    corrupted: float = 0.1
     seed: int = 0
     part: Split = "teach"
 
@@ -207,6 +210,9 @@ def _placement_samples(
         sample = make_sample(place, one.contract, sentence, source=one.source)
         if rng.random() < config.exemplars and len(pool) > MAX_SHOWN_EXEMPLARS:
             sample = _with_exemplars(sample, place, sentence, _other_contracts(pool, index, rng))
+        elif rng.random() < config.corrupted:
+            scene, words = corrupt(place.summary, sentence, (one.object_name, one.destination), rng)
+            sample = _with_prompt(sample, place, scene, words, [])
         found.append(
             msgspec.structs.replace(
                 sample,
@@ -229,9 +235,14 @@ def _other_contracts(pool: Sequence[CleanContract], index: int, rng: np.random.G
 def _with_exemplars(sample: Sample, place: Place, sentence: str, contracts: Sequence[str]) -> Sample:
     """`sample` with the steps of `contracts` before the scene; its answer keeps the values of its own scene."""
     steps = [exemplar_steps(msgspec.json.decode(text)) for text in contracts]
+    return _with_prompt(sample, place, place.summary, sentence, steps)
+
+
+def _with_prompt(sample: Sample, place: Place, scene: str, sentence: str, steps: list[str]) -> Sample:
+    """`sample` with another prompt and the same answer."""
     registry = place.registry
     prompt = render_short_with_steps(
-        steps, place.summary, sentence, robot=registry.robot, registry=registry.hash, contract_id=CONTRACT_ID
+        steps, scene, sentence, robot=registry.robot, registry=registry.hash, contract_id=CONTRACT_ID
     )
     messages = [{"role": turn["role"], "content": turn["content"]} for turn in prompt]
     return msgspec.structs.replace(sample, id=content_id(messages, sample.contract), prompt=messages)
