@@ -295,6 +295,7 @@ for _name, _function, _help in (
     ("measure", "measure:measure", "Measure a candidate and the current adapter for a promotion."),
     ("export", "export:export", "Export an adapter for peft, vLLM, llama.cpp or the Hugging Face Hub."),
     ("diff", "export:diff", "Compare two adapters."),
+    ("explore", "explore:explore", "Adapt a planner by exploration in simulation."),
     ("make", "make:make", "Reproduce a packaged adapter."),
 ):
     adapters.command(f"dualbrain.cli.adapters.{_function}", name=_name, help=_help)

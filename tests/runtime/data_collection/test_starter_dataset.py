@@ -1,5 +1,7 @@
 """The starter data set: settings of its cycle, and differences from a stored data set in words."""
 
+from types import SimpleNamespace
+
 import msgspec
 import pytest
 
@@ -8,6 +10,7 @@ from dualbrain.adaptation.curation.dataset import DatasetCard
 from dualbrain.grounding.vocabulary import load_skill_registry
 from dualbrain.planner.prompt.short_prompt import short_template_hash
 from dualbrain.runtime.data_collection import starter_dataset
+from dualbrain.runtime.data_collection.exploration import cycle
 from dualbrain.runtime.data_collection.exploration.proposals import SOURCE
 from dualbrain.runtime.data_collection.rollouts import EPSILON
 
@@ -47,20 +50,18 @@ DIFFERENCES = {
 @pytest.mark.parametrize("part", DIFFERENCES)
 def test_a_data_set_for_something_else_is_named(tmp_path, part):
     changed, words = DIFFERENCES[part]
-    assert words in starter_dataset.dataset_difference(msgspec.structs.replace(CARD, **changed), tmp_path)
+    assert words in cycle.dataset_difference(msgspec.structs.replace(CARD, **changed), starter_dataset.CYCLE, tmp_path)
 
 
 def test_a_data_set_without_its_executions_is_named(tmp_path):
-    assert "value_model.json" in starter_dataset.dataset_difference(CARD, tmp_path)
+    assert "value_model.json" in cycle.dataset_difference(CARD, starter_dataset.CYCLE, tmp_path)
 
 
 def test_samples_that_were_made_differently_are_named(tmp_path, monkeypatch):
     now = msgspec.structs.replace(CARD, hash="b" * 64)
-    monkeypatch.setattr(
-        starter_dataset, "build_cycle_dataset", lambda config, folder: type("Dataset", (), {"card": now})
-    )
-    assert starter_dataset.dataset_difference(CARD, tmp_path) == f"samples {'a' * 16}, now {'b' * 16}"
-    assert starter_dataset.dataset_difference(now, tmp_path) == ""
+    monkeypatch.setattr(cycle, "build_cycle_dataset", lambda config, folder: SimpleNamespace(card=now))
+    assert cycle.dataset_difference(CARD, starter_dataset.CYCLE, tmp_path) == f"samples {'a' * 16}, now {'b' * 16}"
+    assert cycle.dataset_difference(now, starter_dataset.CYCLE, tmp_path) == ""
 
 
 def test_the_proposals_are_foreign_to_the_base():

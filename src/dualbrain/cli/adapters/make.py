@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,7 +15,7 @@ from dualbrain.cli.common.console import StderrConsole
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.memory.open_memory import print_json
 from dualbrain.core.paths import cache_folder
-from dualbrain.errors import ConfigurationError, UnknownNameError
+from dualbrain.errors import UnknownNameError
 
 if TYPE_CHECKING:
     from dualbrain.adaptation.training.process_group import ProcessGroup
@@ -79,10 +78,11 @@ def _write_synthetic_dataset(folder: Path, registries: Mapping[str, SkillRegistr
         build_synthetic_dataset,
         synthetic_dataset_differences,
     )
+    from dualbrain.cli.adapters.explore import require_same_dataset
     from dualbrain.runtime.data_collection.synthetic_scenes import generate_examples
 
     if (folder / DATASET_FOLDER / "dataset.json").is_file():
-        _require_same_dataset(
+        require_same_dataset(
             "base-135m", folder, synthetic_dataset_differences(read_dataset_card(folder / DATASET_FOLDER), registries)
         )
         StderrConsole().print(f"using the data set in {folder}")
@@ -99,67 +99,16 @@ def _write_synthetic_dataset(folder: Path, registries: Mapping[str, SkillRegistr
 
 
 def _starter_135m(folder: Path, group: ProcessGroup) -> Any:
+    from dualbrain.cli.adapters.explore import write_explored_dataset
     from dualbrain.grounding.vocabulary import load_skill_registry
     from dualbrain.runtime.data_collection import starter_dataset as starter
 
-    group.run_on_first(lambda: _write_explored_dataset(folder))
+    group.run_on_first(lambda: write_explored_dataset("starter-135m", starter.CYCLE, folder))
     registries = {starter.CYCLE.robot: load_skill_registry(starter.CYCLE.robot)}
     return _fit(starter.BASE_MODEL, starter.CYCLE.adapt, registries, folder, group)
 
 
-def _write_explored_dataset(folder: Path) -> None:
-    """Run the cycle of exploration up to its data set in `folder`, unless it is there already."""
-    from dualbrain.adaptation.curation.dataset import read_dataset, read_dataset_card, write_dataset
-    from dualbrain.runtime.data_collection import starter_dataset as starter
-    from dualbrain.runtime.data_collection.exploration import cycle
-
-    console, config = StderrConsole(), starter.CYCLE
-    if (folder / DATASET_FOLDER / "dataset.json").is_file():
-        others = starter.dataset_difference(read_dataset_card(folder / DATASET_FOLDER), folder)
-        _require_same_dataset("starter-135m", folder, others)
-        console.print(f"using the data set in {folder}")
-    else:
-        value_model = cycle.explore_places(config, folder, _place_printer(console, config.explored))
-        on_episode = _episode_printer(console, len(config.executed_seeds) * config.executions)
-        cycle.execute_choices(config, folder, value_model, cache=cache_folder(), on_episode=on_episode)
-        console.print("building the training set (minutes)")
-        write_dataset(cycle.build_cycle_dataset(config, folder), folder / DATASET_FOLDER)
-    data = read_dataset(folder / DATASET_FOLDER)
-    console.print(f"{data.card.train} samples to train on, {data.card.held_out} held out")
-
-
-def _place_printer(console: StderrConsole, number: int) -> Callable[[int, Any], None]:
-    """Prints each explored place with its successes and the remaining time."""
-    start, explored = time.monotonic(), count(1)
-
-    def print_place(done: int, trials: Any) -> None:
-        left = (time.monotonic() - start) / next(explored) * (number - done)
-        succeeded = sum(one.kind == "succeeded" for one in trials)
-        console.print(f"place {done}/{number}  {succeeded} of {len(trials)} succeed  {left / 60.0:.1f} min left")
-
-    return print_place
-
-
-def _episode_printer(console: StderrConsole, number: int) -> Callable[[int, Any], None]:
-    """Prints each episode with the remaining time, at the pace of those since the start of this command."""
-    start, executed = time.monotonic(), count(1)
-
-    def print_episode(done: int, episode: Any) -> None:
-        outcome, left = episode.outcome, (time.monotonic() - start) / next(executed) * (number - done)
-        size = "" if outcome.Delta is None else f"  Δ {outcome.Delta:.4f}"
-        console.print(f"episode {done}/{number}  {outcome.kind}{size}  {left / 60.0:.1f} min left")
-
-    return print_episode
-
-
 # --- both -------------------------------------------------------------------------------------------------------------
-
-
-def _require_same_dataset(name: str, folder: Path, others: str) -> None:
-    """Raise `ConfigurationError` if the data set in `folder` differs, in `others`, from that of the adapter `name`."""
-    if others:
-        problem = f"The data set in {folder} is not the present data set of {name}: {others}."
-        raise ConfigurationError.stating(problem, fix="Name another --out to make it again.")
 
 
 def _fit(base: str, settings: Any, registries: Mapping[str, SkillRegistry], folder: Path, group: ProcessGroup) -> Any:

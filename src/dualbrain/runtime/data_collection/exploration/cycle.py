@@ -17,7 +17,7 @@ from pathlib import Path
 import msgspec
 
 from dualbrain.adaptation.config import AdaptConfig
-from dualbrain.adaptation.curation.dataset import Dataset
+from dualbrain.adaptation.curation.dataset import SAMPLE_FORMAT, Dataset, DatasetCard, card_differences
 from dualbrain.adaptation.curation.sample import Sample
 from dualbrain.adaptation.synthetic.split import Split
 from dualbrain.adaptation.value_model.value_model import (
@@ -28,7 +28,9 @@ from dualbrain.adaptation.value_model.value_model import (
     save_value_model,
 )
 from dualbrain.core.storage.resumable_steps import last_step_folder
-from dualbrain.errors import MissingDependencyError
+from dualbrain.core.untrusted.bounded_file import read_bounded_file
+from dualbrain.core.untrusted.toml_document import TomlFault, parse_toml
+from dualbrain.errors import ConfigurationError, MissingDependencyError
 from dualbrain.grounding.vocabulary import load_skill_registry
 from dualbrain.records import Episode
 from dualbrain.runtime.data_collection.exploration.explore import explore
@@ -49,6 +51,8 @@ CHECK_PART: Split = "check"
 """Part of the split from which the held-out samples are drawn; their contracts are not executed."""
 REHEARSED_CHECKS = 3
 """Every third held-out sample is a rehearsal example."""
+MAX_FILE_BYTES = 1 << 20
+"""Largest size of a settings file."""
 
 
 class CycleConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -67,6 +71,26 @@ class CycleConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     held_out: int = 32
     training_set: TrainingSetConfig = TrainingSetConfig()
     adapt: AdaptConfig = AdaptConfig()
+
+    def __post_init__(self) -> None:
+        """Raise `ConfigurationError` for numbers with which a cycle has no data."""
+        for name in ("explored", "executions", "held_out"):
+            if (got := getattr(self, name)) < 1:
+                raise ConfigurationError(f"cycle {name}", got=got, allowed="at least 1")
+        if not self.executed_seeds or len(set(self.executed_seeds)) < len(self.executed_seeds):
+            raise ConfigurationError("cycle executed_seeds", got=self.executed_seeds, allowed="different numbers")
+
+
+def read_cycle_config(path: Path) -> CycleConfig:
+    """The settings in the TOML file at `path`; raises `ConfigurationError` for a wrong or unknown setting."""
+    fix = f"docs/explanation/adaptation.md describes the settings of a cycle. {path}"
+    tables = parse_toml(read_bounded_file(path, MAX_FILE_BYTES))
+    if isinstance(tables, TomlFault):
+        raise ConfigurationError.stating(f"The settings of the cycle cannot be read: {tables.problem}.", fix=fix)
+    try:
+        return msgspec.convert(tables, CycleConfig)
+    except msgspec.ValidationError as error:
+        raise ConfigurationError.stating(f"The settings of the cycle cannot be read: {error}.", fix=fix) from error
 
 
 def explore_places(
@@ -150,3 +174,19 @@ def draw_held_out(config: CycleConfig, value_model: ValueModel) -> list[Sample]:
             one = draw_rehearsal(config.robot, CHECK_PART, config.explored_seed, number)
         found.setdefault(one.id, one)
     return list(found.values())
+
+
+def dataset_difference(card: DatasetCard, config: CycleConfig, folder: Path) -> str:
+    """How the data set of `card` differs from that of the executions in `folder`; "" if it does not.
+
+    The comparison uses the present skill registry, prompt and settings.
+    """
+    registry = load_skill_registry(config.robot)
+    expected = {"form": SAMPLE_FORMAT, "robot": config.robot, "registry": registry.hash}
+    if differences := card_differences(card, expected | {"scene_values": True, "site": ""}):
+        return differences
+    try:
+        now = build_cycle_dataset(config, folder).card.hash
+    except MissingDependencyError as error:
+        return str(error)
+    return "" if now == card.hash else f"samples {card.hash[:16]}, now {now[:16]}"
