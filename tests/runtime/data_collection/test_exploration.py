@@ -9,6 +9,7 @@ import pytest
 from dualbrain.adaptation.curation.curate import CurationConfig
 from dualbrain.adaptation.value_model.value_model import fit_value_model
 from dualbrain.contracts.verdict import Accepted
+from dualbrain.core.paths import cache_folder
 from dualbrain.errors import ConfigurationError
 from dualbrain.grounding.alternatives import DEFAULT_ALTERNATIVE
 from dualbrain.grounding.instruction.goals.goal import Goal
@@ -18,6 +19,7 @@ from dualbrain.runtime.data_collection.exploration import explore as exploration
 from dualbrain.runtime.data_collection.exploration import rehearsal
 from dualbrain.runtime.data_collection.exploration.corruption import FOREIGN_TEXTS, corrupt
 from dualbrain.runtime.data_collection.exploration.explore import TRIALS_FILE, explore, nth_place, read_trials
+from dualbrain.runtime.data_collection.exploration.held_out import make_scene_evaluator, without_values
 from dualbrain.runtime.data_collection.exploration.place import Place
 from dualbrain.runtime.data_collection.exploration.proposals import SOURCE, propose_best
 from dualbrain.runtime.data_collection.exploration.rehearsal import draw_rehearsal
@@ -215,3 +217,23 @@ def test_perception_noise_is_that_of_the_full_simulation():
         seen = np.array(cell.executor.scene.find("red_cube").pose.position)
         true = np.array(cell.plant.true_pose("red_cube").position)
         assert 0.0 < np.linalg.norm(seen - true) <= cell.executor.scene.find("red_cube").error
+
+
+def test_a_question_can_be_read_without_values(value_model):
+    question = propose_best(value_model, 1, part="check", seed=3)
+    plain = without_values(question)
+    assert plain.id == question.id
+    assert instruction_of(plain) == instruction_of(question)
+    context = scene_context_by_name(question.scene)
+    assert context.summary_with_values in question.prompt[-1]["content"]
+    assert context.summary in plain.prompt[-1]["content"]
+
+
+@pytest.mark.slow
+def test_an_answer_is_executed_in_the_scene_of_its_question(value_model):
+    execute = make_scene_evaluator(5, cache_folder())
+    question = propose_best(value_model, 1, part="check", seed=3)
+    success, Delta = execute(question, question.contract)
+    assert success
+    assert Delta is not None
+    assert execute(question, question.contract.replace('"opening":0.0', '"opening":0.9')) == (False, None)

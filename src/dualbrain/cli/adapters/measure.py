@@ -59,7 +59,8 @@ def measure(
         Execute each contract in simulation, in the scene of its memory: success and Δ in closed loop. With --no-fly
         only the answers are scored, and the results cannot justify a promotion.
     ledger
-        The memory ledger that the data set was made from; default in dualbrain's home. Execution needs it.
+        The memory ledger that the data set was made from; default in dualbrain's home. Execution needs it, except for
+        the data set of an exploration, whose questions name generated scenes.
     seed
         Seed of all randomness in the simulation.
     threads
@@ -90,8 +91,12 @@ def measure(
     serving = (
         load_stack(champion_folder(registry, champion), cache_folder()) if champion != NO_ADAPTER else stack.without_top
     )
+    from dualbrain.runtime.data_collection.exploration.held_out import has_generated_scenes
+
+    generated = has_generated_scenes(dataset.card)
     with ExitStack() as opened:
-        ledger_reader = opened.enter_context(_open_source_ledger(ledger)) if fly or ledger else None
+        needs_ledger = ledger or (fly and not generated)
+        ledger_reader = opened.enter_context(_open_source_ledger(ledger)) if needs_ledger else None
         held_out = samples_for_robot(dataset.held_out, stack.top_card.robot)
         unseen = unseen_samples(
             held_out, [layer.card for layer in (*stack.layers, *serving.layers)], dataset, ledger_reader
@@ -100,13 +105,19 @@ def measure(
             left_out = len(held_out) - len(unseen)
             StderrConsole().print(f"left out: {left_out} questions from the training data of one of the two")
         questions, execute = select_questions(unseen, most), None
-        if fly and ledger_reader:
+        if fly and generated:
+            from dualbrain.runtime.data_collection.exploration.held_out import make_scene_evaluator
+
+            execute = make_scene_evaluator(seed, cache_folder())
+        elif fly and ledger_reader:
             from dualbrain.runtime.inspection.memory_replay import make_replay_evaluator
 
             execute = make_replay_evaluator(ledger_reader, questions, seed=seed)
         require_writable(out)
         results = [
-            _measure_adapter(one, adapter_id, questions, vocabulary, execute, threads)
+            _measure_adapter(
+                one, adapter_id, _as_read_by(one, questions, generated=generated), vocabulary, execute, threads
+            )
             for one, adapter_id in ((stack, stack.top_card.id), (serving, champion))
         ]
     measured = Measurement(*results, dataset=dataset.card.hash)
@@ -117,6 +128,14 @@ def measure(
         f"written: {out}" if fly else f"written: {out}; without execution, so it cannot justify a promotion"
     )
     return ExitCode.SUCCESS
+
+
+def _as_read_by(stack: AdapterStack, questions: Any, *, generated: bool) -> Any:
+    """The questions of an exploration as the planner `stack` serves: with fitting values if it was trained so."""
+    from dualbrain.runtime.data_collection.exploration.held_out import without_values
+
+    has_values = bool(stack.layers) and stack.top_card.scene_values
+    return tuple(map(without_values, questions)) if generated and not has_values else questions
 
 
 def _candidate(name: str, registry: AdapterRegistry) -> Path:
