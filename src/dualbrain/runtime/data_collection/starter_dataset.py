@@ -22,8 +22,8 @@ CYCLE = CycleConfig(
     explored_seed=1,
     explored=120,
     executed_seeds=(103, 104),
-    executions=200,
-    training_set=TrainingSetConfig(wordings=8),
+    executions=150,
+    training_set=TrainingSetConfig(wordings=12),
     adapt=AdaptConfig(
         curation=CurationConfig(rules=CleanRules(epsilon=EPSILON)),
         fit=FitConfig(steps=300, batch=16, at_once=16, save_every=100, ask_at_most=0, keep="last", threads=1),
