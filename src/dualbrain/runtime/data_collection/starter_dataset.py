@@ -23,10 +23,10 @@ CYCLE = CycleConfig(
     explored=120,
     executed_seeds=(103, 104),
     executions=150,
-    training_set=TrainingSetConfig(wordings=12),
+    training_set=TrainingSetConfig(wordings=4),
     adapt=AdaptConfig(
         curation=CurationConfig(rules=CleanRules(epsilon=EPSILON)),
-        fit=FitConfig(steps=300, batch=16, at_once=16, save_every=100, ask_at_most=0, keep="last", threads=1),
+        fit=FitConfig(steps=70, batch=16, at_once=8, save_every=10, ask_at_most=0, keep="last", threads=1),
     ),
 )
 """The last adapter is kept, and no question is asked during training."""
