@@ -3,12 +3,13 @@
     python -m benchmarks.planner_speed.before_after PLANNER [--count 50] [--threads 1] [--log FILE]
 
 Both variants answer the same questions, one after the other in alternating order, so that other load affects both.
-`before`: every token generated; for models without an adapter, examples chosen for each question, and the names in the
-scene listed after it. `after`: as planners serve, with saved states of the constant part of the prompt; a name such as
-`transformers:base-135m` compares this adapter in torch with llama.cpp before. The first question of each process is not
-measured, nor is the first one about all objects of a kind, because they read this constant part. The questions are the
-60 held-out instructions of the experiment `starter` and 40 others of the same generator, mixed, so that any prefix is a
-sample of both. With `--log`, answers are appended to a JSONL file, and a later call continues.
+`before`: every token generated; for models without an adapter, contracts with id and context in the prompt, examples
+chosen for each question, and the names in the scene listed after it. `after`: as planners serve, with saved states of
+the constant part of the prompt; a name such as `transformers:base-135m` compares this adapter in torch with llama.cpp
+before. The first question of each process is not measured, nor is the first one about all objects of a kind, because
+they read this constant part. The questions are the 60 held-out instructions of the experiment `starter` and 40 others
+of the same generator, mixed, so that any prefix is a sample of both. With `--log`, answers are appended to a JSONL
+file, and a later call continues.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ from dualbrain.core.weights import locate_weights
 from dualbrain.planner.backends.llama_cpp import LlamaConfig, LlamaPlanner
 from dualbrain.planner.prompt.full_prompt import ChatMessage, render_with_examples, selected_examples
 from dualbrain.planner.prompt.multi_goal import detect_needs
-from dualbrain.planner.prompt.prompt_format import FULL_PROMPT
+from dualbrain.planner.prompt.prompt_format import FULL_PROMPT, LOCAL_FULL_PROMPT
 from dualbrain.planner.protocol import Planner
 from dualbrain.planner.request import PlanRequest
 from dualbrain.runtime.data_collection.rollouts import ROBOT, build_request
@@ -118,7 +119,7 @@ def open_variant(name: str, kind: str, threads: int, states: Path) -> Planner:
         name = strip_torch_prefix(name)
     if name in packaged_names():
         return open_adapter(name, cache_folder(), adapters=dualbrain_home() / "adapters", config=config)
-    prompt_format = FULL_PROMPT if kind == AFTER else replace(FULL_PROMPT, messages=render_with_selected)
+    prompt_format = LOCAL_FULL_PROMPT if kind == AFTER else replace(FULL_PROMPT, messages=render_with_selected)
     return LlamaPlanner(name, locate_weights(name, cache_folder()), config, prompt_format=prompt_format)
 
 

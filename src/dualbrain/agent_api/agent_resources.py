@@ -18,7 +18,7 @@ from dualbrain.memory.embedding.posture_features import PostureLimits
 from dualbrain.memory.embedding.text_encoder import MiniLmEncoder
 from dualbrain.memory.ledger.ledger import Ledger
 from dualbrain.memory.memory import Memory
-from dualbrain.planner.prompt.full_prompt import conditional_text_hash, template_hash
+from dualbrain.planner.prompt.full_prompt import conditional_text_hash
 from dualbrain.planner.protocol import Planner
 from dualbrain.robots.model import RobotModel
 from dualbrain.runtime.agent import EpisodicMemory, NoMemory
@@ -63,7 +63,7 @@ def open_agent_resources(
         memory = _open_memory(ledger, robot_model, stack) if ledger else NoMemory()
         versions = {"dualbrain": metadata.version("dualbrain"), "kernel": kernel_hash()}
         if opened:
-            versions |= {"prompt": template_hash(), "beside": conditional_text_hash()} | planner_provenance(opened)
+            versions |= {"beside": conditional_text_hash()} | planner_provenance(opened)
         saved = SavedRuns(runs, robot_model) if runs else None
         return AgentResources(
             planner=opened,

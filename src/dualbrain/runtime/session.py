@@ -21,7 +21,7 @@ from dualbrain.memory.ledger.ledger import Ledger
 from dualbrain.memory.ledger.runs import InterruptedRun
 from dualbrain.memory.maintenance.edits import record_uses
 from dualbrain.memory.memory import Memory, StoreReport
-from dualbrain.planner.prompt.full_prompt import MAX_RECALLED, conditional_text_hash, template_hash
+from dualbrain.planner.prompt.full_prompt import MAX_RECALLED, conditional_text_hash
 from dualbrain.planner.protocol import Planner
 from dualbrain.records import Episode, FailureFeedback, Scene
 from dualbrain.robots.model import RobotModel
@@ -248,7 +248,6 @@ class Session:
             "dualbrain": __version__,
             "kernel": kernel_hash(),
             "mujoco": metadata.version("mujoco"),
-            "prompt": template_hash(),
             "beside": conditional_text_hash(),
             "plant": self.plant.model_source,
             "filter": "on" if self.config.guard else "off",

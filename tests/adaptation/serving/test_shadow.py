@@ -149,7 +149,7 @@ def test_messages_and_provenance_are_those_of_the_serving_planner(tmp_path):
     )
     assert planner_messages(planner, plan_request("words")) == [{"role": "user", "content": "words"}]
     planner = ShadowedPlanner(bare, adapted, log)
-    assert planner_provenance(planner) == planner_provenance(bare) == {}
+    assert planner_provenance(planner) == planner_provenance(bare) == {"prompt": template_hash()}
     assert planner_template(planner) == template_hash()
     assert planner_messages(planner, plan_request()) == render(plan_request())
 

@@ -1,6 +1,7 @@
 """The planner in transformers answers as llama.cpp does, under the same grammar."""
 
 # ruff: noqa: E402  (nothing is imported where the extras are missing)
+import itertools
 import json
 
 import jsonschema_rs
@@ -21,8 +22,14 @@ from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.planner import protocol
 from dualbrain.planner.backends.llama_cpp import LlamaConfig
 from dualbrain.planner.introspection import planner_template
-from dualbrain.planner.prompt.full_prompt import template_hash
-from dualbrain.planner.prompt.prompt_format import SHORT_PROMPT, UNCONSTRAINED_SHORT_PROMPT
+from dualbrain.planner.prompt import full_prompt
+from dualbrain.planner.prompt.full_prompt import local_template_hash
+from dualbrain.planner.prompt.prompt_format import (
+    FULL_PROMPT,
+    LOCAL_FULL_PROMPT,
+    SHORT_PROMPT,
+    UNCONSTRAINED_SHORT_PROMPT,
+)
 from dualbrain.planner.prompt.short_prompt import short_template_hash
 from tests.adaptation import tiny_adapter, tiny_gguf
 from tests.adaptation.tiny_gguf import model
@@ -30,6 +37,7 @@ from tests.planner.sample_requests import REGISTRY, plan_request
 
 pytestmark = pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::UserWarning")
 SHORT_STEPS = {"type": "array", "items": {"enum": ["open", "close"]}, "minItems": 1, "maxItems": 2}
+ALL_STEPS = [list(steps) for count in (1, 2) for steps in itertools.product(("open", "close"), repeat=count)]
 REQUEST = plan_request(schema={"type": "object", "properties": {"action_sequence": SHORT_STEPS}})
 
 
@@ -69,6 +77,29 @@ def test_without_constraints_it_reports_free_decoding(home):
     assert proposal.finish_reason == protocol.LENGTH
     assert proposal.constrained_by == "nothing (free decoding)"
     assert not proposal.text.startswith('{"id"')
+
+
+@pytest.fixture
+def brief_prompt(monkeypatch):
+    """A full prompt that fits into the context of the tiny model."""
+    monkeypatch.setattr(full_prompt, "SYSTEM", "{robot}{skills}{form}")
+    monkeypatch.setattr(full_prompt, "ARM_EXAMPLES", ())
+
+
+@pytest.mark.usefixtures("brief_prompt")
+@pytest.mark.parametrize("prompt_format", [LOCAL_FULL_PROMPT, FULL_PROMPT])
+def test_id_and_context_are_in_every_answer_once(home, prompt_format):
+    header = FULL_PROMPT.answer_prefix(REQUEST)
+    whole = make_planner(home, prompt_format).propose(REQUEST)
+    assert whole.finish_reason == protocol.STOP
+    jsonschema_rs.validator_for(REQUEST.schema).validate(json.loads(whole.text))
+    assert whole.text in {header + f"{json.dumps(steps, separators=(',', ':'))}}}" for steps in ALL_STEPS}
+    assert whole.constrained_by.endswith(prompt_format.header_note)
+    cut = make_planner(home, prompt_format, max_tokens=4).propose(REQUEST)
+    assert cut.finish_reason == protocol.LENGTH
+    assert cut.text == whole.text[: len(header) + 4]
+    late = make_planner(home, prompt_format, timeout_s=0.0).propose(REQUEST)
+    assert (late.finish_reason, late.text) == (protocol.TIMEOUT, "")
 
 
 def test_a_time_limit_is_a_finish_reason(home):
@@ -139,7 +170,7 @@ def test_the_planner_is_opened_by_name(home):
     bare = open_planner("transformers:tiny", home / "cache", **options)
     assert bare.name == "tiny in torch"
     assert planner_provenance(open_fit) == {"prompt": short_template_hash(), "adapter": open_fit.stack.top_card.id}
-    assert (planner_provenance(bare), planner_template(bare)) == ({}, template_hash())
+    assert planner_provenance(bare) == {"prompt": planner_template(bare)} == {"prompt": local_template_hash()}
     for wrong in ("bse-135m", "", "efficientnet-lite0"):
         with pytest.raises(UnknownNameError, match="base-135m"):
             open_planner(f"transformers:{wrong}", home / "cache", **options)

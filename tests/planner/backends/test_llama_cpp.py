@@ -48,7 +48,7 @@ def planner(weights: Path) -> Iterator[LlamaPlanner]:
     planner.close()
 
 
-def test_the_grammar_enforces_the_bounds_and_the_header_is_given(planner: LlamaPlanner) -> None:
+def test_the_grammar_enforces_the_bounds_and_the_header_is_inserted(planner: LlamaPlanner) -> None:
     proposal = planner.propose(plan_request("grasp red_cube with speed 9, speed must be 9.0"))
     assert proposal.finish_reason in {protocol.STOP, protocol.LENGTH}
     speeds = [float(number) for number in re.findall(r'"speed":([0-9.]+)', proposal.text)]

@@ -9,7 +9,7 @@ import pytest
 from dualbrain.core.storage.verification_stamp import write_stamp
 from dualbrain.planner.backends.llama_process import LoadedAdapter
 from dualbrain.planner.backends.prompt_cache import MAX_CACHED_STATES, PromptCache
-from dualbrain.planner.prompt.prompt_format import FULL_PROMPT, SHORT_PROMPT
+from dualbrain.planner.prompt.prompt_format import FULL_PROMPT, LOCAL_FULL_PROMPT, SHORT_PROMPT
 from dualbrain.records import RetrievedContext
 from tests.planner.backends.fake_chat_server import respond_with, serve
 from tests.planner.sample_requests import exemplar, plan_request
@@ -61,6 +61,7 @@ def test_every_part_of_the_key_changes_the_file(model):
         cache(model, adapters=(LoadedAdapter(A.path, A.id, 0.5),)),
         cache(model, n_ctx=4096),
         cache(model, prompt_format=SHORT_PROMPT),
+        cache(model, prompt_format=LOCAL_FULL_PROMPT),
     ]
     found = [one.state_path(plan_request()) for one in others]
     found.append(cache(model).state_path(plan_request(recall=RetrievedContext(exemplars=(exemplar(),)))))
@@ -235,3 +236,17 @@ def test_a_state_of_another_adapter_is_not_restored(model):
         assert server.requests == []
         assert cache(model, address, adapters=(A,)).restore(plan_request())
     assert len(server.requests) == 1
+
+
+def test_a_state_of_another_prompt_format_is_not_restored(model):
+    with serve(saving_server(model.parent)) as server:
+        full, local = (
+            cache(model, server.url.removesuffix("/v1"), prompt_format=one) for one in (FULL_PROMPT, LOCAL_FULL_PROMPT)
+        )
+        assert full.save(plan_request())
+        assert not local.restore(plan_request()), "id and context are in its rules and examples"
+        assert local.save(plan_request())
+        assert local.restore(plan_request())
+        assert full.restore(plan_request(), local.state_path(plan_request()))
+    restored = [body["filename"] for action, body in server.requests if action.endswith("restore")]
+    assert restored == [one.state_path(plan_request()).name for one in (local, full)]

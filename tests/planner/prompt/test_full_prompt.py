@@ -14,6 +14,7 @@ from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.schema import validation_schema
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.planner.prompt import full_prompt
+from dualbrain.planner.prompt.answer_form import WHOLE_CONTRACT
 from dualbrain.planner.prompt.arm_examples import (
     DECLINE_EXAMPLE,
     FETCH_EXAMPLES,
@@ -25,7 +26,6 @@ from dualbrain.planner.prompt.full_prompt import (
     ARM_EXAMPLES,
     MAX_EXEMPLARS,
     ChatMessage,
-    answer_header,
     render,
     template_hash,
     worked_examples,
@@ -120,7 +120,7 @@ def test_a_refusal_is_in_the_second_request() -> None:
 
 
 def test_the_header_is_the_beginning_of_the_requested_contract() -> None:
-    whole = json.loads(answer_header(plan_request()) + "[]}")
+    whole = json.loads(WHOLE_CONTRACT.answer_prefix(plan_request()) + "[]}")
     assert whole["id"] == "c-0007"
     assert whole["context"] == {"robot": "panda", "registry": REGISTRY.hash}
     assert list(whole) == list(plan_request().schema["properties"])

@@ -33,6 +33,7 @@ from dualbrain.planner.backends.llama_cpp import LlamaConfig, LlamaPlanner
 from dualbrain.planner.introspection import planner_template
 from dualbrain.planner.prompt.prompt_format import (
     FULL_PROMPT,
+    LOCAL_FULL_PROMPT,
     SHORT_PROMPT,
     PromptFormat,
     short_prompt,
@@ -216,7 +217,7 @@ def _open_in_torch(
         raise MissingDependencyError(f"The package {error.name} of the extra `adapt`", fix=fix) from error
     threads, timeout_s = limits
     config = TorchConfig(threads=threads, timeout_s=timeout_s)
-    full = without_constraints(FULL_PROMPT) if unconstrained else FULL_PROMPT
+    full = without_constraints(FULL_PROMPT) if unconstrained else LOCAL_FULL_PROMPT
     if not is_adapter(name):
         if name not in (models := plain.planner_names()):
             known = (*models, *packaged_names(), f"{ADAPTER_PREFIX}ID", f"{ADAPTER_PREFIX}{CHAMPION}")
@@ -278,9 +279,9 @@ def make_canary_check(
 
 
 def planner_provenance(planner: Planner) -> dict[str, str]:
-    """Prompt template and adapter of the planner that answers, for the episode record; empty without an adapter."""
+    """Prompt template of the planner that answers, and its adapter if it has one, for the episode record."""
     card: AdapterCard | None = getattr(planner, "card", None)
-    return {"prompt": planner_template(planner), "adapter": card.id} if card else {}
+    return {"prompt": planner_template(planner)} | ({"adapter": card.id} if card else {})
 
 
 def shadow_log_path(adapters: Path, adapter: str) -> Path:

@@ -137,23 +137,21 @@ class TorchPlanner:
         start = self._clock()
         model, tokenizer, vocabulary = self._load_model()
         loaded = self._clock()
-        prefixes = [self._prompt_format.answer_prefix(request) for request in requests]
         streams = [
-            self._make_stream(request, prefix, grammar, tokenizer, vocabulary)
-            for request, prefix, grammar in zip(requests, prefixes, grammars, strict=True)
+            self._make_stream(request, grammar, tokenizer, vocabulary)
+            for request, grammar in zip(requests, grammars, strict=True)
         ]
         torch.set_num_threads(self._config.threads)
         generate(model, streams, lambda: self._clock() > start + self._config.timeout_s)
         timings = {"load": loaded - start, "decode": self._clock() - loaded, "total": self._clock() - start}
         timings["at_once"] = float(len(requests))
         return [
-            self._proposal(request, stream, prefix, tokenizer, timings)
-            for request, stream, prefix in zip(requests, streams, prefixes, strict=True)
+            self._proposal(request, stream, tokenizer, timings)
+            for request, stream in zip(requests, streams, strict=True)
         ]
 
-    def _make_stream(
-        self, request: PlanRequest, prefix: str, grammar: str, tokenizer: Any, vocabulary: Any
-    ) -> DecodingStream:
+    def _make_stream(self, request: PlanRequest, grammar: str, tokenizer: Any, vocabulary: Any) -> DecodingStream:
+        prefix = self._prompt_format.answer_prefix(request)
         turns = [{"role": turn["role"], "content": turn["content"]} for turn in self._prompt_format.messages(request)]
         prompt_tokens = [*tokenize_prompt(tokenizer, turns)]
         prompt_tokens += tokenizer(prefix, add_special_tokens=False)["input_ids"] if prefix else []
@@ -171,10 +169,11 @@ class TorchPlanner:
         )
 
     def _proposal(
-        self, request: PlanRequest, stream: DecodingStream, prefix: str, tokenizer: Any, timings: dict[str, float]
+        self, request: PlanRequest, stream: DecodingStream, tokenizer: Any, timings: dict[str, float]
     ) -> Proposal:
         finish = protocol.STOP if stream.is_complete else protocol.LENGTH if stream.is_finished else protocol.TIMEOUT
-        text = prefix + tokenizer.decode(stream.output_tokens, skip_special_tokens=True)
+        decoded = tokenizer.decode(stream.output_tokens, skip_special_tokens=True)
+        text = self._prompt_format.contract_prefix(request) + decoded
         counts = {"prompt_tokens": float(len(stream.prompt_tokens)), "output_tokens": float(len(stream.output_tokens))}
         answer = text if finish != protocol.TIMEOUT else ""
         return Proposal(
@@ -204,7 +203,8 @@ class TorchPlanner:
 
     def _constrained_by(self, request: PlanRequest) -> str:
         version = llguidance.get_version() if hasattr(llguidance, "get_version") else ""
-        engine = f"llguidance {version} in transformers; header given".replace("  ", " ")
+        note = self._prompt_format.header_note
+        engine = f"llguidance {version} in transformers; {note}".replace("  ", " ")
         engine = engine if self._prompt_format.grammar is not None else UNCONSTRAINED_BY
         seed = self._prompt_format.sampling_seed(request)
         return engine if seed is None else f"{engine}; drawn by chance after a failure, seed {seed}"

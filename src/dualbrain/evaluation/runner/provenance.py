@@ -11,7 +11,7 @@ from importlib import metadata
 from pathlib import Path
 
 import dualbrain
-from dualbrain.planner.prompt.full_prompt import template_hash
+from dualbrain.planner.prompt.full_prompt import local_template_hash, template_hash
 from dualbrain.planner.prompt.short_prompt import short_template_hash
 from dualbrain.safety.cbf.kernel import kernel_hash
 
@@ -50,6 +50,7 @@ def collect_provenance() -> dict[str, str]:
         "code": code_hash(),
         "kernel": kernel_hash(),
         "prompt": template_hash(),
+        "local prompt": local_template_hash(),
         "short prompt": short_template_hash(),
         "python": platform.python_version(),
         "machine": f"{platform.system()} {platform.machine()}",

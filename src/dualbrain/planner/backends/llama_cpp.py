@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -19,7 +21,7 @@ from dualbrain.planner.backends.prompt_cache import PromptCache
 from dualbrain.planner.backends.token_server import TokenServer
 from dualbrain.planner.decoding.jump_forward import JumpForwardDecoder, JumpForwardError
 from dualbrain.planner.prompt.full_prompt import ChatMessage
-from dualbrain.planner.prompt.prompt_format import CONSTRAINED_BY, FULL_PROMPT, UNCONSTRAINED_BY, PromptFormat
+from dualbrain.planner.prompt.prompt_format import CONSTRAINED_BY, LOCAL_FULL_PROMPT, UNCONSTRAINED_BY, PromptFormat
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
 
@@ -46,7 +48,7 @@ class LlamaPlanner:
         config: LlamaConfig = DEFAULT_CONFIG,
         *,
         clock: Callable[[], float] = time.monotonic,
-        prompt_format: PromptFormat = FULL_PROMPT,
+        prompt_format: PromptFormat = LOCAL_FULL_PROMPT,
         adapters: tuple[LoadedAdapter, ...] = (),
     ) -> None:
         if find_spec("xllamacpp") is None:
@@ -107,10 +109,12 @@ class LlamaPlanner:
             cache.restore(request, worker.state)
         loaded = self._clock()
         deadline = start + self._config.timeout_s
-        response = failure or self._jump_forward(worker, address, body, deadline - loaded)
+        complete = partial(self._prompt_format.complete, request)
+        response = failure or self._jump_forward(worker, address, body, complete, timeout_s=deadline - loaded)
         if response is None:
             url, remaining_s = f"{address}/v1/chat/completions", deadline - self._clock()
             response = request_completion(url, body, key=worker.key, timeout_s=remaining_s)
+            response = replace(response, text=complete(response.text))
         response = self._check_response(worker, request, response)
         if response.finish_reason == protocol.STOP and state != worker.state:
             worker.state = state
@@ -158,9 +162,18 @@ class LlamaPlanner:
         return LlamaProcess(self._model, self._config, self._adapters)
 
     def _jump_forward(
-        self, worker: LlamaProcess, address: str, body: dict[str, Any], timeout_s: float
+        self,
+        worker: LlamaProcess,
+        address: str,
+        body: dict[str, Any],
+        complete: Callable[[str], str],
+        *,
+        timeout_s: float,
     ) -> ChatResponse | None:
-        """The response to `body` by jump-forward decoding; None if it must be decoded token by token."""
+        """The response to `body` by jump-forward decoding; None if it must be decoded token by token.
+
+        `complete` converts the text of the model, with the given beginning, to that of a contract.
+        """
         if not self._config.jump_forward or "grammar" not in body or body["temperature"] > 0.0:
             return None
         server = TokenServer(
@@ -172,11 +185,11 @@ class LlamaPlanner:
             tokenize=server.tokenize,
             candidates=server.candidates,
             max_tokens=body["max_tokens"],
-            show=lambda text: self._show(given + text),
+            show=lambda text: self._show(complete(given + text)),
         )
         try:
             server.read_prompt(body["messages"])
-            text = given + decoder.decode()
+            text = complete(given + decoder.decode())
         except TimeoutError:
             return ChatResponse(text="", finish_reason=protocol.TIMEOUT)
         except JumpForwardError:
@@ -221,7 +234,8 @@ class LlamaPlanner:
         return {"lora": adapters} if adapters else {}
 
     def _constrained_by(self, request: PlanRequest) -> str:
-        engine = UNCONSTRAINED_BY if self._prompt_format.grammar is None else CONSTRAINED_BY
+        constrained = f"{CONSTRAINED_BY}; {self._prompt_format.header_note}"
+        engine = UNCONSTRAINED_BY if self._prompt_format.grammar is None else constrained
         seed = self._prompt_format.sampling_seed(request)
         return engine if seed is None else f"{engine}; drawn by chance after a failure, seed {seed}"
 

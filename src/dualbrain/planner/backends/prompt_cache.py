@@ -26,7 +26,7 @@ from dualbrain.core.storage.private_files import tighten
 from dualbrain.core.weights import verified_hash
 from dualbrain.planner.backends.http_chat import post
 from dualbrain.planner.backends.llama_process import LoadedAdapter
-from dualbrain.planner.prompt.prompt_format import FULL_PROMPT, PromptFormat
+from dualbrain.planner.prompt.prompt_format import PromptFormat
 from dualbrain.planner.request import PlanRequest
 
 _TIMEOUT_S = 20.0
@@ -49,7 +49,7 @@ class PromptCache:
         address: str,
         key: str,
         *,
-        prompt_format: PromptFormat = FULL_PROMPT,
+        prompt_format: PromptFormat,
         adapters: tuple[LoadedAdapter, ...] = (),
     ) -> None:
         self._folder, self._model, self._n_ctx, self._address, self._key = folder, model, n_ctx, address, key

@@ -3,7 +3,7 @@
 Training and inference render the same messages from the same request. Order: role, rules, skills and worked examples
 (constant for an arm or a base, so that a server keeps their state), retrieved exemplars, then the last message:
 passages from documents with their citations, warnings, the feedback on an earlier contract, the gate's rejection in a
-second attempt, scene and instruction.
+second attempt, scene and instruction. Contracts are shown in one of two forms (`answer_form`).
 """
 
 from __future__ import annotations
@@ -11,9 +11,11 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable
-from typing import Any, TypedDict
+from dataclasses import asdict
+from typing import TypedDict
 
 from dualbrain.planner.prompt import image_note, mobile_base_examples, mobile_manipulator_examples, multi_goal
+from dualbrain.planner.prompt.answer_form import ACTIONS_ONLY, CONTRACT_LIMIT, WHOLE_CONTRACT, AnswerForm
 from dualbrain.planner.prompt.arm_examples import (
     DECLINE_EXAMPLE,
     LOW_EXAMPLE,
@@ -34,11 +36,12 @@ from dualbrain.records import Exemplar
 
 TEMPLATE_VERSION = 5
 """Increases with every change of text or order; an adapter is valid for one version only (see `template_hash`)."""
+LOCAL_TEMPLATE_VERSION = 1
+"""Increases with every change of the local full prompt that is no change of the full prompt."""
 
 INSTRUCTION_LIMIT = 400
 SCENE_LIMIT = 2400
 SCENE_LINES = 40
-CONTRACT_LIMIT = 1200
 MAX_EXEMPLARS = 3
 """Largest number of examples for a mobile robot, and for an arm of those that a caller requests (`worked_examples`)."""
 MAX_RECALLED = 2
@@ -79,11 +82,6 @@ changes these rules.
 
 Answer: {form}"""
 
-ANSWER_FORMAT = (
-    '{{"id":"c-0001","context":{{"robot":"{robot}","registry":"{registry}"}},'
-    '"action_sequence":[{{"skill":"...","params":{{...}}}}]}}'
-)
-
 
 ARM_EXAMPLES = (DECLINE_EXAMPLE, TIGHT_EXAMPLE, *multi_goal.EXAMPLES["order"], LOW_EXAMPLE)
 """The worked examples for an arm, the same in every request: a server reads them once."""
@@ -94,17 +92,25 @@ def render(request: PlanRequest) -> list[ChatMessage]:
     return render_with_examples(request, _examples(request))
 
 
-def render_with_examples(request: PlanRequest, examples: Iterable[WorkedExample]) -> list[ChatMessage]:
+def render_local(request: PlanRequest) -> list[ChatMessage]:
+    """The messages of `render` with contracts without id and context, for a model in this process."""
+    return render_with_examples(request, _examples(request), ACTIONS_ONLY)
+
+
+def render_with_examples(
+    request: PlanRequest, examples: Iterable[WorkedExample], form: AnswerForm = WHOLE_CONTRACT
+) -> list[ChatMessage]:
     """The messages for `request` with these `examples` instead of the usual ones, the best one last."""
     skills = _without_names(request.skills_text)
-    form = ANSWER_FORMAT.format(robot=request.robot, registry=request.registry_hash)
-    system = _system(request).format(robot=request.robot, skills=skills, form=form)
+    answer_format = form.answer_format.format(robot=request.robot, registry=request.registry_hash)
+    system = _system(request).format(robot=request.robot, skills=skills, form=answer_format)
     messages: list[ChatMessage] = [{"role": "system", "content": system}]
     for number, example in enumerate(examples, start=1):
         contract_id = f"c-{number:04d}"
-        messages.append({"role": "user", "content": _question(example.scene, example.instruction, contract_id)})
-        messages.append({"role": "assistant", "content": _answer(request, contract_id, list(example.actions))})
-    messages.append({"role": "user", "content": _last_question(request)})
+        end = form.question_end.format(contract_id=contract_id)
+        messages.append({"role": "user", "content": _question(example.scene, example.instruction, end)})
+        messages.append({"role": "assistant", "content": form.answer(request, contract_id, list(example.actions))})
+    messages.append({"role": "user", "content": _last_question(request, form)})
     return messages
 
 
@@ -137,16 +143,20 @@ def selected_examples(request: PlanRequest) -> list[WorkedExample]:
     return select_examples(request.scene, request.instruction, MAX_EXEMPLARS)
 
 
-def answer_header(request: PlanRequest) -> str:
-    """The beginning of every valid answer to `request`: the text before the action sequence."""
-    empty = _answer(request, request.contract_id, [])
-    return empty.removesuffix("[]}")
-
-
 def template_hash() -> str:
     """First 16 hex digits of the SHA-256 of the fixed text of the prompt."""
-    fixed = [TEMPLATE_VERSION, SYSTEM, ANSWER_FORMAT, [list(example) for example in (*WORKED_EXAMPLES, *ARM_EXAMPLES)]]
+    fixed = [TEMPLATE_VERSION, SYSTEM, WHOLE_CONTRACT.answer_format]
+    fixed.append([list(example) for example in (*WORKED_EXAMPLES, *ARM_EXAMPLES)])
     fixed += [mobile_base_examples.SYSTEM, [list(example) for example in mobile_base_examples.EXAMPLES]]
+    return hashlib.sha256(json.dumps(fixed, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def local_template_hash() -> str:
+    """First 16 hex digits of the SHA-256 of the fixed text of the local full prompt.
+
+    That is the text of the full prompt, with another form of contracts.
+    """
+    fixed = [template_hash(), LOCAL_TEMPLATE_VERSION, asdict(ACTIONS_ONLY)]
     return hashlib.sha256(json.dumps(fixed, sort_keys=True).encode()).hexdigest()[:16]
 
 
@@ -223,19 +233,20 @@ def _to_example(exemplar: Exemplar) -> WorkedExample | None:
     return WorkedExample(exemplar.summary, exemplar.instruction, tuple(actions))
 
 
-def _question(scene: str, instruction: str, contract_id: str) -> str:
+def _question(scene: str, instruction: str, end: str) -> str:
     parts = [
         format_block("scene", scene, limit=SCENE_LIMIT, lines=SCENE_LINES),
         format_block("instruction", instruction, limit=INSTRUCTION_LIMIT),
-        f"Contract {contract_id}:",
+        end,
     ]
     return "\n".join(parts)
 
 
-def _last_question(request: PlanRequest) -> str:
+def _last_question(request: PlanRequest, form: AnswerForm) -> str:
     warnings = [_warning(exemplar) for exemplar in request.recall.warnings[:MAX_WARNINGS]]
     parts = [part for part in (_knowledge(request), *warnings) if part]
-    parts.append(_question(request.scene, request.instruction, request.contract_id))
+    end = form.question_end.format(contract_id=request.contract_id)
+    parts.append(_question(request.scene, request.instruction, end))
     if needs := multi_goal.detect_needs(request):
         parts.insert(-1, multi_goal.format_rules(needs))
     if request.failure_feedback is not None:
@@ -258,9 +269,3 @@ def _warning(exemplar: Exemplar) -> str:
     actions = compact_json(exemplar.contract.get("action_sequence"), limit=CONTRACT_LIMIT)
     instruction = sanitize(exemplar.instruction, limit=INSTRUCTION_LIMIT)
     return f"Do not answer like this, it failed:\n<warning>\n{instruction}: {actions}\n</warning>" if actions else ""
-
-
-def _answer(request: PlanRequest, contract_id: str, actions: list[Any]) -> str:
-    context = {"robot": request.robot, "registry": request.registry_hash}
-    contract = {"id": contract_id, "context": context, "action_sequence": actions}
-    return compact_json(contract, limit=2 * CONTRACT_LIMIT)

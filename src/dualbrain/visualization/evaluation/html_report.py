@@ -43,7 +43,7 @@ LATENCY_NOTE = (
     f"{WALL_TIME_NOTE}, so that the longest times include other processes. The simulation waits for each step, so none "
     "of them is a missed deadline; docs/reference/safety/kernel.md gives the worst-case processor time of a kernel step"
 )
-PROVENANCE_FIELDS = ("dualbrain", "code", "kernel", "prompt", "short prompt", "python")
+PROVENANCE_FIELDS = ("dualbrain", "code", "kernel", "prompt", "local prompt", "short prompt", "python")
 """Provenance entries that are listed one by one; the others are package versions."""
 NOT_RECORDED = "not recorded"
 
