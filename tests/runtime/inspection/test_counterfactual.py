@@ -71,6 +71,13 @@ def test_the_same_request_is_sent_once(second, tmp_path):
     assert query(second, [hold_contract(0.7)], tmp_path) == (used, 0)
 
 
+def test_a_planner_of_the_same_name_with_another_prompt_is_asked_again(second, tmp_path, monkeypatch):
+    assert query(second, [hold_contract(1.5)], tmp_path) == ((MemoryUse("one", used=True, contributing=True),), 1)
+    monkeypatch.setattr(ScriptedPlanner, "template", "0123456789abcdef", raising=False)
+    unused = (MemoryUse("one", used=False, contributing=False),)
+    assert query(second, [hold_contract(0.71)], tmp_path) == (unused, 1)
+
+
 @pytest.mark.parametrize("damaged", [b"", b'{"text": "paus', b'{"planner": "scripted"}', b"\xff", b"[]"])
 def test_an_answer_in_a_damaged_file_is_requested_and_stored_again(second, tmp_path, damaged):
     used = (MemoryUse("one", used=True, contributing=True),)

@@ -18,6 +18,7 @@ from dualbrain.errors import DECODE_ERRORS
 from dualbrain.grounding.scene_summary import held_in_summary, summarise_scene
 from dualbrain.grounding.vocabulary import scene_names
 from dualbrain.memory.plasticity.retrieval_utility import ExclusionEffect, evaluate_use
+from dualbrain.planner.introspection import planner_template
 from dualbrain.planner.prompt.full_prompt import render
 from dualbrain.planner.protocol import LENGTH, STOP, Planner
 from dualbrain.planner.request import PlanRequest
@@ -81,7 +82,8 @@ class CounterfactualQueries:
 
     def _propose_cached(self, request: PlanRequest) -> str | None:
         """The answer, "" if it was cut at its limit; None if there is none, which is not cached."""
-        key = json.dumps([self._planner.name, render(request), request.schema], sort_keys=True)
+        planner = [self._planner.name, planner_template(self._planner)]
+        key = json.dumps([planner, render(request), request.schema], sort_keys=True)
         path = self._cache / f"{hashlib.sha256(key.encode()).hexdigest()}.json"
         if (cached := _read_cached(path)) is not None:
             return cached
