@@ -1,4 +1,4 @@
-"""Answers of planners in the kinematic twin: `python -m experiments.adaptation.twin_answers QUESTIONS ANSWERS... `.
+"""Answers of planners in the kinematic twin: `python -m experiments.adaptation.exploration.twin_answers QUESTIONS ANSWERS... `.
 
 QUESTIONS is the folder of a data set whose held-out part are the questions, ANSWERS are files of `parallel_fits.py`.
 One JSON line per answer is printed: whether the gate accepts it, the outcome in the twin, and the contract.
@@ -21,7 +21,7 @@ from dualbrain.grounding.vocabulary import load_skill_registry
 from dualbrain.runtime.data_collection.exploration.place import Place
 from dualbrain.runtime.data_collection.exploration.trial import Trial, execute_in_twin
 from dualbrain.runtime.data_collection.synthetic_scenes import scene_context_by_name
-from experiments.adaptation.parallel_fits import Answer
+from experiments.adaptation.exploration.parallel_fits import Answer
 
 PLACEMENT_SOURCE = "placement"
 """Source of the questions whose answers are executed; the others are only compared with the expected contract."""

@@ -1,0 +1,1 @@
+"""Fits and answers of planners that were adapted by exploration."""
