@@ -1,4 +1,6 @@
-"""Adapters with different settings, fitted side by side: `python -m experiments.adaptation.exploration.parallel_fits PLAN OUT`.
+"""Adapters with different settings, fitted side by side.
+
+    python -m experiments.adaptation.exploration.parallel_fits PLAN OUT
 
 PLAN is a JSON file with a list of fits. A GPU fits several small adapters in the time of one, because one of them does
 not use it fully. A finished fit is not repeated; an interrupted one continues.

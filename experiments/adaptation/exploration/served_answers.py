@@ -1,4 +1,6 @@
-"""Answers of a planner as it serves: `python -m experiments.adaptation.exploration.served_answers PLANNER QUESTIONS OUT`.
+"""Answers of a planner as it serves.
+
+    python -m experiments.adaptation.exploration.served_answers PLANNER QUESTIONS OUT
 
 QUESTIONS is the folder of a data set whose held-out part are the questions. In contrast to the answers of
 `parallel_fits.py`, the grammar of the scene constrains them, and the planner runs in llama.cpp. `PLANNER+example` shows

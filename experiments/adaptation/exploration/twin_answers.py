@@ -1,4 +1,6 @@
-"""Answers of planners in the kinematic twin: `python -m experiments.adaptation.exploration.twin_answers QUESTIONS ANSWERS... `.
+"""Answers of planners in the kinematic twin.
+
+    python -m experiments.adaptation.exploration.twin_answers QUESTIONS ANSWERS...
 
 QUESTIONS is the folder of a data set whose held-out part are the questions, ANSWERS are files of `parallel_fits.py`.
 One JSON line per answer is printed: whether the gate accepts it, the outcome in the twin, and the contract.
