@@ -15,17 +15,16 @@ from dualbrain.adaptation.synthetic.dataset import (
 )
 from dualbrain.grounding.vocabulary import load_skill_registry
 from dualbrain.runtime.data_collection import starter_dataset
-from dualbrain.runtime.data_collection.exploration.proposals import SOURCE
 from dualbrain.runtime.data_collection.rollouts import ROBOT
 from dualbrain.runtime.data_collection.synthetic_scenes import ROBOT_SHARES, generate_examples
 
 MAX_BYTES = 5_000_000
 REGISTRIES = {robot: load_skill_registry(robot) for robot in ROBOT_SHARES}
 EXPECTED = {
-    "base-135m": (SYNTHETIC_ADAPT_CONFIG, list(REGISTRIES), {"templates"}),
-    "starter-135m": (starter_dataset.CYCLE.adapt, [ROBOT], {SOURCE, "templates"}),
+    "base-135m": (SYNTHETIC_ADAPT_CONFIG, list(REGISTRIES)),
+    "starter-135m": (starter_dataset.ADAPT_CONFIG, [ROBOT]),
 }
-"""By name: the settings, the robots in the training data, and its sources."""
+"""By name: the settings, and the robots in the training data."""
 
 
 @pytest.fixture(params=packaged_names())
@@ -45,7 +44,7 @@ def test_the_adapter_of_the_main_results_is_packaged():
 def test_a_packaged_adapter_agrees_with_its_card(name, card):
     assert card.base_sha256 == base_model_hash(card.base)
     assert card.bootstrapped
-    assert set(card.sources) == EXPECTED[name][2]
+    assert set(card.sources) == {"templates"}
     assert card.config == EXPECTED[name][0]
     assert read_lora(packaged_folder(name))
     assert (packaged_folder(name) / WEIGHTS_FILE).stat().st_size <= MAX_BYTES

@@ -1,69 +1,64 @@
-"""The starter data set: settings of its cycle, and differences from a stored data set in words."""
+"""The starter data set: random proposals that succeeded, declines by their label, and the sources on the card."""
 
-from types import SimpleNamespace
-
-import msgspec
 import pytest
 
 from dualbrain.adaptation.adapters.card import has_foreign_proposals
-from dualbrain.adaptation.curation.dataset import DatasetCard
-from dualbrain.grounding.vocabulary import load_skill_registry
-from dualbrain.planner.prompt.short_prompt import short_template_hash
+from dualbrain.adaptation.curation.sample import encode_samples
+from dualbrain.memory.ledger.ledger import LedgerReader
 from dualbrain.runtime.data_collection import starter_dataset
-from dualbrain.runtime.data_collection.exploration import cycle
-from dualbrain.runtime.data_collection.exploration.proposals import SOURCE
-from dualbrain.runtime.data_collection.rollouts import EPSILON
-
-CARD = DatasetCard(
-    hash="a" * 64,
-    form="conversational prompt-completion, JSON lines",
-    robot="panda",
-    registry=load_skill_registry("panda").hash,
-    prompt=short_template_hash(),
-    ledger="",
-    event=0,
-    memories=0,
-    train=0,
-    held_out=0,
-    shown=0,
-    scenes=0,
-    merged=0,
-    left_out={},
-    sources={SOURCE: 4, "templates": 2},
-    epsilon=EPSILON,
-    slowest=1.5,
-    most_repeats=1,
-    share_held_out=0.1,
-    salt="",
-    scene_values=True,
+from dualbrain.runtime.data_collection.rollouts import (
+    LEDGER_FILE,
+    PROPOSALS_FILE,
+    draw_proposals,
+    is_declined,
+    memory_id_of_turn,
+    turn_of_memory_id,
 )
-DIFFERENCES = {
-    "form": ({"form": "another"}, "form another, now conversational"),
-    "robot": ({"robot": "ur5e"}, "robot ur5e, now panda"),
-    "vocabulary": ({"registry": "00000000"}, "registry 00000000, now "),
-    "prompt": ({"prompt": "0" * 16}, f"prompt {'0' * 16}, now "),
-    "site": ({"site": "a" * 64}, f"site {'a' * 64}, now "),
-    "summary": ({"scene_values": False}, "scene_values False, now True"),
-}
+from tests.adaptation.sample_episodes import episode, pick_contract, summary, write_ledger
+
+DECLINE = pick_contract() | {"action_sequence": [{"skill": "decline", "params": {"reason": "no skill can do this"}}]}
+CYCLE = 7
 
 
-@pytest.mark.parametrize("part", DIFFERENCES)
-def test_a_data_set_for_something_else_is_named(tmp_path, part):
-    changed, words = DIFFERENCES[part]
-    assert words in cycle.dataset_difference(msgspec.structs.replace(CARD, **changed), starter_dataset.CYCLE, tmp_path)
+@pytest.fixture(scope="module")
+def drawn():
+    return draw_proposals(starter_dataset.SEED, 80, include_declines=True)
 
 
-def test_a_data_set_without_its_executions_is_named(tmp_path):
-    assert "value_model.json" in cycle.dataset_difference(CARD, starter_dataset.CYCLE, tmp_path)
+@pytest.fixture
+def rollouts(drawn, tmp_path):
+    """Rollouts that were not simulated: of seven successes, one is declined and one has a large Δ."""
+    episodes = [make_episode(turn, one) for turn, one in enumerate(drawn)]
+    write_ledger(tmp_path, episodes).close()
+    (tmp_path / PROPOSALS_FILE).write_bytes(encode_samples(drawn))
+    return tmp_path
 
 
-def test_samples_that_were_made_differently_are_named(tmp_path, monkeypatch):
-    now = msgspec.structs.replace(CARD, hash="b" * 64)
-    monkeypatch.setattr(cycle, "build_cycle_dataset", lambda config, folder: SimpleNamespace(card=now))
-    assert cycle.dataset_difference(CARD, starter_dataset.CYCLE, tmp_path) == f"samples {'a' * 16}, now {'b' * 16}"
-    assert cycle.dataset_difference(now, starter_dataset.CYCLE, tmp_path) == ""
+def make_episode(turn, one):
+    common = {
+        "proposer": one.source,
+        "scene_summary": summary(number=turn),
+        "instruction": f"instruction {turn}",
+    }
+    if is_declined(one) or turn % CYCLE == 0:
+        return episode(memory_id_of_turn(turn), "declined", Delta=None, duration=0.0, plan=DECLINE, **common)
+    return episode(memory_id_of_turn(turn), Delta=0.1 if turn % CYCLE == 1 else 0.001, **common)
 
 
-def test_the_proposals_are_foreign_to_the_base():
-    assert has_foreign_proposals(CARD.sources, starter_dataset.BASE_MODEL)
-    assert starter_dataset.CYCLE.adapt.curation.rules.epsilon == EPSILON
+def test_successes_are_selected_by_verdict_and_declines_by_their_label(rollouts, drawn):
+    data = starter_dataset.build_dataset(rollouts)
+    turns = {turn_of_memory_id(row.memory) for row in (*data.train, *data.held_out)}
+    successes = {turn for turn, one in enumerate(drawn) if not is_declined(one) and turn % CYCLE > 1}
+    declines = [turn for turn, one in enumerate(drawn) if is_declined(one)]
+    assert turns - set(declines) == successes
+    assert turns & set(declines) == set(declines[: len(successes) // starter_dataset.SUCCESSES_PER_DECLINE])
+    assert turns & set(declines)
+
+
+def test_the_card_names_the_foreign_source_of_the_proposals(rollouts):
+    data = starter_dataset.build_dataset(rollouts)
+    assert set(data.card.sources) == {"templates"}
+    assert has_foreign_proposals(data.card.sources, starter_dataset.BASE_MODEL)
+    assert data.card.robot == "panda"
+    with LedgerReader(rollouts / LEDGER_FILE) as ledger:
+        assert data.card.ledger == ledger.head().hash

@@ -102,7 +102,7 @@ def write_explored_dataset(name: str, config: CycleConfig, folder: Path) -> Any:
         console.print(f"using the data set in {folder}")
     else:
         value_model = cycle.explore_places(config, folder, _place_printer(console, config.explored))
-        on_episode = _episode_printer(console, len(config.executed_seeds) * config.executions)
+        on_episode = episode_printer(console, len(config.executed_seeds) * config.executions)
         cycle.execute_choices(config, folder, value_model, cache=cache_folder(), on_episode=on_episode)
         console.print("building the training set (minutes)")
         write_dataset(cycle.build_cycle_dataset(config, folder), folder / DATASET_FOLDER)
@@ -132,7 +132,7 @@ def _place_printer(console: StderrConsole, number: int) -> Callable[[int, Any], 
     return print_place
 
 
-def _episode_printer(console: StderrConsole, number: int) -> Callable[[int, Any], None]:
+def episode_printer(console: StderrConsole, number: int) -> Callable[[int, Any], None]:
     """Prints each episode with the remaining time, at the pace of those since the start of this command."""
     start, executed = time.monotonic(), count(1)
 

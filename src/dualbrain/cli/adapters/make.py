@@ -30,10 +30,9 @@ def make(name: str, /, *, out: Path | None = None, json: Flag = False) -> int:
 
     base-135m is SmolLM2 trained on the language of contracts of panda, ur5e and base: templates with random valid
     parameters, nothing executed. It plans without any experience of a robot. starter-135m is base-135m after a first
-    training run on experience: named alternatives are explored at 120 places in the kinematic twin, the choices of the
-    value model are executed at new places in the full simulation, and the clean ones become training samples. An
-    interrupted run resumes with the same command and the same --out. A data set in the folder that differs from the
-    adapter's present one is rejected.
+    training run on experience: random contracts for the panda, executed in their scenes, of which the successful ones
+    were selected. An interrupted run resumes with the same command and the same --out. A data set in the folder that
+    differs from the adapter's present one is rejected.
 
     Parameters
     ----------
@@ -99,13 +98,32 @@ def _write_synthetic_dataset(folder: Path, registries: Mapping[str, SkillRegistr
 
 
 def _starter_135m(folder: Path, group: ProcessGroup) -> Any:
-    from dualbrain.cli.adapters.explore import write_explored_dataset
     from dualbrain.grounding.vocabulary import load_skill_registry
     from dualbrain.runtime.data_collection import starter_dataset as starter
+    from dualbrain.runtime.data_collection.rollouts import ROBOT
 
-    group.run_on_first(lambda: write_explored_dataset("starter-135m", starter.CYCLE, folder))
-    registries = {starter.CYCLE.robot: load_skill_registry(starter.CYCLE.robot)}
-    return _fit(starter.BASE_MODEL, starter.CYCLE.adapt, registries, folder, group)
+    group.run_on_first(lambda: _write_rollout_dataset(folder))
+    return _fit(starter.BASE_MODEL, starter.ADAPT_CONFIG, {ROBOT: load_skill_registry(ROBOT)}, folder, group)
+
+
+def _write_rollout_dataset(folder: Path) -> None:
+    """Execute the proposals and write the data set of the successful ones to `folder`, unless it is there already."""
+    from dualbrain.adaptation.curation.dataset import read_dataset, read_dataset_card, write_dataset
+    from dualbrain.cli.adapters.explore import episode_printer, require_same_dataset
+    from dualbrain.runtime.data_collection import starter_dataset as starter
+
+    console, day = StderrConsole(), folder / "day"
+    if (folder / DATASET_FOLDER / "dataset.json").is_file():
+        others = starter.dataset_difference(read_dataset_card(folder / DATASET_FOLDER), day, starter.N_PROPOSALS)
+        require_same_dataset("starter-135m", folder, others)
+        console.print(f"using the data set in {folder}")
+    else:
+        on_episode = episode_printer(console, starter.N_PROPOSALS)
+        ledger_folder = starter.collect_rollouts(day, starter.N_PROPOSALS, cache=cache_folder(), on_episode=on_episode)
+        write_dataset(starter.build_dataset(ledger_folder), folder / DATASET_FOLDER)
+    data = read_dataset(folder / DATASET_FOLDER)
+    reasons = "".join(f"; {number} {reason}" for reason, number in data.card.left_out.items())
+    console.print(f"{data.card.train} samples to train on, {data.card.held_out} held out{reasons}")
 
 
 # --- both -------------------------------------------------------------------------------------------------------------

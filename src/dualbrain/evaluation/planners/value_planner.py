@@ -1,6 +1,4 @@
-"""The planner `value:NAME`: the choice of a value model, without a language model (method V).
-
-NAME is a packaged adapter, whose training data the value model chose, or a JSON file.
+"""The planner `value:FILE`: the choice of a value model, without a language model (method V).
 
 It shows how much of the merit of an adapted planner is that of the value model. It reads the same text as an adapted
 planner, a scene with fitting values; object and destination are those of the planner `template`.
@@ -11,9 +9,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from dualbrain.adaptation.adapters.packaged import packaged_folder, packaged_names
 from dualbrain.adaptation.value_model.symbols import Placement, stated_value
-from dualbrain.adaptation.value_model.value_model import VALUE_MODEL_FILE, ValueModel, load_value_model
+from dualbrain.adaptation.value_model.value_model import ValueModel, load_value_model
 from dualbrain.core.storage.checksum import file_sha256
 from dualbrain.evaluation.planners.random_contract import encode_contract, skill_parameter_schemas
 from dualbrain.evaluation.planners.template import TemplatePlanner, match_name
@@ -30,20 +27,14 @@ STATED_WORDS = {"opening": "opening", "clearance": "clearance", "finger_axis": "
 
 
 def load_value_planner(name: str) -> ValuePlanner:
-    """The planner `name` = value:NAME; raises `ConfigurationError` for an unreadable file."""
-    return ValuePlanner(name, load_value_model(value_model_path(name)))
+    """The planner `name` = value:FILE; raises `ConfigurationError` for an unreadable file."""
+    return ValuePlanner(name, load_value_model(Path(name.removeprefix(VALUE_PREFIX))))
 
 
 def value_model_digest(name: str) -> str:
     """The first 16 hex digits of the SHA-256 of the file of the planner `name`: cached answers are of one file."""
-    path = value_model_path(name)
+    path = Path(name.removeprefix(VALUE_PREFIX))
     return file_sha256(path)[:16] if path.is_file() else ""
-
-
-def value_model_path(name: str) -> Path:
-    """The file of the planner `name`."""
-    packaged = name.removeprefix(VALUE_PREFIX)
-    return packaged_folder(packaged) / VALUE_MODEL_FILE if packaged in packaged_names() else Path(packaged)
 
 
 class ValuePlanner:
