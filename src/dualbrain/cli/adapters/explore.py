@@ -40,8 +40,8 @@ def explore(
     Named alternatives of a contract are executed at some places in the kinematic twin. A value model is fitted to
     their outcomes. Its choices at new places are executed in the full simulation, the clean ones become training
     samples in several wordings, and an adapter is trained on them. It is not used before its promotion. An interrupted
-    run resumes with the same command and the same --out. With the default settings the executions take about three
-    hours on one processor, and the training two.
+    run resumes with the same command and the same --out. With the default settings the executions take about an hour
+    on one idle processor, and the training two.
 
     Parameters
     ----------
