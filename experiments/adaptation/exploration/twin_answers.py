@@ -2,8 +2,9 @@
 
     python -m experiments.adaptation.exploration.twin_answers QUESTIONS ANSWERS...
 
-QUESTIONS is the folder of a data set whose held-out part are the questions, ANSWERS are files of `parallel_fits.py`.
-One JSON line per answer is printed: whether the gate accepts it, the outcome in the twin, and the contract.
+QUESTIONS is the folder of a data set whose held-out part are the questions, ANSWERS are files of `parallel_fits.py` or
+`served_answers.py`. One JSON line per answer is printed: whether the gate accepts it, the outcome in the twin, and the
+contract.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 import msgspec
 
@@ -13,6 +13,7 @@ from dualbrain.core.untrusted.bounded_file import read_bounded_file
 from dualbrain.core.untrusted.toml_document import TomlFault, parse_toml
 from dualbrain.errors import ConfigurationError
 
+Settings = TypeVar("Settings", bound=msgspec.Struct)
 MAX_FILE_BYTES = 1 << 20
 """Largest size of a settings file."""
 
@@ -109,11 +110,17 @@ class AdaptConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 def read_config(path: Path) -> AdaptConfig:
     """The settings in the TOML file at `path`; `ConfigurationError` names a wrong or unknown setting."""
-    fix = f"Use the settings of `[curation]`, `[objective]` and `[fit]`. {path}"
+    fix = "Use the settings of `[curation]`, `[objective]` and `[fit]`."
+    return read_settings(path, AdaptConfig, "The adaptation config", fix)
+
+
+def read_settings(path: Path, kind: type[Settings], name: str, fix: str) -> Settings:
+    """The settings `kind` in the TOML file at `path`, called `name` in messages; raises as `read_config`."""
+    fix = f"{fix} {path}"
     tables = parse_toml(read_bounded_file(path, MAX_FILE_BYTES))
     if isinstance(tables, TomlFault):
-        raise ConfigurationError.stating(f"The adaptation config cannot be read: {tables.problem}.", fix=fix)
+        raise ConfigurationError.stating(f"{name} cannot be read: {tables.problem}.", fix=fix)
     try:
-        return msgspec.convert(tables, AdaptConfig)
+        return msgspec.convert(tables, kind)
     except msgspec.ValidationError as error:
-        raise ConfigurationError.stating(f"The adaptation config cannot be read: {error}.", fix=fix) from error
+        raise ConfigurationError.stating(f"{name} cannot be read: {error}.", fix=fix) from error

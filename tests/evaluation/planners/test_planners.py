@@ -16,10 +16,10 @@ from dualbrain.evaluation.planners.adversary import Adversary
 from dualbrain.evaluation.planners.answer_cache import AnswerCache, CachingPlanner
 from dualbrain.evaluation.planners.corrupted_prompt import CorruptedPromptPlanner, corrupt_prompt
 from dualbrain.evaluation.planners.factory import PlannerFactory, PlannerSources
-from dualbrain.evaluation.planners.few_shot import FewShotPlanner, with_example
+from dualbrain.evaluation.planners.few_shot import BEST_FIXED, NO_CHANGE, FewShotPlanner, with_example
 from dualbrain.evaluation.planners.template import TemplatePlanner, match_name
 from dualbrain.evaluation.protocol.method import METHODS
-from dualbrain.evaluation.protocol.suite import parse_suite
+from dualbrain.evaluation.protocol.suite import load_suite, parse_suite
 from dualbrain.evaluation.runner.work_units import build_units
 from dualbrain.evaluation.runner.worker import Worker, WorkerConfig
 from dualbrain.grounding.vocabulary import load_skill_registry, planner_grants
@@ -244,6 +244,28 @@ def test_the_example_of_the_few_shot_prompt_has_the_schema_of_a_contract(robot):
     text = render_short("", "", robot=robot, registry="", contract_id="", exemplars=exemplars)[1]["content"]
     assert text.count("<example>") == 1
     assert planner.name == "scripted, with a worked example"
+
+
+@pytest.mark.parametrize("robot", ["panda", "base"])
+def test_the_fixed_example_has_other_parameters_and_nothing_else(robot):
+    usual, fixed = (with_example(request(robot), values).recall.exemplars[0] for values in (NO_CHANGE, BEST_FIXED))
+    assert msgspec.structs.replace(fixed, contract=usual.contract) == usual
+    pairs = zip(usual.contract["action_sequence"], fixed.contract["action_sequence"], strict=True)
+    for before, after in pairs:
+        assert (before["skill"], before["params"].keys()) == (after["skill"], after["params"].keys())
+        for name, value in after["params"].items():
+            assert value == BEST_FIXED.get(name, before["params"][name])
+    if robot == "panda":
+        assert fixed.contract != usual.contract
+    assert with_example(request(robot)).recall.exemplars[0] == usual, "the example itself is unchanged"
+
+
+def test_the_fixed_example_has_answers_of_its_own(tmp_path):
+    suite = load_suite("adaptation")
+    factory = PlannerFactory(suite, PlannerSources(tmp_path, tmp_path), AnswerCache(tmp_path))
+    names = {name: factory.get(METHODS[name], "panda").id for name in ("B3", "PE", "PE-fixed")}
+    assert len(set(names.values())) == 3
+    assert FewShotPlanner(ScriptedPlanner([]), BEST_FIXED).name == "scripted, with a worked example of fixed parameters"
 
 
 def test_retrieved_exemplars_are_not_replaced_by_the_example():

@@ -1,21 +1,24 @@
 """One cycle of exploration: stages, their order, and continuation after an interruption at any point."""
 
+import msgspec
 import pytest
 
-from dualbrain.adaptation.config import AdaptConfig
+from dualbrain.adaptation.config import AdaptConfig, FitConfig
 from dualbrain.adaptation.curation.curate import CurationConfig
 from dualbrain.adaptation.curation.selection import CleanRules
 from dualbrain.adaptation.value_model.value_model import load_value_model
-from dualbrain.errors import MissingDependencyError
+from dualbrain.errors import ConfigurationError, MissingDependencyError
 from dualbrain.runtime.data_collection import rollouts
 from dualbrain.runtime.data_collection.exploration import cycle, explore
 from dualbrain.runtime.data_collection.exploration.cycle import (
+    SETTINGS_FILE,
     VALUE_MODEL_FILE,
     CycleConfig,
     build_cycle_dataset,
     collect_clean,
     execute_choices,
     explore_places,
+    require_same_settings,
 )
 from dualbrain.runtime.data_collection.exploration.proposals import SOURCE
 from dualbrain.runtime.data_collection.exploration.rehearsal import SOURCE as REHEARSED
@@ -161,3 +164,17 @@ def test_an_outcome_that_nothing_confirmed_is_no_training_data(tmp_path, execute
     monkeypatch.setattr(rollouts, "run_proposal", unconfirmed)
     data = run_cycle(tmp_path)
     assert f"11/{rollouts.memory_id_of_turn(0)}" not in {one.memory for one in data.train}
+
+
+def test_a_folder_belongs_to_one_set_of_settings(tmp_path):
+    require_same_settings(CONFIG, tmp_path)
+    require_same_settings(CONFIG, tmp_path)
+    other_training = AdaptConfig(curation=CONFIG.adapt.curation, fit=FitConfig(steps=5))
+    require_same_settings(msgspec.structs.replace(CONFIG, adapt=other_training), tmp_path)
+    with pytest.raises(ConfigurationError, match="explored 2, now 3"):
+        require_same_settings(msgspec.structs.replace(CONFIG, explored=3), tmp_path)
+    with pytest.raises(ConfigurationError, match="wordings"):
+        require_same_settings(msgspec.structs.replace(CONFIG, training_set=TrainingSetConfig()), tmp_path)
+    (tmp_path / SETTINGS_FILE).write_bytes(b"{")
+    with pytest.raises(ConfigurationError, match="cannot be read"):
+        require_same_settings(CONFIG, tmp_path)

@@ -96,7 +96,9 @@ def write_explored_dataset(name: str, config: CycleConfig, folder: Path) -> Any:
     from dualbrain.runtime.data_collection.exploration import cycle
 
     console = StderrConsole()
+    cycle.require_same_settings(config, folder)
     if (folder / DATASET_FOLDER / "dataset.json").is_file():
+        console.print("comparing the data set with the executions (minutes)")
         others = cycle.dataset_difference(read_dataset_card(folder / DATASET_FOLDER), config, folder)
         require_same_dataset(name, folder, others)
         console.print(f"using the data set in {folder}")

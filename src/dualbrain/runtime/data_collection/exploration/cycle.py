@@ -16,7 +16,7 @@ from pathlib import Path
 
 import msgspec
 
-from dualbrain.adaptation.config import AdaptConfig, FitConfig
+from dualbrain.adaptation.config import MAX_FILE_BYTES, AdaptConfig, FitConfig, read_settings
 from dualbrain.adaptation.curation.dataset import SAMPLE_FORMAT, Dataset, DatasetCard, card_differences
 from dualbrain.adaptation.curation.sample import Sample
 from dualbrain.adaptation.synthetic.split import Split
@@ -27,10 +27,12 @@ from dualbrain.adaptation.value_model.value_model import (
     load_value_model,
     save_value_model,
 )
+from dualbrain.core.storage.atomic_files import write_atomically
+from dualbrain.core.storage.private_files import create_private_folder
 from dualbrain.core.storage.resumable_steps import last_step_folder
+from dualbrain.core.text import describe_differences
 from dualbrain.core.untrusted.bounded_file import read_bounded_file
-from dualbrain.core.untrusted.toml_document import TomlFault, parse_toml
-from dualbrain.errors import ConfigurationError, MissingDependencyError
+from dualbrain.errors import DECODE_ERRORS, ConfigurationError, MissingDependencyError
 from dualbrain.grounding.vocabulary import load_skill_registry
 from dualbrain.records import Episode
 from dualbrain.runtime.data_collection.exploration.explore import explore
@@ -51,8 +53,8 @@ CHECK_PART: Split = "check"
 """Part of the split from which the held-out samples are drawn; their contracts are not executed."""
 REHEARSED_CHECKS = 3
 """Every third held-out sample is a rehearsal example."""
-MAX_FILE_BYTES = 1 << 20
-"""Largest size of a settings file."""
+SETTINGS_FILE = "cycle.json"
+"""File with the settings that determine the data of a folder."""
 
 
 class CycleConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -84,14 +86,30 @@ class CycleConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 def read_cycle_config(path: Path) -> CycleConfig:
     """The settings in the TOML file at `path`; raises `ConfigurationError` for a wrong or unknown setting."""
-    fix = f"docs/explanation/adaptation.md describes the settings of a cycle. {path}"
-    tables = parse_toml(read_bounded_file(path, MAX_FILE_BYTES))
-    if isinstance(tables, TomlFault):
-        raise ConfigurationError.stating(f"The settings of the cycle cannot be read: {tables.problem}.", fix=fix)
+    fix = "docs/explanation/adaptation.md describes the settings of a cycle."
+    return read_settings(path, CycleConfig, "The settings of the cycle", fix)
+
+
+def require_same_settings(config: CycleConfig, folder: Path) -> None:
+    """Store the settings that determine the data in `folder`; stored ones must be equal.
+
+    Raises `ConfigurationError` with the differences: trials, value model and executions in the folder belong to one set
+    of settings. Those of the training may change.
+    """
+    create_private_folder(folder)
+    path = folder / SETTINGS_FILE
+    now = msgspec.to_builtins(msgspec.structs.replace(config, adapt=AdaptConfig(curation=config.adapt.curation)))
+    if not path.is_file():
+        write_atomically(path, msgspec.json.format(msgspec.json.encode(now), indent=2))
+        return
     try:
-        return msgspec.convert(tables, CycleConfig)
-    except msgspec.ValidationError as error:
-        raise ConfigurationError.stating(f"The settings of the cycle cannot be read: {error}.", fix=fix) from error
+        stored = msgspec.json.decode(read_bounded_file(path, MAX_FILE_BYTES), type=dict[str, object])
+    except DECODE_ERRORS as error:
+        problem = f"The stored settings of the cycle cannot be read: {error}."
+        raise ConfigurationError.stating(problem, fix=f"Name another --out. {path}") from error
+    if differences := describe_differences(stored, now):
+        problem = f"The folder {folder} contains a cycle with other settings: {differences}."
+        raise ConfigurationError.stating(problem, fix="Name another --out, or use the former settings.")
 
 
 def explore_places(

@@ -22,6 +22,7 @@ from dualbrain.adaptation.curation.sample import Sample, encode_samples
 from dualbrain.adaptation.synthetic.split import Split
 from dualbrain.adaptation.value_model.value_model import ValueModel
 from dualbrain.contracts.registry import SkillRegistry
+from dualbrain.errors import ConfigurationError
 from dualbrain.grounding.vocabulary import load_skill_registry
 from dualbrain.memory.ledger.ledger import LedgerReader
 from dualbrain.planner.prompt.short_prompt import (
@@ -63,7 +64,7 @@ class CleanContract(msgspec.Struct, frozen=True, kw_only=True):
         )
 
 
-class TrainingSetConfig(msgspec.Struct, frozen=True, kw_only=True):
+class TrainingSetConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Composition of a training set.
 
     `wordings` is the number of sentences for each clean contract, `rehearsal` the share of rehearsal examples in all
@@ -77,6 +78,16 @@ class TrainingSetConfig(msgspec.Struct, frozen=True, kw_only=True):
     corrupted: float = 0.1
     seed: int = 0
     part: Split = "teach"
+
+    def __post_init__(self) -> None:
+        """Raise `ConfigurationError` for a number of wordings below 1 and for shares outside their ranges."""
+        if self.wordings < 1:
+            raise ConfigurationError("training set wordings", got=self.wordings, allowed="at least 1")
+        if not 0.0 <= self.rehearsal < 1.0:
+            raise ConfigurationError("training set rehearsal", got=self.rehearsal, allowed="at least 0, below 1")
+        for name in ("exemplars", "corrupted"):
+            if not 0.0 <= (got := getattr(self, name)) <= 1.0:
+                raise ConfigurationError(f"training set {name}", got=got, allowed="0 to 1")
 
 
 DEFAULT_CONFIG = TrainingSetConfig()
