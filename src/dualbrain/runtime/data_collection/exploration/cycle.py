@@ -98,16 +98,16 @@ def require_same_settings(config: CycleConfig, folder: Path) -> None:
     """
     create_private_folder(folder)
     path = folder / SETTINGS_FILE
-    now = msgspec.to_builtins(msgspec.structs.replace(config, adapt=AdaptConfig(curation=config.adapt.curation)))
+    data = msgspec.json.encode(msgspec.structs.replace(config, adapt=AdaptConfig(curation=config.adapt.curation)))
     if not path.is_file():
-        write_atomically(path, msgspec.json.format(msgspec.json.encode(now), indent=2))
+        write_atomically(path, msgspec.json.format(data, indent=2))
         return
     try:
         stored = msgspec.json.decode(read_bounded_file(path, MAX_FILE_BYTES), type=dict[str, object])
     except DECODE_ERRORS as error:
         problem = f"The stored settings of the cycle cannot be read: {error}."
         raise ConfigurationError.stating(problem, fix=f"Name another --out. {path}") from error
-    if differences := describe_differences(stored, now):
+    if differences := describe_differences(stored, msgspec.json.decode(data)):
         problem = f"The folder {folder} contains a cycle with other settings: {differences}."
         raise ConfigurationError.stating(problem, fix="Name another --out, or use the former settings.")
 
