@@ -7,6 +7,7 @@ from dualbrain.contracts.canonical_form import canonical_contract
 from dualbrain.contracts.contract import Context, Contract
 from dualbrain.contracts.skill_spec import NumberParameter
 from dualbrain.grounding.alternatives import CHANGED_LEVELS, COMMON_LEVELS, DEFAULT_ALTERNATIVE, alternatives
+from dualbrain.grounding.grasp_fit import FINGER_MARGIN
 from dualbrain.grounding.parameter_values import (
     MAX_FITTED_CLEARANCE,
     OPENING_MARGIN,
@@ -15,7 +16,6 @@ from dualbrain.grounding.parameter_values import (
     path_clearance,
 )
 from dualbrain.grounding.scene_paths import PathEnd, is_below_overhead_object, overhead_objects_on_path
-from dualbrain.grounding.scene_rules import FINGER_MARGIN
 from dualbrain.grounding.scene_summary import free_finger_axis, summarise_scene
 from dualbrain.grounding.vocabulary import load_skill_registry
 from dualbrain.records import Scene

@@ -136,6 +136,16 @@ def test_an_object_out_of_reach_from_the_place_driven_to_is_refused_at_the_gate(
     assert [refusal.pointer for refusal in refused] == ["/action_sequence/4/params/destination"]
 
 
+def test_an_opening_that_is_too_small_is_refused_at_the_gate_also_after_a_drive():
+    """The width of an object does not depend on the pose of the base."""
+    scene = scene_from_spec(open_scene("workroom:0", BODY.name))
+    rules = scene_rules(scene, controller_at_home(BODY.name, scene))
+    narrow = ("grasp", GRASP[1] | {"opening": 0.03})
+    refused = [refusal for rule in rules if (refusal := rule(contract(drive_to("bench"), narrow, PLACE)))]
+    assert [refusal.pointer for refusal in refused] == ["/action_sequence/1/params/opening"]
+    assert all(rule(contract(drive_to("bench"), GRASP, PLACE)) is None for rule in rules)
+
+
 def test_a_container_is_no_driving_destination():
     scene = scene_from_spec(open_scene("workroom:0", BODY.name))
     rules = scene_rules(scene, controller_at_home(BODY.name, scene))

@@ -29,6 +29,7 @@ from dualbrain.control.gatekeeper.protocol.emergency_stop import send_emergency_
 from dualbrain.control.gatekeeper.protocol.messages import EventReport, Message, SceneReport, StatusReport
 from dualbrain.core.paths import dualbrain_home
 from dualbrain.errors import ConfigurationError
+from dualbrain.grounding.grasp_fit import parameter_domains
 from dualbrain.grounding.scene_rules import skill_order
 from dualbrain.grounding.scene_summary import summarise_scene
 from dualbrain.grounding.vocabulary import scene_names
@@ -181,8 +182,9 @@ class Robot:
     def schema(self, form: str = "decoding") -> dict[str, Any]:
         """JSON Schema of a contract in the present scene.
 
-        `decoding` is for generation (it leaves out the first actions that the robot's state refuses), `validation` is
-        the whole Draft-07 schema with units and provenance. Raises `ConfigurationError` for another form.
+        `decoding` is for generation (it leaves out the first actions that the robot's state refuses, and grasps that do
+        not fit the object), `validation` is the whole Draft-07 schema with units and provenance. Raises
+        `ConfigurationError` for another form.
         """
         report = self._scene_report()
         names = scene_names(report.scene)
@@ -191,7 +193,9 @@ class Robot:
         if form != "decoding":
             raise ConfigurationError("form of the schema", got=form, allowed="decoding or validation")
         order = skill_order([skill.name for skill in self.registry.skills], report.holding)
-        schema = decoding_schema(self.registry, names, order=order)
+        schema = decoding_schema(
+            self.registry, names, order=order, domains=parameter_domains(report.scene, self.registry)
+        )
         del schema["properties"]["action_sequence"][ORDER_KEYWORD]  # frameworks refuse keywords that they do not know
         return schema
 

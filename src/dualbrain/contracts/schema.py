@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import math
+from collections.abc import Collection, Sequence
 from typing import Any
 
+from dualbrain.contracts.parameter_domains import ParameterDomain, ParameterDomains
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.skill_order import SkillOrder
@@ -75,6 +77,7 @@ def decoding_schema(
     names: SceneNames,
     *,
     order: SkillOrder | None = None,
+    domains: ParameterDomains | None = None,
     skills: Collection[str] | None = None,
     length: tuple[int, int] | None = None,
 ) -> Schema:
@@ -83,13 +86,16 @@ def decoding_schema(
     The schema uses only keywords that LLGuidance and xgrammar enforce. A skill that needs an object or place of which
     the scene has none is left out. If every skill is left out, the schema admits no contract. Skills that `order`
     refuses first are left out of the first action (`prefixItems`); engines that enforce more read the whole order from
-    the keyword `x-order`, which validators ignore. With `skills` only these are admitted. `length` is the least and
+    the keyword `x-order`, which validators ignore. `domains` divides the parameter domains of some skills into parts;
+    each part is one alternative for the parameters. With `skills` only these are admitted. `length` is the least and
     largest number of actions, except for a contract that declines.
     """
+    parts = domains or {}
     steps = {
-        skill.name: _decoding_step(skill, names)
+        skill.name: step
         for skill in registry.skills
-        if _is_callable(skill, names) and (skills is None or skill.name in skills)
+        if skills is None or skill.name in skills
+        if (step := _decoding_step(skill, names, parts.get(skill.name, (ParameterDomain(),))))
     }
     context = {"robot": {"const": registry.robot}, "registry": {"const": registry.hash}}
     schema = _contract_schema(closed_object(context), _any_step(list(steps.values())))
@@ -225,28 +231,42 @@ def _bounded_number(number: NumberParameter) -> Schema:
     return {"type": "number", "minimum": number.lower, "maximum": number.upper}
 
 
-def _is_callable(skill: SkillSpec, names: SceneNames) -> bool:
-    """Whether the scene has a name for every `NameParameter` of `skill`."""
-    return all(names.names_of_kind(p.of) for p in skill.parameters if isinstance(p, NameParameter))
+def _decoding_step(skill: SkillSpec, names: SceneNames, parts: Sequence[ParameterDomain]) -> Schema | None:
+    """One branch of the decoding schema: the name of the skill, then its params in the order of the registry.
+
+    None if in every part of the domain a parameter has no value left.
+    """
+    alternatives = [{p.name: _decoding_domain_schema(p, names, part) for p in skill.parameters} for part in parts]
+    params = [closed_object(domains) for domains in alternatives if all(map(_has_value, domains.values()))]
+    if not params:
+        return None
+    return closed_object(
+        {"skill": {"const": skill.name}, "params": params[0] if len(params) == 1 else {"anyOf": params}}
+    )
 
 
-def _decoding_step(skill: SkillSpec, names: SceneNames) -> Schema:
-    """One branch of the decoding schema: the name of the skill, then its params in the order of the registry."""
-    params = closed_object({p.name: _decoding_domain_schema(p, names) for p in skill.parameters})
-    return closed_object({"skill": {"const": skill.name}, "params": params})
-
-
-def _decoding_domain_schema(parameter: Parameter, names: SceneNames) -> Schema:
-    """The domain of a parameter, in keywords that decoders enforce."""
+def _decoding_domain_schema(parameter: Parameter, names: SceneNames, part: ParameterDomain) -> Schema:
+    """The domain of a parameter in a part of the whole domain, in keywords that decoders enforce."""
     match parameter:
         case NumberParameter():
-            return _bounded_number(parameter)
+            number = _bounded_number(parameter)
+            return number | {"minimum": max(parameter.lower, part.least.get(parameter.name, parameter.lower))}
         case ChoiceParameter():
-            return {"enum": list(parameter.choices)}
+            return {"enum": _admitted(parameter.choices, part.admitted.get(parameter.name))}
         case NameParameter():
-            return {"enum": list(names.names_of_kind(parameter.of))}
+            return {"enum": _admitted(names.names_of_kind(parameter.of), part.admitted.get(parameter.name))}
         case TextParameter():
             return {"type": "string", "pattern": f"^[^{HIDDEN_CHARACTERS}]{{0,{parameter.max_length}}}$"}
+
+
+def _admitted(values: Sequence[str], admitted: Collection[str] | None) -> list[str]:
+    """Those of `values` that are `admitted`; all if there is no restriction."""
+    return [value for value in values if admitted is None or value in admitted]
+
+
+def _has_value(domain: Schema) -> bool:
+    """Whether the domain of a parameter has a value."""
+    return bool(domain.get("enum", True)) and domain.get("minimum", 0.0) <= domain.get("maximum", math.inf)
 
 
 def _describe_parameter(parameter: Parameter) -> str:

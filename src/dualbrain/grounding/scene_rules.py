@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from typing import Any
 
 import msgspec
@@ -13,26 +13,23 @@ from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.schema import DECLINE
 from dualbrain.contracts.skill_order import SkillOrder
 from dualbrain.contracts.verdict import Rejected
+from dualbrain.grounding.grasp_fit import bears_force, is_level, least_opening
 from dualbrain.records import Scene, SceneObject
 from dualbrain.robots.model import RobotModel
 from dualbrain.skills.arm.controller import ArmController
 from dualbrain.skills.arm.grasp import FRAGILE_FRACTION
 from dualbrain.skills.arm.grasp_planning import grasp_goal, pregrasp_goal
-from dualbrain.skills.kinematics.object_geometry import APPROACH_LEAN, grasp_width, levelness
+from dualbrain.skills.kinematics.object_geometry import APPROACH_LEAN
 from dualbrain.skills.mobile_base.controller import BaseController
 from dualbrain.skills.mobile_base.drive_to import ARRIVAL_RADIUS
 from dualbrain.skills.mobile_base.path_planning import clearance
 from dualbrain.skills.mobile_manipulator import MobileManipulatorController
 from dualbrain.skills.time_slicing import run_to_completion
 
-MIN_LEVELNESS = 0.7
-"""The fingers close only along an axis of an object that is about level: least length of its horizontal component."""
 MIN_CLEARANCE = 0.03
 """Least clearance of the skill vocabulary [m]; the search for a feasible clearance ends there."""
 TARGET_PARAMETERS = {"grasp": "object", "place": "destination", "push": "object", "move_to": "target"}
 """The parameter of each skill that names the target of the arm."""
-FINGER_MARGIN = 0.010
-"""The opening of the fingers must exceed the width of the object by at least this [m]."""
 
 NEED_EMPTY_HAND, NEED_LOAD = ("grasp", "push"), ("place",)
 """Skills that need an empty hand, and skills that need a held object."""
@@ -51,6 +48,7 @@ def scene_rules(
             _check_decline,
             lambda contract: _check_drive_targets(contract, scene, controller.base),
             lambda contract: _check_gripper_sequence(contract, controller.arm),
+            lambda contract: _check_fits(contract, scene, controller.arm.robot_model),
             lambda contract: _check_grasps_before_driving(contract, scene, controller),
             lambda contract: _check_reach_after_driving(contract, scene, controller),
         )
@@ -140,64 +138,66 @@ def _check_gripper_sequence(contract: Contract, arm: ArmController) -> Rejected 
 
 def _check_grasps(contract: Contract, scene: Scene, arm: ArmController) -> Rejected | None:
     """The fingers fit around each object to grasp, and the arm reaches it."""
-    for index, action in enumerate(contract.action_sequence):
-        if action.skill != "grasp":
-            continue
-        params, pointer = action.params, f"/action_sequence/{index}/params"
-        obj = scene.find(str(params["object"]))
-        if rejected := _check_least_force(arm, obj, pointer):
-            return rejected
-        if levelness(obj, str(params["finger_axis"])) < MIN_LEVELNESS:
-            other = "across" if params["finger_axis"] == "along" else "along"
-            hint = f"{obj.name} lies so that this axis points up: no finger can close along it"
-            return Rejected(
-                stage="envelope",
-                pointer=f"{pointer}/finger_axis",
-                got=params["finger_axis"],
-                allowed=[other],
-                hint=hint,
-            )
-        needed = grasp_width(obj, str(params["finger_axis"])) + FINGER_MARGIN
-        widest = 2.0 * arm.robot_model.gripper.opening.value
-        if float(params["opening"]) < needed:
-            hint = (
-                f"open wider than {obj.name} ({needed * 1000:.0f} mm with room)"
-                if needed <= widest
-                else "it is too wide for this hand"
-            )
-            return Rejected(
-                stage="envelope",
-                pointer=f"{pointer}/opening",
-                got=params["opening"],
-                allowed={"minimum": round(needed, 4), "maximum": widest},
-                hint=hint,
-            )
-        goal = run_to_completion(grasp_goal(arm, obj, str(params["finger_axis"]), str(params["approach"])))
-        if goal is None:
-            return Rejected(
-                stage="envelope",
-                pointer=f"{pointer}/object",
-                got=obj.name,
-                allowed="things within reach",
-                hint=f"{obj.name} is out of reach for this grasp",
-            )
-        if rejected := _check_approach(arm, obj, params, pointer):
+    for obj, params, pointer in _grasps(contract, scene):
+        rejected = _check_fit(arm.robot_model, obj, params, pointer)
+        if rejected := rejected or _check_reach(arm, obj, params, pointer):
             return rejected
     return None
 
 
-def _check_least_force(arm: ArmController, obj: SceneObject, pointer: str) -> Rejected | None:
-    """The least force of the gripper does not break an object that is declared to bear little."""
-    least, limit = arm.robot_model.gripper.force_min.value, obj.fragile_limit
-    if limit is None or least <= FRAGILE_FRACTION * limit:
-        return None
-    return Rejected(
-        stage="envelope",
-        pointer=f"{pointer}/object",
-        got=obj.name,
-        allowed=f"things that bear {least / FRAGILE_FRACTION:.0f} N or more",
-        hint=f"{obj.name} bears {limit:.0f} N, and this hand presses with at least {least:.0f} N: decline",
-    )
+def _check_fits(contract: Contract, scene: Scene, hand: RobotModel) -> Rejected | None:
+    """The fingers fit around each object to grasp; unlike the reach, this does not depend on the pose of the base."""
+    checks = (_check_fit(hand, *grasp) for grasp in _grasps(contract, scene))
+    return next((rejected for rejected in checks if rejected), None)
+
+
+def _grasps(contract: Contract, scene: Scene) -> Iterator[tuple[SceneObject, Mapping[str, Any], str]]:
+    """Object, parameters and JSON pointer of the parameters for each grasp of `contract`."""
+    for index, action in enumerate(contract.action_sequence):
+        if action.skill == "grasp":
+            yield scene.find(str(action.params["object"])), action.params, f"/action_sequence/{index}/params"
+
+
+def _check_fit(hand: RobotModel, obj: SceneObject, params: Mapping[str, Any], pointer: str) -> Rejected | None:
+    """The object bears the least force of the hand, and fits between the fingers along a level axis."""
+    axis, least = str(params["finger_axis"]), hand.gripper.force_min.value
+    if not bears_force(obj, least):
+        return Rejected(
+            stage="envelope",
+            pointer=f"{pointer}/object",
+            got=obj.name,
+            allowed=f"things that bear {least / FRAGILE_FRACTION:.0f} N or more",
+            hint=f"{obj.name} bears {obj.fragile_limit:.0f} N; this hand presses with at least {least:.0f} N: decline",
+        )
+    if not is_level(obj, axis):
+        other = "across" if axis == "along" else "along"
+        hint = f"{obj.name} lies so that this axis points up: no finger can close along it"
+        return Rejected(stage="envelope", pointer=f"{pointer}/finger_axis", got=axis, allowed=[other], hint=hint)
+    needed, widest = least_opening(obj, axis), 2.0 * hand.gripper.opening.value
+    if float(params["opening"]) < needed:
+        fits = needed <= widest
+        room = f"open wider than {obj.name} ({needed * 1000:.0f} mm with room)"
+        return Rejected(
+            stage="envelope",
+            pointer=f"{pointer}/opening",
+            got=params["opening"],
+            allowed={"minimum": round(needed, 4), "maximum": widest},
+            hint=room if fits else "it is too wide for this hand",
+        )
+    return None
+
+
+def _check_reach(arm: ArmController, obj: SceneObject, params: Mapping[str, Any], pointer: str) -> Rejected | None:
+    """The arm reaches the grasp, and the pregrasp pose above it."""
+    if run_to_completion(grasp_goal(arm, obj, str(params["finger_axis"]), str(params["approach"]))) is None:
+        return Rejected(
+            stage="envelope",
+            pointer=f"{pointer}/object",
+            got=obj.name,
+            allowed="things within reach",
+            hint=f"{obj.name} is out of reach for this grasp",
+        )
+    return _check_approach(arm, obj, params, pointer)
 
 
 def _check_grasps_before_driving(

@@ -25,6 +25,7 @@ from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.skill_spec import ChoiceParameter, NameParameter, NumberParameter
 from dualbrain.planner.prompt.full_prompt import ChatMessage
 from dualbrain.planner.prompt.short_prompt import MAX_SHOWN_EXEMPLARS, exemplar_steps, render_short_with_steps
+from dualbrain.records import Scene
 
 SOURCE = "templates"
 """The source of these contracts in a data set: no planner proposed them."""
@@ -42,13 +43,14 @@ FOREIGN_CATEGORIES = ("tin", "block", "can", "box", "cube")
 
 @dataclass(frozen=True, kw_only=True)
 class SceneContext:
-    """The scene of an example: its name `scene`, its `summary` in symbols (also with values), and the names in it.
+    """The scene of an example: its name `scene`, the `perceived` objects, and their `summary` in symbols and `names`.
 
     `accepts` is the gate with the rules of the scene (reach, opening, hand); `mobile` states that the robot drives.
     """
 
     registry: SkillRegistry
     scene: str
+    perceived: Scene
     summary: str
     summary_with_values: str
     names: SceneNames

@@ -22,9 +22,28 @@ def seeded_rng(seed: int, *words: str) -> np.random.Generator:
 
 
 def skill_parameter_schemas(request: PlanRequest) -> dict[str, dict[str, Any]]:
-    """For each skill that can be called in the scene, the schema of its parameters."""
-    steps = step_schemas(request.schema)
-    return {step["properties"]["skill"]["const"]: step["properties"]["params"]["properties"] for step in steps}
+    """For each skill that can be called in the scene, the schema of each parameter by itself.
+
+    If the schema divides the domain of a skill into parts, a parameter has the union of them.
+    """
+    steps = (step["properties"] for step in step_schemas(request.schema))
+    return {step["skill"]["const"]: _parameter_domains(step["params"]) for step in steps}
+
+
+def _parameter_domains(params: dict[str, Any]) -> dict[str, Any]:
+    """The domain of each parameter in the schema `params`, over all its alternatives."""
+    parts = [part["properties"] for part in params.get("anyOf", [params])]
+    return {name: _union([part[name] for part in parts]) for name in parts[0]}
+
+
+def _union(domains: list[dict[str, Any]]) -> dict[str, Any]:
+    """The union of domains of one parameter, which differ in names or choices and in their bounds only."""
+    union = dict(domains[0])
+    if "enum" in union:
+        union["enum"] = list(dict.fromkeys(value for domain in domains for value in domain["enum"]))
+    if "minimum" in union:
+        union["minimum"] = min(domain["minimum"] for domain in domains)
+    return union
 
 
 def sample_value(domain: dict[str, Any], rng: np.random.Generator) -> float | str:

@@ -50,7 +50,7 @@ class ValuePlanner:
         if not {"grasp", "place"} <= known.keys():
             return self._template.propose(request)
         names = (known["grasp"]["object"]["enum"], known["place"]["destination"]["enum"])
-        obj, destination = (match_name(request.instruction, some) for some in names)
+        obj, destination = (_find_name(request.instruction, some) for some in names)
         if obj is None or destination is None:
             return self._template.propose(request)
         placement = Placement(request.scene_with_values, obj, destination)
@@ -65,6 +65,11 @@ class ValuePlanner:
 
     def close(self) -> None:
         """Nothing is open."""
+
+
+def _find_name(instruction: str, admitted: list[str]) -> str | None:
+    """The only name that the schema admits for the goal of the instruction, else the one that its words contain."""
+    return admitted[0] if len(admitted) == 1 else match_name(instruction, admitted)
 
 
 def _parameters(

@@ -13,13 +13,14 @@ from itertools import count
 from pathlib import Path
 
 from dualbrain.adaptation.curation.sample import Sample, decode_samples, encode_samples
-from dualbrain.contracts.schema import decoding_schema, describe_skills
+from dualbrain.contracts.schema import describe_skills
 from dualbrain.core.storage.private_files import open_private
 from dualbrain.core.storage.resumable_steps import run_steps
 from dualbrain.planner.request import PlanRequest
 from dualbrain.planner.scripted import FixedContractPlanner
 from dualbrain.records import Episode, RetrievedContext
 from dualbrain.runtime.data_collection.synthetic_scenes import generate_examples, scene_context_by_name
+from dualbrain.runtime.planning.planner_request import answer_schema
 from dualbrain.runtime.session import Clocks, RunConfig, RunObserver, Session
 
 ROBOT = "panda"
@@ -124,15 +125,15 @@ def turn_of_memory_id(memory: str) -> int:
 def build_request(one: Sample, recall: RetrievedContext | None = None) -> PlanRequest:
     """The request of a sample as the episode loop makes it, with retrieved context."""
     context = scene_context_by_name(one.scene)
-    registry, names = context.registry, context.names
+    registry, instruction = context.registry, instruction_of(one)
     return PlanRequest(
-        instruction=instruction_of(one),
+        instruction=instruction,
         scene=context.summary,
         recall=recall or RetrievedContext(),
         robot=registry.robot,
         registry_hash=registry.hash,
-        skills_text=describe_skills(registry, names),
-        schema=decoding_schema(registry, names),
+        skills_text=describe_skills(registry, context.names),
+        schema=answer_schema(instruction, context.perceived, registry, None),
         contract_id="c-0001",
         scene_with_values=context.summary_with_values,
     )

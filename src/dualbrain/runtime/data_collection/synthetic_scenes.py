@@ -110,6 +110,7 @@ def make_scene_context(spec: SceneSpec) -> SceneContext:
     return SceneContext(
         registry=registry,
         scene=name,
+        perceived=scene,
         summary=summarise_scene(scene),
         summary_with_values=summarise_scene(scene, values=True),
         names=names,

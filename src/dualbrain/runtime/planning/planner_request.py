@@ -11,6 +11,7 @@ import msgspec
 from dualbrain.contracts.canonical_form import reorder_contract
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.schema import decoding_schema, describe_skills
+from dualbrain.grounding.grasp_fit import parameter_domains
 from dualbrain.grounding.instruction.goals.goal import Unread
 from dualbrain.grounding.instruction.goals.goal_reading import corrected_instruction, read_goal
 from dualbrain.grounding.instruction.goals.goal_scope import goal_scope
@@ -135,7 +136,10 @@ def answer_schema(
     goal = read_goal(instruction, scene) if restrict else Unread("")
     scope = goal_scope(goal, scene, holding)
     order = skill_order([skill.name for skill in registry.skills], holding)
-    return decoding_schema(registry, scope.names, order=order, skills=scope.skills, length=scope.length)
+    domains = parameter_domains(scene, registry)
+    return decoding_schema(
+        registry, scope.names, order=order, domains=domains, skills=scope.skills, length=scope.length
+    )
 
 
 def in_prompt_order(recall: RetrievedContext, registry: SkillRegistry) -> RetrievedContext:

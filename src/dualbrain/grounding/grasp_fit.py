@@ -1,0 +1,74 @@
+"""Objects that a hand can grasp, with the finger axes and openings that fit them: for the gate and for decoders.
+
+The gate rejects a grasp that does not fit (`scene_rules.py`). `parameter_domains` states the same bounds as parts of
+the parameter domain, so that a decoder cannot generate such a grasp and every grasp that fits remains possible.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+
+from dualbrain.contracts.parameter_domains import ParameterDomain, ParameterDomains
+from dualbrain.contracts.registry import SkillRegistry
+from dualbrain.contracts.skill_spec import ChoiceParameter, NumberParameter, SkillSpec
+from dualbrain.records import Scene, SceneObject
+from dualbrain.skills.arm.grasp import FRAGILE_FRACTION
+from dualbrain.skills.kinematics.object_geometry import grasp_width, levelness
+
+MIN_LEVELNESS = 0.7
+"""The fingers close only along an axis of an object that is about level: least length of its horizontal component."""
+FINGER_MARGIN = 0.010
+"""The opening of the fingers must exceed the width of the object by at least this [m]."""
+_RESOLUTION = 1e-4
+"""The least openings of `parameter_domains` are rounded down to this [m], so that grammars are short."""
+
+
+def is_level(obj: SceneObject, finger_axis: str) -> bool:
+    """Whether fingers can close along the named axis of `obj`."""
+    return levelness(obj, finger_axis) >= MIN_LEVELNESS
+
+
+def least_opening(obj: SceneObject, finger_axis: str) -> float:
+    """The least opening of the fingers [m] for a grasp of `obj` along the named axis."""
+    return grasp_width(obj, finger_axis) + FINGER_MARGIN
+
+
+def bears_force(obj: SceneObject, force: float) -> bool:
+    """Whether `obj` bears `force` [N] on each finger, as far as it declares a limit."""
+    return obj.fragile_limit is None or force <= FRAGILE_FRACTION * obj.fragile_limit
+
+
+def parameter_domains(scene: Scene, registry: SkillRegistry) -> ParameterDomains:
+    """The domain of the skill `grasp` in `scene`; no entry if the robot has no such skill."""
+    grasp = registry.by_name.get("grasp")
+    return {} if grasp is None else {grasp.name: _grasp_domains(scene, grasp)}
+
+
+def _grasp_domains(scene: Scene, grasp: SkillSpec) -> tuple[ParameterDomain, ...]:
+    """The parts of the parameter domain of the skill `grasp` in which the objects of `scene` fit into the hand.
+
+    One part for objects and finger axes with the same least opening; an object that does not fit is in none.
+    """
+    by_name = {parameter.name: parameter for parameter in grasp.parameters}
+    axes, opening, force = by_name["finger_axis"], by_name["opening"], by_name["force"]
+    assert isinstance(axes, ChoiceParameter)
+    assert isinstance(opening, NumberParameter)
+    assert isinstance(force, NumberParameter)
+    objects = [obj for obj in map(scene.find, scene.graspable) if bears_force(obj, force.lower)]
+    names = defaultdict[tuple[tuple[str, ...], float], list[str]](list)
+    for obj in objects:
+        by_opening = defaultdict[float, list[str]](list)
+        for axis in (axis for axis in axes.choices if is_level(obj, axis)):
+            by_opening[_rounded_down(least_opening(obj, axis))].append(axis)
+        for least, fitting in by_opening.items():
+            if least <= opening.upper:
+                names[tuple(fitting), max(least, opening.lower)].append(obj.name)
+    return tuple(
+        ParameterDomain({"object": objects, "finger_axis": fitting}, {"opening": least})
+        for (fitting, least), objects in names.items()
+    )
+
+
+def _rounded_down(opening: float) -> float:
+    return round(math.floor(opening / _RESOLUTION) * _RESOLUTION, 4)

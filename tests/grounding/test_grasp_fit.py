@@ -1,0 +1,157 @@
+"""The grasps that the decoder admits are those whose axis, opening and force the gate accepts."""
+
+import json
+from functools import cache
+
+import jsonschema_rs
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dualbrain.contracts.contract import Action, Context, Contract
+from dualbrain.contracts.parameter_domains import ParameterDomain
+from dualbrain.contracts.scene_names import SceneNames
+from dualbrain.contracts.schema import decoding_schema, first_skills
+from dualbrain.core.geometry.shapes import Box, Cylinder, Pose, Sphere
+from dualbrain.grounding.grasp_fit import parameter_domains
+from dualbrain.grounding.offline_gate import controller_at_home
+from dualbrain.grounding.scene_rules import scene_rules
+from dualbrain.grounding.vocabulary import scene_names
+from dualbrain.planner.decoding.llguidance_grammar import actions_grammar
+from dualbrain.records import SceneObject
+from dualbrain.robots.loader import load_robot
+from dualbrain.skills.registry import skill_registry
+from tests.grounding.perceived_scenes import bowl, box, scene
+from tests.stories.story_session import GRASP, PLACE
+
+RESOLUTION = 1e-4
+"""The decoder may admit openings that are too small by at most this [m]."""
+ROBOTS = {name: skill_registry(load_robot(name)) for name in ("panda", "ur5e", "fr3")}
+
+LENGTHS = st.floats(0.004, 0.05)
+SHAPES = st.one_of(
+    st.builds(Box, st.tuples(LENGTHS, LENGTHS, LENGTHS)),
+    st.builds(Cylinder, LENGTHS, LENGTHS),
+    st.builds(Sphere, LENGTHS),
+)
+QUATERNIONS = st.tuples(*4 * [st.floats(-1.0, 1.0)]).filter(lambda q: np.linalg.norm(q) > 0.1)
+LIMITS = st.none() | st.floats(1.0, 80.0)
+
+
+@st.composite
+def objects(draw, name):
+    quaternion = np.array(draw(QUATERNIONS))
+    pose = Pose((0.5, -0.2, 0.06), tuple((quaternion / np.linalg.norm(quaternion)).tolist()))
+    return SceneObject(name=name, role="object", shape=draw(SHAPES), pose=pose, fragile_limit=draw(LIMITS))
+
+
+def schema_of(perceived, registry):
+    domains = parameter_domains(perceived, registry)
+    return decoding_schema(registry, scene_names(perceived), domains=domains)
+
+
+def contract_with(robot, params):
+    return Contract("c-0001", Context(robot, ROBOTS[robot].hash), (Action("grasp", params),))
+
+
+def is_admitted(schema, contract):
+    return jsonschema_rs.validator_for(schema).is_valid(msgspec.to_builtins(contract))
+
+
+def fits(perceived, robot, params):
+    """Whether the gate finds no fault in axis, opening and least force; the reach is another question."""
+    rules = scene_rules(perceived, controller_at_home(robot, perceived))
+    rejections = [found for rule in rules if (found := rule(contract_with(robot, params)))]
+    return not any(one.pointer.endswith(("finger_axis", "opening")) or "presses" in one.hint for one in rejections)
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    objects("red_cube"),
+    objects("tin"),
+    st.sampled_from(sorted(ROBOTS)),
+    st.sampled_from(["along", "across"]),
+    st.floats(0.0, 1.0),
+)
+def test_no_grasp_that_fits_is_lost_and_no_other_is_admitted(target, other, robot, axis, fraction):
+    perceived = msgspec.structs.replace(scene(target, other, bowl()), robot=robot)
+    registry = ROBOTS[robot]
+    opening, force = ({p.name: p for p in registry.skill("grasp").parameters}[name] for name in ("opening", "force"))
+    width = opening.lower + fraction * (opening.upper - opening.lower)
+    params = GRASP | {"object": "red_cube", "finger_axis": axis, "opening": width, "force": force.lower}
+    admitted = is_admitted(schema_of(perceived, registry), contract_with(robot, params))
+    if fits(perceived, robot, params):
+        assert admitted
+    elif admitted:
+        assert fits(perceived, robot, params | {"opening": width + RESOLUTION})
+
+
+@cache
+def grammar_matcher():
+    llguidance = pytest.importorskip("llguidance", reason="the extra `planner` is not installed")
+    perceived = scene(box("red_cube", 0.5, -0.2), box("plank", 0.45, 0.1, (0.036, 0.0223, 0.025)), bowl())
+    grammar = actions_grammar(schema_of(perceived, ROBOTS["panda"]))
+    matcher = llguidance.LLMatcher(llguidance.LLTokenizer("byte"), llguidance.grammar_from("lark", grammar))
+    assert not matcher.is_error(), matcher.get_error()
+    return matcher
+
+
+@pytest.mark.parametrize(
+    ("name", "axis", "least"),
+    [("red_cube", "along", 0.05), ("red_cube", "across", 0.05), ("plank", "across", 0.0546), ("plank", "along", None)],
+)
+def test_the_grammar_admits_the_openings_that_fit_the_named_object(name, axis, least):
+    """The fingers of the Panda open to 80 mm; the plank is 72 mm by 44.6 mm."""
+    matcher = grammar_matcher()
+    order = [parameter.name for parameter in ROBOTS["panda"].skill("grasp").parameters]
+    wrong = []
+    for millimetres in range(20, 81):
+        given_params = GRASP | {"object": name, "finger_axis": axis, "opening": millimetres / 1000}
+        action = {"skill": "grasp", "params": {key: given_params[key] for key in order}}
+        answer = list((json.dumps([action], separators=(",", ":")) + "}").encode())
+        matcher.reset()
+        admitted = matcher.try_consume_tokens(answer) == len(answer) and matcher.is_accepting()
+        wrong += [millimetres] if admitted != (least is not None and millimetres / 1000 >= least) else []
+    assert not wrong
+
+
+def test_an_object_that_fits_no_hand_is_not_named_and_without_objects_there_is_no_grasp():
+    chest = box("chest", 0.6, -0.4, (0.06, 0.06, 0.04))
+    egg = box("egg", 0.5, 0.0, fragile_limit=4.0)
+    perceived = scene(chest, egg, box("red_cube", 0.5, -0.2), bowl())
+    grasp = next(one for one in steps_of(schema_of(perceived, ROBOTS["panda"])) if skill_of(one) == "grasp")
+    assert grasp["properties"]["params"]["properties"]["object"]["enum"] == ["red_cube"]
+    assert "grasp" not in first_skills(schema_of(scene(chest, egg, bowl()), ROBOTS["panda"]))
+    assert "place" in first_skills(schema_of(scene(chest, egg, bowl()), ROBOTS["panda"]))
+
+
+def steps_of(schema):
+    return schema["properties"]["action_sequence"]["items"]["anyOf"]
+
+
+def skill_of(step):
+    return step["properties"]["skill"]["const"]
+
+
+@pytest.mark.parametrize("robot", ["base", "so101"])
+def test_a_robot_without_the_skill_grasp_keeps_its_schema(robot):
+    registry = skill_registry(load_robot(robot))
+    perceived = scene(places=[("dock", (1.0, 0.0, 0.0))])
+    assert parameter_domains(perceived, registry) == {}
+
+
+def test_parts_of_a_domain_keep_the_names_of_the_scene_and_the_order_of_the_parameters():
+    names = SceneNames(("red_cube",), ("blue_bowl",))
+    parts = [
+        ParameterDomain({"object": ("red_cube", "gone")}, {"opening": 0.06}),
+        ParameterDomain({"object": ("gone",)}),
+    ]
+    schema = decoding_schema(ROBOTS["panda"], names, domains={"grasp": parts})
+    params = next(one for one in steps_of(schema) if skill_of(one) == "grasp")["properties"]["params"]
+    assert list(params["properties"]) == [one.name for one in ROBOTS["panda"].skill("grasp").parameters]
+    assert params["properties"]["object"] == {"enum": ["red_cube"]}
+    assert params["properties"]["opening"] == {"type": "number", "minimum": 0.06, "maximum": 0.08}
+    place = next(one for one in steps_of(schema) if skill_of(one) == "place")["properties"]["params"]
+    assert list(place["properties"]) == list(PLACE)
