@@ -30,6 +30,7 @@ RESOLUTION = 1e-4
 """The decoder may admit openings that are too small by at most this [m]."""
 ROBOTS = {name: skill_registry(load_robot(name)) for name in ("panda", "ur5e", "fr3")}
 
+BOOK = box("book", 0.4, 0.2, (0.0324, 0.05, 0.02))
 LENGTHS = st.floats(0.004, 0.05)
 SHAPES = st.one_of(
     st.builds(Box, st.tuples(LENGTHS, LENGTHS, LENGTHS)),
@@ -91,7 +92,7 @@ def test_no_grasp_that_fits_is_lost_and_no_other_is_admitted(target, other, robo
 @cache
 def grammar_matcher():
     llguidance = pytest.importorskip("llguidance", reason="the extra `planner` is not installed")
-    perceived = scene(box("red_cube", 0.5, -0.2), box("plank", 0.45, 0.1, (0.036, 0.0223, 0.025)), bowl())
+    perceived = scene(box("red_cube", 0.5, -0.2), box("plank", 0.45, 0.1, (0.036, 0.0223, 0.025)), BOOK, bowl())
     grammar = actions_grammar(schema_of(perceived, ROBOTS["panda"]))
     matcher = llguidance.LLMatcher(llguidance.LLTokenizer("byte"), llguidance.grammar_from("lark", grammar))
     assert not matcher.is_error(), matcher.get_error()
@@ -100,10 +101,16 @@ def grammar_matcher():
 
 @pytest.mark.parametrize(
     ("name", "axis", "least"),
-    [("red_cube", "along", 0.05), ("red_cube", "across", 0.05), ("plank", "across", 0.0546), ("plank", "along", None)],
+    [
+        ("red_cube", "along", 0.05),
+        ("red_cube", "across", 0.05),
+        ("plank", "across", 0.0546),
+        ("plank", "along", None),
+        ("book", "along", 0.0748),
+    ],
 )
 def test_the_grammar_admits_the_openings_that_fit_the_named_object(name, axis, least):
-    """The fingers of the Panda open to 80 mm; the plank is 72 mm by 44.6 mm."""
+    """The fingers of the Panda open to 80 mm; the plank is 72 mm by 44.6 mm, the book is 64.8 mm thick."""
     matcher = grammar_matcher()
     order = [parameter.name for parameter in ROBOTS["panda"].skill("grasp").parameters]
     wrong = []
