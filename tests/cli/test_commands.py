@@ -87,6 +87,8 @@ def test_schema_is_valid_draft_7_and_accepts_what_check_accepts(run_command, for
         validator.validate(json.loads(text))
     for text in (contract_text(("grasp", {**GRASP, "force": 900.0})), contract_text(("throw", {})), "{}"):
         assert not validator.is_valid(json.loads(text))
+    too_narrow = contract_text(("grasp", {**GRASP, "opening": 0.03}))
+    assert validator.is_valid(json.loads(too_narrow)) == (form == "validation"), "the cube is 40 mm wide"
 
 
 def test_the_short_form_is_for_people(run_command):

@@ -15,7 +15,7 @@ from dualbrain.cli.evaluation.estimate import (
 from dualbrain.cli.evaluation.suite_options import override_suite
 from dualbrain.cli.main import run_command_line
 from dualbrain.evaluation.planners.factory import PlannerSources
-from dualbrain.evaluation.protocol.suite import load_suite
+from dualbrain.evaluation.protocol.suite import builtin_suites, load_suite
 from dualbrain.evaluation.runner import probe as probe_module
 from dualbrain.evaluation.runner.probe import ProbeTimes
 from dualbrain.evaluation.runner.provenance import collect_provenance
@@ -23,6 +23,10 @@ from dualbrain.evaluation.runner.runner import STAGES, Runner
 from dualbrain.evaluation.runner.work_units import build_units
 from dualbrain.evaluation.runner.workload import compute_workload, distinct_units
 from tests.evaluation.sample_rows import fake_result_lines
+
+
+def test_the_help_names_every_built_in_suite():
+    assert [name for name in builtin_suites() if name not in (evaluate.evaluate.__doc__ or "")] == []
 
 
 def test_a_dry_run_runs_nothing_and_estimates_the_duration(tmp_path, capsys, monkeypatch):

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import json
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from dualbrain.cli.common.exit_codes import ExitCode
-from dualbrain.contracts.schema import decoding_schema, validation_schema
+from dualbrain.contracts.schema import Schema, decoding_schema, validation_schema
+
+if TYPE_CHECKING:
+    from dualbrain.contracts.registry import SkillRegistry
+    from dualbrain.simulation.scenes.scene_spec import SceneSpec
 
 
 def schema(
@@ -24,18 +28,30 @@ def schema(
     scene
         The scene whose object and place names are allowed: a number, FAMILY:SEED or a scene file.
     form
-        `validation`: enforced by the gate; `decoding`: for constrained decoders; `short`: text form of the prompt.
+        `validation`: enforced by the gate; `decoding`: for constrained decoders, with the grasps that fit the objects;
+        `short`: text form of the prompt.
     """
     from dualbrain.grounding.vocabulary import load_skill_registry, scene_names_of_spec
     from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
     registry = load_skill_registry(robot)
-    names = scene_names_of_spec(open_scene(scene, robot))
+    spec = open_scene(scene, robot)
+    names = scene_names_of_spec(spec)
     if form == "short":
         from dualbrain.contracts.schema import describe_skills
 
         print(describe_skills(registry, names))
     else:
-        chosen = validation_schema(registry, names) if form == "validation" else decoding_schema(registry, names)
+        chosen = validation_schema(registry, names) if form == "validation" else _decoding_schema(registry, spec)
         print(json.dumps(chosen, indent=2, ensure_ascii=False))
     return ExitCode.SUCCESS
+
+
+def _decoding_schema(registry: SkillRegistry, spec: SceneSpec) -> Schema:
+    """The schema for constrained decoders in the scene `spec`."""
+    from dualbrain.grounding.grasp_fit import parameter_domains
+    from dualbrain.grounding.offline_gate import scene_from_spec
+    from dualbrain.grounding.vocabulary import scene_names
+
+    scene = scene_from_spec(spec)
+    return decoding_schema(registry, scene_names(scene), domains=parameter_domains(scene, registry))
