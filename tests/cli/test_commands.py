@@ -14,11 +14,13 @@ from dualbrain.adaptation.adapters.card import read_adapter_card
 from dualbrain.adaptation.adapters.compatibility import require_compatible
 from dualbrain.adaptation.adapters.packaged import packaged_folder
 from dualbrain.cli import doctor
+from dualbrain.cli.adapters.explore import explore
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.evaluation.evaluate import evaluate
 from dualbrain.cli.evaluation.export_lerobot import export_lerobot
 from dualbrain.cli.evaluation.report import compare, report
 from dualbrain.cli.run.demo import demo
+from dualbrain.cli.run.run import run
 from dualbrain.core.storage.verification_stamp import write_stamp
 from dualbrain.core.weights import find_weight_file
 from dualbrain.grounding.vocabulary import load_skill_registry
@@ -195,6 +197,8 @@ def test_help_lists_every_command(run_command):
         (("report",), report),
         (("compare",), compare),
         (("export", "lerobot"), export_lerobot),
+        (("run",), run),
+        (("adapters", "explore"), explore),
     ],
 )
 def test_the_help_contains_the_docstring_of_the_function(run_command, command, function):

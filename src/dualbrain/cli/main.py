@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import traceback
+from itertools import takewhile
 from typing import cast
 
 from cyclopts import App, CycloptsError, CycloptsPanel, Parameter
@@ -21,6 +22,7 @@ from dualbrain.errors import DualbrainError, UsageError
 
 INSTRUCTION_COMMANDS = ("run", "plan", "demo")
 """Commands whose only positional argument is an instruction."""
+HELP_FLAGS = frozenset({"--help", "-h"})
 EXAMPLE_INSTRUCTION = "put the red cube in the bowl"
 
 
@@ -192,26 +194,12 @@ app.command(export)
 export.command(
     "dualbrain.cli.evaluation.export_lerobot:export_lerobot",
     name="lerobot",
-    help="""Write recorded runs as one LeRobotDataset v3, which LeRobot 0.6 loads and trains from.
-
-    Every run is an episode. A frame has `observation.state` (q), `action` (the control that the filter let through),
-    `dualbrain.u_nom` (the nominal control), `dualbrain.delta`, `dualbrain.h_min`, `dualbrain.status`, and
-    `intervention`: true where the filter changed the control. The task is the instruction; `tools` in meta/info.json
-    are the skills with their parameters. Frame k is the tick nearest to k / fps; over the ticks up to the next frame,
-    delta is the maximum, h_min the minimum and status the worst, so that no intervention is lost between two frames.
-
-    Example: `dualbrain export lerobot runs/a runs/b --out data/cubes`, then in Python
-    `LeRobotDataset("me/cubes", root="data/cubes")`. Failed runs are exported too: name only those to learn from.""",
+    help="Write recorded runs as one LeRobotDataset v3, which LeRobot 0.6 loads and trains from.",
 )
 export.command(
     "dualbrain.cli.evaluation.export_trace:export_trace",
     name="trace",
-    help="""Write a finished run as an OpenTelemetry trace: retrieval, planner requests, checks by the gate, actions.
-
-    Without --endpoint the spans are printed as JSON, one per line. The ids depend only on the episode, so a second
-    export is the same trace. Instruction, outcome and reasons are part of the trace; prompts and answers are not.
-
-    Example: `dualbrain export trace runs/a --endpoint http://127.0.0.1:4318/v1/traces`.""",
+    help="Write a finished run as an OpenTelemetry trace: retrieval, planner requests, checks by the gate, actions.",
 )
 
 memory = App(name="memory", help="Inspect, audit and edit the episode memory. Every edit can be undone.")
@@ -330,6 +318,8 @@ def run_command_line(arguments: list[str]) -> int:
     """Run one command and return its exit code; an exception becomes a message on stderr."""
     secure_home()
     try:
+        if not HELP_FLAGS.isdisjoint(arguments):
+            _describe_command(arguments)
         return int(app(arguments, exit_on_error=False, print_error=False, result_action="return_value") or 0)
     except CycloptsError as error:
         return _print_usage_error(error)
@@ -343,6 +333,17 @@ def run_command_line(arguments: list[str]) -> int:
         return _print_error(missing_dependency(error, "this command"))
     except Exception as error:
         return _print_error(error)
+
+
+def _describe_command(arguments: list[str]) -> None:
+    """Let the help of the named command be its docstring, unless a longer text is registered above.
+
+    The lists of commands show the registered line, because a command is imported only when it runs.
+    """
+    _, apps, _ = app.parse_commands(list(takewhile(lambda word: word not in HELP_FLAGS, arguments)))
+    command = apps[-1]
+    if command.default_command is not None and "\n" not in (command.help or ""):
+        command.help = None
 
 
 def _print_usage_error(error: CycloptsError) -> ExitCode:
