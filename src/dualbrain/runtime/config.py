@@ -67,6 +67,8 @@ class RunConfig:
     """Processor threads of a model that runs in llama.cpp or torch; 1 beside a control loop in real time."""
     retry_when_busy: bool = False
     """Whether a contract is tried again that stopped because this machine was too busy for a robot in real time."""
+    reuse_contracts: bool = False
+    """Whether the contract of a confident memory answers in place of the planner."""
     target: str = ""
     """Emulated board on which the filter runs, in lockstep with the simulation; "" runs it in this process."""
 
@@ -83,6 +85,8 @@ class RunConfig:
             del fields["planner_threads"]
         if not self.retry_when_busy:
             del fields["retry_when_busy"]
+        if not self.reuse_contracts:
+            del fields["reuse_contracts"]
         if not self.target:
             del fields["target"]
         stored = {STORED_NAMES.get(name, name): value for name, value in fields.items()}

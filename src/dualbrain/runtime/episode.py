@@ -35,6 +35,7 @@ from dualbrain.runtime.planning.proposing import (
     open_gate,
     propose,
     propose_locally,
+    propose_reused,
 )
 from dualbrain.runtime.planning.replanning import should_retry
 from dualbrain.runtime.planning.verdict_text import format_verdict
@@ -140,13 +141,15 @@ def _planning_context(executor: Executor, ground_truth: GroundTruth) -> Planning
 def _decide(
     request: EpisodeRequest, agent: Agent, executor: Executor, clock: PlanningClock, context: PlanningContext
 ) -> Decision:
-    """Ask the local layer; if it has no answer, memory, documents and then the planner."""
+    """Ask the local layer; if it has no answer, memory, documents and then the planner.
+
+    The contract of a confident memory may answer in place of the planner.
+    """
     checker = ProposalChecker(
         instruction=request.instruction,
         instruction_check=request.instruction_check,
         withheld=(),
         unfinished=(executor.held_object or "") if request.continuation else "",
-        max_shots=request.max_shots,
         context=context,
         executor=executor,
         gate=open_gate(request, executor, context),
@@ -163,8 +166,16 @@ def _decide(
     plan_request = build_request(
         request.instruction, context, recall, request.failure_feedback, restrict=request.instruction_check == "all"
     )
-    attempts = propose(request, plan_request, agent.planner, replace(checker, withheld=withheld))
+    checker = replace(checker, withheld=withheld)
+    attempts = propose_reused(request.instruction, recall, checker) if _may_reuse(request) else ()
+    if accepted_contract(attempts) is None:
+        attempts = propose(request, plan_request, agent.planner, checker, attempts)
     return Decision(attempts=attempts, recall=recall, withheld=withheld, retrieval_s=retrieval_s)
+
+
+def _may_reuse(request: EpisodeRequest) -> bool:
+    """Whether a remembered contract may answer: never after a contract that failed, nor for a planner under test."""
+    return request.reuse_contracts and request.failure_feedback is None and request.instruction_check == "all"
 
 
 def _execute(decision: Decision, executor: Executor, ground_truth: GroundTruth) -> Outcome:

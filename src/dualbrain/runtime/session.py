@@ -212,6 +212,7 @@ class Session:
             now=self.clocks.now(),
             max_shots=1 if given else config.shots,
             max_exemplars=0 if given else MAX_RECALLED,
+            reuse_contracts=config.reuse_contracts,
             tries_left=one.tries_left,
             failure_feedback=one.failure_feedback,
             continuation=one.continuation,

@@ -40,6 +40,7 @@ def run(
     port: int = 8080,
     knowledge: Literal["on", "off"] = "off",
     image_memory: Annotated[bool, Parameter(negative="")] = False,
+    reuse_contracts: Annotated[bool, Parameter(negative="")] = False,
     image: Annotated[bool, Parameter(negative="")] = False,
     utility: Annotated[bool, Parameter(negative="")] = False,
     epsilon: float = EPSILON,
@@ -102,6 +103,9 @@ def run(
         adapter reads no documents.
     image_memory
         Compare memories by image features of the scene too (needs `efficientnet-lite0`).
+    reuse_contracts
+        Do not ask the planner if memory is confident: reuse a contract that succeeded at least three times in such a
+        situation and fulfils the instruction. Gate and filter check it as any other contract.
     image
         Send the image of the simulated camera to the planner, which must be a server with a vision-language model
         (--planner URL). The run folder keeps every image that was sent. Not with --live, --contract or --utility.
@@ -172,6 +176,7 @@ def run(
             map=map,
             site=site,
             image_memory=image_memory,
+            reuse_contracts=reuse_contracts,
             image=image,
             utility=utility,
             epsilon=epsilon,

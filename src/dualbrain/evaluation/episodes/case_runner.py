@@ -153,6 +153,7 @@ def run_case(case: Case, method: Method, resources: EpisodeResources) -> Episode
         now=resources.now,
         max_shots=resources.max_shots,
         max_exemplars=MAX_RECALLED if method.uses_memory else 0,
+        reuse_contracts=method.reuse_contracts,
         instruction_check="before_planning" if method.planner_role == "adversary" else "all",
     )
     memory = NoMemory() if resources.memory is None else resources.memory  # an empty memory is falsy

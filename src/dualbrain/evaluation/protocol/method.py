@@ -40,6 +40,7 @@ ENCODED_NAMES = {
     "prompt_corruption": "spoiled",
     "perception": "eyes",
     "constrained": "bound",
+    "reuse_contracts": "reuses",
 }
 """Names of fields in the configuration stored with results, unchanged since version 0.1."""
 
@@ -48,7 +49,8 @@ class Method(msgspec.Struct, frozen=True, rename=ENCODED_NAMES, kw_only=True):
     """One method. `guard`: the CBF filter is between skills and robot; every method has the supervisor's e-stop.
 
     `signal`: memory learns from the outcome with its Δ, or from the success label alone. `epsilon_factor` multiplies
-    the suite's ε. `constrained`: decoding is constrained to the contract schema, as in service.
+    the suite's ε. `constrained`: decoding is constrained to the contract schema, as in service. `reuse_contracts`: the
+    contract of a confident memory answers in place of the planner.
     """
 
     name: str
@@ -62,6 +64,7 @@ class Method(msgspec.Struct, frozen=True, rename=ENCODED_NAMES, kw_only=True):
     prompt_corruption: PromptCorruption = "no"
     perception: PerceptionKind = "declared"
     constrained: bool = True
+    reuse_contracts: bool = False
 
     @property
     def uses_memory(self) -> bool:
@@ -158,6 +161,10 @@ DEPTH_METHODS = (
     replace(B3, name="B3-depth", perception="depth", description="B3, the scene perceived by depth cameras alone"),
 )
 """Methods without ground truth from the simulator in their perception (paper 7.1)."""
+REUSE_METHODS = (
+    replace(M, name="M-reuse", reuse_contracts=True, description="M, confident memories answer without the planner"),
+)
+"""Decision time of H2: memory saves the planner the answers that it can give itself."""
 METHODS = {
     method.name: method
     for method in (
@@ -167,6 +174,7 @@ METHODS = {
         *SENSITIVITY_METHODS,
         *UNCONSTRAINED_METHODS,
         *DEPTH_METHODS,
+        *REUSE_METHODS,
         PE_FIXED,
         V,
     )

@@ -29,6 +29,7 @@ from dualbrain.memory.memory import Memory
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
 from dualbrain.runtime.inspection.counterfactual import CounterfactualQueries
+from dualbrain.runtime.planning.reused_contract import is_reused
 
 PLAN_BATCH_SIZE = 16
 """Requests of the plan stage in one batch: they are answered in parallel where the planner can, and lost by a kill."""
@@ -122,8 +123,9 @@ class Worker:
         for attempt in run.episode.attempts:
             require_answer(attempt.proposal)
         asked = planner.n_requests > before and planner_name(suite, method) not in RANDOM_PLANNERS
-        context = replace(context, asked=asked)
-        if extras and memory is not None and method.uses_memory and is_due(suite.memory.utility, k):
+        reused = is_reused(run.episode)
+        context = replace(context, asked=asked or reused)
+        if extras and memory is not None and method.uses_memory and not reused and is_due(suite.memory.utility, k):
             run = self._add_memory_uses(run, planner, case)
         if extras and method.guard and is_due(suite.bare, k):
             context = replace(context, lost_s=seconds_lost(case, run, self._config.clock))

@@ -39,6 +39,8 @@ class EpisodeRequest:
     now: float = 0.0
     max_shots: int = 2
     max_exemplars: int = MAX_RECALLED
+    reuse_contracts: bool = False
+    """Whether the contract of a confident memory answers the instruction in place of the planner."""
     tries_left: int = 1
     failure_feedback: FailureFeedback | None = None
     continuation: tuple[dict[str, Any], ...] = ()

@@ -18,7 +18,7 @@ from dualbrain.grounding.instruction.review import Refusal, StopCommand
 from dualbrain.grounding.vocabulary import planner_grants, scene_names
 from dualbrain.planner.protocol import STOP, Planner, has_answer
 from dualbrain.planner.request import PlanRequest
-from dualbrain.records import Attempt, Proposal
+from dualbrain.records import Attempt, Proposal, RetrievedContext
 from dualbrain.runtime.planning.episode_request import EpisodeRequest, InstructionCheck
 from dualbrain.runtime.planning.local_answer import local_proposal
 from dualbrain.runtime.planning.planner_request import PlanningContext
@@ -29,6 +29,7 @@ from dualbrain.runtime.planning.proposal_checks import (
     reject_idle,
     reject_mismatch,
 )
+from dualbrain.runtime.planning.reused_contract import find_reusable
 from dualbrain.runtime.planning.verdict_text import format_attempt
 
 CONTINUATION = "continuation of "
@@ -42,31 +43,29 @@ class ProposalChecker:
     """Checks the proposals for one instruction: its words (see `InstructionCheck`), then the gate.
 
     `withheld` are the skills of recalled steps that the instruction does not contain. `unfinished` is the object in the
-    hand that the failed contract before was to put down, "" without one. `max_shots` is the number of proposals: if
-    there is a second one, the first may not decline an instruction that contracts can express.
+    hand that the failed contract before was to put down, "" without one.
     """
 
     instruction: str
     instruction_check: InstructionCheck
     withheld: tuple[str, ...]
     unfinished: str
-    max_shots: int
     context: PlanningContext
     executor: Executor
     gate: ContractGate
     clock: PlanningClock
 
-    def check(self, proposal: Proposal, shot: int, requested_at: float) -> Attempt:
+    def check(self, proposal: Proposal, shot: int, requested_at: float, *, may_decline: bool = True) -> Attempt:
         """The attempt with the number `shot`, requested at `requested_at` [s], after it was written to the log."""
-        verdict, gate_s = self.clock.measure(lambda: self._verdict(proposal, shot, requested_at))
+        verdict, gate_s = self.clock.measure(lambda: self._verdict(proposal, shot, requested_at, may_decline))
         attempt = Attempt(msgspec.structs.replace(proposal, text=storable_text(proposal.text)), verdict, gate_s)
         log, now = self.executor.log, self.executor.state.stamp
         log.attempt(now, attempt)
         log.note(now, "verdict", format_attempt(shot, attempt))
         return attempt
 
-    def _verdict(self, proposal: Proposal, shot: int, requested_at: float) -> Verdict:
-        reject_decline = shot == 1 < self.max_shots and not self.unfinished
+    def _verdict(self, proposal: Proposal, shot: int, requested_at: float, may_decline: bool) -> Verdict:
+        reject_decline = not may_decline and not self.unfinished
         return (
             reject_before_gate(proposal, self.instruction, self.withheld)
             or (reject_idle(proposal, self.unfinished) if self.unfinished else None)
@@ -98,38 +97,65 @@ def open_gate(request: EpisodeRequest, executor: Executor, context: PlanningCont
 
 
 def propose(
-    request: EpisodeRequest, plan_request: PlanRequest, planner: Planner, checker: ProposalChecker
+    request: EpisodeRequest,
+    plan_request: PlanRequest,
+    planner: Planner,
+    checker: ProposalChecker,
+    before: tuple[Attempt, ...] = (),
 ) -> tuple[Attempt, ...]:
     """Ask `planner` until the gate accepts a proposal, the planner gives no answer, or all shots are used.
+
+    The attempts follow those `before`. If there is a second shot, the planner may not decline an instruction that
+    contracts can express at the first one.
 
     A planner that declines, or whose proposals are all rejected, while the hand holds the object of the contract before
     is followed by the remaining actions of that contract. The attempts are empty if a person interrupts the first one.
     """
     executor = checker.executor
     can_continue = bool(request.continuation) and executor.held_object is not None
-    attempts: list[Attempt] = []
+    attempts = list(before)
     for shot in range(1, request.max_shots + 1):
-        requested_at = executor.state.stamp
+        requested_at, number = executor.state.stamp, len(attempts) + 1
+        plan_request = msgspec.structs.replace(plan_request, contract_id=contract_id(number))
         proposal = checker.clock.wait_for(executor, lambda ask=plan_request: planner.propose(ask))
         if proposal is None:
             return tuple(attempts)
-        attempts.append(checker.check(proposal, shot, requested_at))
+        may_decline = shot > 1 or request.max_shots == 1
+        attempts.append(checker.check(proposal, number, requested_at, may_decline=may_decline))
         verdict = attempts[-1].verdict
         if can_continue and _is_accepted_decline(verdict):
             break
         if isinstance(verdict, Accepted) or not has_answer(proposal):
             return tuple(attempts)
-        plan_request = msgspec.structs.replace(plan_request, rejection=verdict, contract_id=f"c-{shot + 1:04d}")
+        plan_request = msgspec.structs.replace(plan_request, rejection=verdict)
     if can_continue:
-        proposal = _continuation(plan_request, request)
+        number = contract_id(len(attempts) + 1)
+        proposal = _continuation(msgspec.structs.replace(plan_request, contract_id=number), request)
         attempts.append(checker.check(proposal, len(attempts) + 1, executor.state.stamp))
     return tuple(attempts)
+
+
+def propose_reused(instruction: str, recall: RetrievedContext, checker: ProposalChecker) -> tuple[Attempt, ...]:
+    """The contract of a confident memory as the only attempt, without one none; no time passes for the robot."""
+    found = find_reusable(instruction, checker.context, recall, contract_id(1))
+    if found is None:
+        return ()
+    exemplar, proposal = found
+    executor, now = checker.executor, checker.executor.state.stamp
+    evidence = f"weight {exemplar.weight:.2f}, similarity {exemplar.similarity:.3f}"
+    executor.log.note(now, "memory", f"the contract of {exemplar.episode_id} is reused ({evidence})")
+    return (checker.check(proposal, 1, now),)
+
+
+def contract_id(number: int) -> str:
+    """The id of the contract with this number in its episode."""
+    return f"c-{number:04d}"
 
 
 def propose_locally(answer: StopCommand | Refusal, checker: ProposalChecker) -> tuple[Attempt, ...]:
     """The contract of the local layer as the only attempt; no time passes for the robot."""
     executor = checker.executor
-    proposal, now = local_proposal(answer, checker.context.registry, "c-0001"), executor.state.stamp
+    proposal, now = local_proposal(answer, checker.context.registry, contract_id(1)), executor.state.stamp
     if isinstance(answer, Refusal):
         executor.log.note(now, "planner", answer.reason)
     return (checker.check(proposal, 1, now),)

@@ -23,6 +23,7 @@ class ShellOptions:
     seed: int = 0
     tries: int = 2
     consult: bool = False
+    reuse_contracts: bool = False
     live_view: bool = True
     port: int = 8080
     real_time: bool = False

@@ -38,6 +38,7 @@ def shell(
     tries: int = DEFAULT_TRIES,
     port: int = 8080,
     knowledge: Literal["on", "off"] = "off",
+    reuse_contracts: Annotated[bool, Parameter(negative="")] = False,
     live: Annotated[bool, Parameter(negative="")] = False,
     speed: str = "100%",
 ) -> int:
@@ -75,6 +76,8 @@ def shell(
         Port of the live view, on the loopback interface.
     knowledge
         "on" puts up to three passages of your documents about the task into the prompt.
+    reuse_contracts
+        Do not ask the planner if memory is confident, as for `dualbrain run`.
     live
         Carry out each instruction in real time behind a gatekeeper process. Between instructions no process moves the
         robot, and its brakes are on.
@@ -99,6 +102,7 @@ def shell(
         seed=seed,
         tries=tries,
         consult=knowledge == "on",
+        reuse_contracts=reuse_contracts,
         live_view=not headless,
         port=port,
         real_time=live,

@@ -189,6 +189,7 @@ class InstructionWorker:
             seed=options.seed,
             tries=options.tries,
             consult=options.consult,
+            reuse_contracts=options.reuse_contracts,
             measured=options.live_view,
         )
 
