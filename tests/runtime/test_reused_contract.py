@@ -24,6 +24,7 @@ from dualbrain.runtime.planning.reused_contract import (
 )
 from dualbrain.runtime.session import RunObserver, Session
 from tests.grounding.perceived_scenes import bowl, box, scene
+from tests.runtime.test_replanning import PUSH, near_destination
 from tests.stories.story_session import GRASP, PLACE, contract_text, decline_contract, make_clocks, run_config
 
 CUBE_TO_BOWL = contract_text(("grasp", GRASP), ("place", PLACE))
@@ -183,6 +184,19 @@ def test_a_reused_contract_that_the_gate_rejects_is_followed_by_the_planner(tmp_
         "rejected",
         "accepted",
     ]
+
+
+def test_after_a_contract_that_failed_the_planner_is_asked(tmp_path):
+    """The cube is nearer to its destination than the remembered push is long."""
+    far = contract_text(("push", {**PUSH, "destination": "table_right", "distance": 0.25}))
+    config = near_destination(tmp_path, tries=2, reuse_contracts=True)
+    planner = ScriptedPlanner((decline_contract(),))
+    agent = Agent(planner, FixedMemory((exemplar(far),)))
+    with Session(config, make_clocks(), {}, planner, agent=agent) as session:
+        result = session.run(RunObserver())
+    assert [(one.outcome.kind, is_reused(one)) for one in result.earlier_episodes] == [("failed", True)]
+    assert (result.episode.outcome.kind, is_reused(result.episode)) == ("declined", False)
+    assert planner.requests[0].failure_feedback is not None
 
 
 def test_by_default_the_planner_is_asked(tmp_path):

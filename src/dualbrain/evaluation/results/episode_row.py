@@ -48,7 +48,7 @@ class EpisodeRow(msgspec.Struct, frozen=True, kw_only=True):
     answers: list[list[str]]
     contract: str
     asked: bool
-    """An answer was computed in this episode (not cached) or taken from a memory: only then `planner_s` is a latency."""
+    """An answer was computed in this episode (not cached) or taken from memory: only then `planner_s` is a latency."""
     constrained_by: str
     free_answer: list[str] = []
     """Text and finish reason of the first answer under unconstrained decoding; empty if it was not requested."""

@@ -19,7 +19,7 @@ from dualbrain.contracts.canonical_form import canonical_contract
 from dualbrain.contracts.contract import NAMING_PARAMETERS, Action, Context, Contract
 from dualbrain.errors import DECODE_ERRORS
 from dualbrain.grounding.grasp_fit import is_level, least_opening
-from dualbrain.grounding.instruction.goals.goal import Goal, Placed
+from dualbrain.grounding.instruction.goals.goal import Goal, Placed, Unread
 from dualbrain.grounding.instruction.goals.goal_coverage import IDLE_SKILLS, find_uncovered
 from dualbrain.grounding.instruction.goals.goal_reading import read_goal
 from dualbrain.grounding.parameter_values import fitted_opening
@@ -44,7 +44,7 @@ def find_reusable(
     """
     start = time.perf_counter()
     goal = read_goal(instruction, context.scene)
-    if not isinstance(goal, Goal) or goal.decline or goal.beyond_contracts or context.holding is not None:
+    if isinstance(goal, Unread) or context.holding is not None:
         return None
     registry = context.registry
     for exemplar in filter(is_confident, recall.exemplars):
