@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from enum import IntEnum
+from enum import IntEnum, StrEnum
 from math import inf, sqrt
 from struct import Struct
 
@@ -38,6 +38,23 @@ class FilterStatus(IntEnum):
     RELAXED = 2
     STOPPED = 3
     FAULT = 4
+
+
+class LimitKind(StrEnum):
+    """The kind of limit that changed a control or an action the most.
+
+    CONTACT is a pair of links, or of a link and an obstacle; CONSTRAINT a row of `SafetyFilter.constrain` or of a
+    Python barrier. STOP means that the filter brakes for another reason (`FilterResult.cause`), INPUT that an action or
+    a joint state cannot be used.
+    """
+
+    NONE = "none"
+    JOINT_POSITION = "joint position"
+    SPEED = "speed"
+    CONTACT = "contact"
+    CONSTRAINT = "constraint"
+    STOP = "stop"
+    INPUT = "input"
 
 
 class RowNames(msgspec.Struct, frozen=True, kw_only=True):
@@ -173,15 +190,32 @@ class FilterResult(msgspec.Struct, frozen=True, eq=False, gc=False):  # numbers 
         """Name of the row with the largest effect; without rows the reasons; empty if the control was not changed."""
         if self.status > FilterStatus.MODIFIED and not self.binding_rows:
             return ", ".join(flag.name.lower().replace("_", " ") for flag in self.reason if flag.name)
+        row = self._limiting()
+        if row is None:
+            return "" if self.status is FilterStatus.SAFE else "rounding"
+        return self.names.row_name(*row[:3])
+
+    @property
+    def limit_kind(self) -> LimitKind:
+        """The kind of limit of `limiting_row`; NONE if the control was not changed, or by rounding only."""
+        row = self._limiting()
+        if row is None:
+            return LimitKind.STOP if self.status > FilterStatus.MODIFIED else LimitKind.NONE
+        kind, _, j = row[:3]
+        if kind in (OBSTACLE, SELF):
+            return LimitKind.CONTACT
+        if kind == USER:
+            return LimitKind.CONSTRAINT
+        is_position = kind in (LOWER, UPPER) and LIMIT_NAMES[j] == "position"
+        return LimitKind.JOINT_POSITION if is_position else LimitKind.SPEED
+
+    def _limiting(self) -> RawRow | None:
+        """The binding row with the largest effect."""
         pairs = [row for row in self.binding_rows if row[0] not in (LOWER, UPPER)]
         joints = [row for row in self.binding_rows if row[0] in (LOWER, UPPER)]
-        if not self.binding_rows:
-            return "" if self.status is FilterStatus.SAFE else "rounding"
         if pairs and (not joints or self.delta_rows >= self.delta_box):
-            kind, i, j, _, _ = max(pairs, key=lambda row: row[4])
-        else:
-            kind, i, j, _, _ = max(joints, key=lambda row: (row[2], row[4]))  # position limits come first
-        return self.names.row_name(kind, i, j)
+            return max(pairs, key=lambda row: row[4])
+        return max(joints, key=lambda row: (row[2], row[4]), default=None)  # position limits come first
 
     def unfiltered(self) -> FilterResult:
         """This result as it would be without filtering: u is u_nom, without a certificate."""

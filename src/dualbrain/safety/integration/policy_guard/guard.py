@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from dualbrain.core.geometry.validation import as_real_array
 from dualbrain.errors import ConfigurationError
 from dualbrain.safety.cbf.filter import SafetyFilter
-from dualbrain.safety.cbf.result import FilterResult, FilterStatus
+from dualbrain.safety.cbf.result import FilterResult, FilterStatus, LimitKind
 from dualbrain.safety.integration.policy_guard.action_space import ActionGoal, ActionSpace, GuardedArm
 from dualbrain.safety.integration.policy_guard.joint_actions import JointVelocity
 from dualbrain.safety.integration.policy_guard.path_braking import brake_along_path, braking_step
@@ -57,8 +57,9 @@ class GuardReport:
     `changed`: whether the action differs from that of the policy. `status`: the highest status of the filter. `delta`:
     mean change of the control by the filter; `delta_rows` is the part that is not due to jumps beyond joint limits.
     `speed_share`: the smallest share of the commanded speed while braking along the path, 1 without braking.
-    `h_min` [m]: the smallest h before a step. `explanation`: the largest change as a sentence. `problem`: why the arm
-    comes to rest, with a remedy; "" without one.
+    `h_min` [m]: the smallest h before a step. `explanation`: the largest change as a sentence. `limit`: the kind of
+    limit that caused it; NONE for braking along the path. `problem`: why the arm comes to rest, with a remedy; ""
+    without one.
     """
 
     changed: bool
@@ -68,6 +69,7 @@ class GuardReport:
     speed_share: float
     h_min: float
     explanation: str
+    limit: LimitKind
     problem: str
 
 
@@ -227,9 +229,31 @@ class PolicyGuard:
             delta_rows=results.delta_rows / results.count,
             speed_share=self._speed_share,
             h_min=results.h_min,
-            explanation=results.largest.explain(),
+            explanation=self._describe_duration() if self._takes_longer else results.largest.explain(),
+            limit=self._limit_kind(results.largest),
             problem=self._problem,
         )
+
+    @property
+    def _takes_longer(self) -> bool:
+        """Whether the filter changed nothing, but the motion of the action needs more time than one action has."""
+        unfiltered = self._results is not None and self._results.delta == 0.0 and self._speed_share == 1.0
+        return self._changed and not self._problem and unfiltered
+
+    def _describe_duration(self) -> str:
+        assert self._arm is not None
+        shares = np.abs(self._arm.velocity) / self._velocity_limits
+        fastest = int(np.argmax(shares))
+        share, joint = 100.0 * shares[fastest], self._model.joints[fastest]
+        return (
+            f"the motion takes longer than one action: {joint.name} moves at {share:.0f} % of its velocity limit, "
+            f"{joint.velocity.value:.3g} {joint.velocity.unit}"
+        )
+
+    def _limit_kind(self, largest: FilterResult) -> LimitKind:
+        if self._problem:
+            return LimitKind.INPUT
+        return LimitKind.SPEED if self._takes_longer else largest.limit_kind
 
     # --- one call per action ------------------------------------------------------------------------------------
 
@@ -247,14 +271,33 @@ class PolicyGuard:
             ConfigurationError: the first action or joint state of all is not usable, or a joint state while torques are
                 commanded, so that no action can stop the arm.
         """
-        start = now if now is not None else self._now + self._dt if isfinite(self._now) else 0.0
+        start = self._next_start(now)
         self.begin(action, start)
+        self._run_periods(q, v, start, opening)
+        return self.command()
+
+    def stop(
+        self, problem: str, q: ArrayLike, v: ArrayLike, now: float | None = None, opening: float | None = None
+    ) -> Any:
+        """The action that brings the arm to rest because of `problem`, instead of the action of the policy.
+
+        The parameters and errors are those of a call; an unknown joint state is NaN.
+        """
+        start = self._next_start(now)
+        self.rest(problem, start)
+        self._run_periods(q, v, start, opening)
+        return self.command()
+
+    def _next_start(self, now: float | None) -> float:
+        return now if now is not None else self._now + self._dt if isfinite(self._now) else 0.0
+
+    def _run_periods(self, q: ArrayLike, v: ArrayLike, start: float, opening: float | None) -> None:
+        """Filter all periods of one action; the joint state is measured in the first one, and predicted afterwards."""
         q, v = self._measured(q, v)
         self.step(q, v, start, opening)
         for index in range(1, self.steps_per_action):
             predicted = q if self._arm is None else q + self._arm.target - self._arm.start
             self.step(predicted, self.control, start + index * self._dt, opening)
-        return self.command()
 
     # --- a loop that measures in every period of the filter -----------------------------------------------------
 
