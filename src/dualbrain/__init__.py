@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from dualbrain.contracts.skill_spec import SkillSpec
     from dualbrain.contracts.verdict import Accepted, Rejected
     from dualbrain.control.recording.replay import replay
+    from dualbrain.core.connectors import Connector
     from dualbrain.core.geometry.shapes import Box, Capsule, Cylinder, HalfSpace, Pose, Sphere
     from dualbrain.errors import ConfigurationError, DualbrainError, MissingDependencyError, UnknownNameError
     from dualbrain.knowledge.library import Library
@@ -63,6 +64,7 @@ _MODULES = {
     "contracts.skill_spec": ("SkillSpec",),
     "contracts.verdict": ("Accepted", "Rejected"),
     "control.recording.replay": ("replay",),
+    "core.connectors": ("Connector",),
     "core.geometry.shapes": ("Box", "Capsule", "Cylinder", "HalfSpace", "Pose", "Sphere"),
     "errors": ("ConfigurationError", "DualbrainError", "MissingDependencyError", "UnknownNameError"),
     "knowledge.library": ("Library",),
@@ -98,6 +100,7 @@ __all__ = [
     "CellOptions",
     "Command",
     "ConfigurationError",
+    "Connector",
     "Contact",
     "Contract",
     "Cylinder",

@@ -48,8 +48,9 @@ class Finding:
 def doctor(*, robot: str = "", target: str = "") -> int:
     """Check this installation: versions, kernel, filter latency, rendering, targets, planners, model files, memory.
 
-    Lists every running gatekeeper of this user too: process, robot, socket, start, what started it, whether a commander
-    is connected, and how to end it.
+    Lists every installed connector of another framework, and what its own check finds. Lists every running gatekeeper
+    of this user too: process, robot, socket, start, what started it, whether a commander is connected, and how to end
+    it.
 
     Exit code 0 unless a line has the state "problem"; optional parts that are not installed are not problems.
 
@@ -75,6 +76,7 @@ def doctor(*, robot: str = "", target: str = "") -> int:
         "planners": _planners,
         "model files": _model_files,
         "memory": _memory,
+        "connectors": _connectors,
         "gatekeepers": _gatekeepers,
     }
     return _print_findings([finding for name, check in checks.items() for finding in _run_check(check, name)])
@@ -241,6 +243,18 @@ def _model_files() -> list[Finding]:
         return Finding(name, "optional", f"not downloaded: dualbrain models fetch {name}")
 
     return [finding(status) for status in weights.list_weights(cache_folder())]
+
+
+def _connectors() -> list[Finding]:
+    """Every connector that an installed distribution announces; one that does not work is a problem."""
+    from dualbrain.core.connectors import installed_connectors
+
+    found: list[Finding] = []
+    for one in installed_connectors():
+        item = f"connector {one.name}"
+        found += [Finding(item, "problem", f"{one.distribution}: {problem}") for problem in one.problems]
+        found += [Finding(item, "ok", one.text)] if not one.problems else []
+    return found
 
 
 def _gatekeepers() -> list[Finding]:
