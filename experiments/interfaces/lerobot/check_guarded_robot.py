@@ -17,6 +17,7 @@ from lerobot.utils.import_utils import register_third_party_plugins
 register_third_party_plugins()
 
 from lerobot_robot_dualbrain import DualbrainGuardedConfig, DualbrainSafetyFilterStep  # noqa: E402
+from lerobot_robot_dualbrain.connector import connector  # noqa: E402
 from lerobot_robot_recording_servos import ACTIONS, JOINTS, RecordingServosConfig  # noqa: E402
 
 UNSAFE = {f"{name}.pos": value for name, value in zip(JOINTS, ACTIONS[0], strict=True)}
@@ -103,6 +104,7 @@ if __name__ == "__main__":
     target = Path(sys.argv[1])
     check_refusals(target)
     check_robot()
+    assert connector().check() == []
     (target / "pipeline").mkdir()
     check_step(target / "pipeline")
     print("checked")

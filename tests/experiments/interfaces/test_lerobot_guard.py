@@ -114,6 +114,9 @@ def test_lerobot_can_discover_the_distribution():
     assert name.startswith("lerobot_robot_")  # LeRobot looks for underscores, and imports a module of the same name
     assert project["tool"]["setuptools"]["packages"] == [name]
     assert (PLUGINS[0] / name / "__init__.py").is_file()
+    assert project["project"]["entry-points"]["dualbrain.integrations"] == {"lerobot": f"{name}.connector:connector"}
+    tree = ast.parse((PLUGINS[0] / name / "connector.py").read_text())
+    assert "connector" in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
     assert project["project"]["version"] == __version__
     assert project["project"]["license"] == "Apache-2.0"
 
