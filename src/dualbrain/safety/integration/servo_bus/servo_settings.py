@@ -60,7 +60,7 @@ def make_guarded_servos(settings: ServoSettings, keys: Sequence[str]) -> Guarded
             "and the lag of its servos.",
             fix="Identify the servos, and write lag and error into the robot model.",
         )
-    safety = _make_filter(derate(robot_model, period=1.0 / settings.rate), settings.site)
+    safety = make_filter(derate(robot_model, period=1.0 / settings.rate), settings.site)
     servos = ServoMap.of(safety.robot_model, keys, calibration=settings.calibration)
     return GuardedServos(safety, servos, action_period=1.0 / settings.action_rate, deviation=settings.deviation)
 
@@ -81,6 +81,18 @@ def check_digest(robot_model: RobotModel, expected: str) -> None:
         )
 
 
+def make_filter(robot_model: RobotModel, site: str) -> SafetyFilter:
+    """The filter of `robot_model` at the site file `site`; without one ("") above a table, the plane z = 0 of the base.
+
+    Raises:
+        ConfigurationError: the site file cannot be used.
+    """
+    if site:
+        return site_filter(read_site(site), robot_model)
+    table = Obstacle("table", HalfSpace())
+    return SafetyFilter(robot_model, operating_config(robot_model), obstacles=[table])
+
+
 def _check_rates(settings: ServoSettings) -> None:
     if not MIN_RATE <= settings.rate <= MAX_RATE:
         allowed = f"{MIN_RATE:g} to {MAX_RATE:g}"
@@ -88,10 +100,3 @@ def _check_rates(settings: ServoSettings) -> None:
     if not 0.5 <= settings.action_rate <= settings.rate:
         allowed = f"0.5 to the rate of the bus, {settings.rate:g}"
         raise ConfigurationError("rate of the actions [1/s]", got=settings.action_rate, allowed=allowed)
-
-
-def _make_filter(robot_model: RobotModel, site: str) -> SafetyFilter:
-    if site:
-        return site_filter(read_site(site), robot_model)
-    table = Obstacle("table", HalfSpace())
-    return SafetyFilter(robot_model, operating_config(robot_model), obstacles=[table])
