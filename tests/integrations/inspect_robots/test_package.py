@@ -15,7 +15,7 @@ from tests.integrations.inspect_robots.conftest import HERE, ROOT
 
 DISTRIBUTION = ROOT / "integrations" / "inspect_robots"
 PACKAGE = ROOT / "build" / "inspect_robots"
-FETCH = f"pip install --no-deps --target build/inspect_robots inspect-robots=={BUILT_AGAINST}"
+FETCH = f"make setup, or pip install --no-deps --target build/inspect_robots inspect-robots=={BUILT_AGAINST}"
 TIMEOUT = 240.0
 
 
