@@ -53,7 +53,7 @@ fi
 log "compiling the safety kernel"
 "$VENV/bin/pip" install -q --no-build-isolation "${torch[@]}" -e '.[all,dev,adapt,qlora]' 2> >(grep -v 'is ignored: it is neither' >&2)
 log "installing inspect-robots beside the environment, for the tests of its connector (build/inspect_robots)"
-"$VENV/bin/pip" install -q --no-deps --upgrade --target build/inspect_robots inspect-robots ||
+"$VENV/bin/pip" install -q --no-deps --upgrade --target build/inspect_robots inspect-robots 2> >(grep -v 'is ignored: it is neither' >&2) ||
   log "it could not be installed; its tests are skipped"
 if [ "${SKIP_BROWSER:-}" = "" ]; then
   log "installing the npm client of the MCP tests (build/npm)"
