@@ -40,7 +40,7 @@ def exemplar(contract=CUBE_TO_BOWL, **changes):
         "succeeded": True,
         "Delta": 0.0,
         "similarity": 0.99,
-        "weight": 0.8,
+        "weight": 0.9,
         "score": 0.95,
         "rank": 1,
     }

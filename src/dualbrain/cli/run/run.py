@@ -104,7 +104,7 @@ def run(
     image_memory
         Compare memories by image features of the scene too (needs `efficientnet-lite0`).
     reuse_contracts
-        Do not ask the planner if memory is confident: reuse a contract that succeeded at least three times in such a
+        Do not ask the planner if memory is confident: reuse a contract that succeeded about three times in such a
         situation and fulfils the instruction. Gate and filter check it as any other contract.
     image
         Send the image of the simulated camera to the planner, which must be a server with a vision-language model

@@ -1,10 +1,10 @@
 """Answers from memory: a remembered contract that carries out the instruction is reused without asking the planner.
 
-A memory is confident if its contract succeeded near this situation several times without much intervention: its weight
-w̄ (paper 5.2) starts at 0.5, rises by about 0.07 with every clean success and falls with every other outcome. Whether
-its contract carries out the present instruction is not decided by similarity: the goal is read from the words
-(`read_goal`) and compared with the effects of the contract, as for every answer of a planner. The gate and the filter
-check a reused contract as any other.
+A memory is confident if its contract succeeded near this situation several times without much intervention: the weight
+w̄ of a contract near a situation (paper 5.2) starts at 0.5, rises with every clean success and falls with every other
+outcome. Whether its contract carries out the present instruction is not decided by similarity: the goal is read from
+the words (`read_goal`) and compared with the effects of the contract, as for every answer of a planner. The gate and
+the filter check a reused contract as any other.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from dualbrain.runtime.planning.planner_request import PlanningContext
 
 REUSED_CONTRACT = "reused contract"
 """The author recorded for a contract from memory: one source, so that the limits of trust hold for all of them."""
-MIN_WEIGHT = 0.7
-"""Least weight w̄ of a memory whose contract is reused: the initial weight 0.5 and three clean successes more."""
+MIN_WEIGHT = 0.8
+"""Least weight w̄ of a memory whose contract is reused: three clean successes of one contract in one scene give 0.9."""
 MIN_SIMILARITY = 0.95
 """Least similarity s = (1 + cos)/2 of the situation in which the contract succeeded."""
 
