@@ -2,9 +2,12 @@
 
 import errno
 import os
+import sys
+from importlib.abc import MetaPathFinder
 
 import pytest
 
+from dualbrain.__main__ import run_program
 from dualbrain.cli import main
 from dualbrain.cli.common.exit_codes import ExitCode
 
@@ -32,3 +35,15 @@ def test_a_failed_write_is_a_sentence_with_a_remedy(monkeypatch, capsys, code, r
     err = capsys.readouterr().err
     assert f"dualbrain: {name or 'A file'} cannot be written: {os.strerror(code)}. " in err
     assert remedy in err
+
+
+def test_an_interruption_during_the_imports_is_one_line(monkeypatch, capsys):
+    class Interrupted(MetaPathFinder):
+        def find_spec(self, name, path=None, target=None):
+            if name == "dualbrain.cli.main":
+                raise KeyboardInterrupt
+
+    monkeypatch.delitem(sys.modules, "dualbrain.cli.main")
+    monkeypatch.setattr(sys, "meta_path", [Interrupted(), *sys.meta_path])
+    assert run_program(["doctor"]) == ExitCode.INTERRUPTED
+    assert capsys.readouterr().err == "dualbrain: interrupted\n"
