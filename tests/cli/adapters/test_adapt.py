@@ -17,7 +17,7 @@ from dualbrain.adaptation.curation.dataset import CARD_FILE, read_dataset, read_
 from dualbrain.adaptation.idle_scheduler import IdleSchedulerConfig, MachineLoad
 from dualbrain.adaptation.training.process_group import SINGLE_PROCESS
 from dualbrain.cli.adapters import adapt as command
-from dualbrain.cli.adapters import adapt_when_idle, process_launcher
+from dualbrain.cli.adapters import adapt_when_idle, process_launcher, training
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.errors import ConfigurationError, MissingDependencyError
 from dualbrain.grounding.vocabulary import skill_registry_at_site
@@ -135,7 +135,7 @@ def test_the_folder_is_printed_at_the_start_and_after_an_interrupt(run_command, 
     def interrupted():
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(command, "import_trainer", interrupted)
+    monkeypatch.setattr(training, "import_trainer", interrupted)
     code, _, err = run_command("adapt", *options)
     (data,) = tmp_path.rglob(CARD_FILE)
     folder = data.parent.parent.relative_to(tmp_path)
@@ -157,7 +157,7 @@ def test_a_new_adapter_is_reported_with_the_next_commands(
     monkeypatch.setattr(command, "_record_in_ledger", lambda *args: True)
     facts = {"id": "a" * 64, "robot": "panda", "base": "base-135m", "base_sha256": "c" * 64}
     trainer = SimpleNamespace(adapt=lambda *args, **kwargs: SimpleNamespace(**facts))
-    monkeypatch.setattr(command, "import_trainer", lambda: trainer)
+    monkeypatch.setattr(training, "import_trainer", lambda: trainer)
     monkeypatch.setattr("dualbrain.adaptation.adapters.base_models.find_base_model", lambda name, cache: name)
     of, one = " --ledger ledger.sqlite" if ledger_named else "", "a" * 16
     code, _, err = run_command("adapt", "--out", "fit", *of.split())
@@ -202,7 +202,7 @@ def stop_before_training(monkeypatch):
     def fail():
         raise MissingDependencyError("torch", fix="")
 
-    monkeypatch.setattr(command, "import_trainer", fail)
+    monkeypatch.setattr(training, "import_trainer", fail)
 
 
 @pytest.mark.parametrize(

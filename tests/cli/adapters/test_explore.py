@@ -6,9 +6,8 @@ import msgspec
 import pytest
 
 from dualbrain.adaptation.adapters import base_models
-from dualbrain.cli.adapters import adapt as fitting
 from dualbrain.cli.adapters import explore as command
-from dualbrain.cli.adapters import registry
+from dualbrain.cli.adapters import registry, training
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.runtime.data_collection.exploration import cycle
 
@@ -34,15 +33,15 @@ def bench(monkeypatch):
         state.settings.append(config)
         return SimpleNamespace(card=SimpleNamespace(memories=0))
 
-    card = SimpleNamespace(id="a" * 64, robot="ur5e")
+    card = SimpleNamespace(id="a" * 64, robot="ur5e", base="base-135m", base_sha256="c" * 64)
     monkeypatch.setattr(command, "write_explored_dataset", write)
     monkeypatch.setattr("dualbrain.adaptation.curation.dataset.read_dataset", lambda folder: None)
-    monkeypatch.setattr(fitting, "import_trainer", lambda: SimpleNamespace(adapt=lambda *args, **options: card))
+    monkeypatch.setattr(training, "import_trainer", lambda: SimpleNamespace(adapt=lambda *args, **options: card))
     monkeypatch.setattr(base_models, "find_base_model", lambda name, cache: name)
     monkeypatch.setattr(
         registry,
         "open_adapter_registry",
-        lambda: SimpleNamespace(add=lambda folder, now: state.added.append(folder)),
+        lambda: SimpleNamespace(add=lambda folder, now: state.added.append(folder), champion=lambda place: None),
     )
     return state
 

@@ -11,7 +11,7 @@ from dualbrain.adaptation.adapters.card import WEIGHTS_FILE, read_adapter_card
 from dualbrain.adaptation.curation import curate
 from dualbrain.adaptation.curation.dataset import CARD_FILE, read_dataset, read_dataset_card
 from dualbrain.adaptation.curation.sample import Sample
-from dualbrain.cli.adapters import adapt as fitting
+from dualbrain.cli.adapters import training
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.runtime.data_collection import rollouts as room
 from dualbrain.runtime.data_collection import starter_dataset, synthetic_scenes
@@ -67,7 +67,7 @@ def bench(monkeypatch):
     monkeypatch.setattr(room, "run_proposal", carried_out)
     monkeypatch.setattr(room, "EPISODES_PER_STEP", 4)
     monkeypatch.setattr(starter_dataset, "N_PROPOSALS", N_EPISODES)
-    monkeypatch.setattr(fitting, "import_trainer", lambda: SimpleNamespace(adapt=adapt))
+    monkeypatch.setattr(training, "import_trainer", lambda: SimpleNamespace(adapt=adapt))
     monkeypatch.setattr(base_models, "find_base_model", lambda name, cache: name)
     return state
 

@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-import shlex
 import time
-from collections.abc import Generator
-from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+from dualbrain.cli.adapters import training
 from dualbrain.cli.adapters.process_launcher import console_of, is_distributed, process_group
+from dualbrain.cli.adapters.training import DATASET_FOLDER, announce_folder
 from dualbrain.cli.common.console import StderrConsole, format_table
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.memory.open_memory import open_reader, print_json
-from dualbrain.core.paths import cache_folder
-from dualbrain.errors import ConfigurationError, DualbrainError, MissingDependencyError, UsageError
+from dualbrain.errors import ConfigurationError, DualbrainError, UsageError
 
 if TYPE_CHECKING:
     from dualbrain.adaptation.training.process_group import ProcessGroup
-
-DATASET_FOLDER = "dataset"
 
 Flag = Annotated[bool, Parameter(negative="")]
 
@@ -96,25 +92,9 @@ def adapt(
     at_site = skill_registry_at_site(robot, site) if site else None
     if dry_run or export is not None:
         return _curate_only(ledger, registry, at_site, settings, export, json=json)
-    with process_group(import_trainer, out) as group, announce_folder(folder, console_of(group)):
+    with process_group(training.import_trainer, out) as group, announce_folder(folder, console_of(group)):
         group.run_on_first(lambda: _write_dataset(ledger, registry, at_site, settings, folder))
         return _fit(settings, registry, base, folder, ledger, group, json=json)
-
-
-@contextmanager
-def announce_folder(folder: Path, console: StderrConsole) -> Generator[None]:
-    """Print the output `folder`, and after Ctrl-C how to resume the run there."""
-    _print_unwrapped(console, f"all files are kept in {folder}")
-    try:
-        yield
-    except KeyboardInterrupt:
-        _print_unwrapped(console, f"resume with the same command and --out {shlex.quote(str(folder))}")
-        raise
-
-
-def _print_unwrapped(console: StderrConsole, line: str) -> None:
-    """Print `line` without markup or wrapping, so that a path or a command can be copied."""
-    console.print(line, markup=False, soft_wrap=True)
 
 
 def _curate_only(
@@ -180,8 +160,7 @@ def _curate(ledger: Path | None, registry: Any, at_site: Any, settings: Any, *, 
 def _fit(
     settings: Any, registry: Any, base: str, folder: Path, ledger: Path | None, group: ProcessGroup, *, json: bool
 ) -> int:
-    """Train an adapter on the data set in `folder`, with its progress on stderr."""
-    from dualbrain.adaptation.adapters.base_models import find_base_model
+    """Train an adapter on the data set in `folder`, and register it."""
     from dualbrain.adaptation.compliance import make_gate_judge
     from dualbrain.adaptation.curation.dataset import read_dataset
 
@@ -189,21 +168,9 @@ def _fit(
     if dataset.card.registry != registry.hash:
         problem = f"The data set has the vocabulary {dataset.card.registry}, but that of the robot is {registry.hash}."
         raise ConfigurationError.stating(problem, fix="The vocabulary has changed: curate again with another --out.")
-    train = import_trainer()
-    console = console_of(group)
-    card = train.adapt(
-        dataset,
-        settings,
-        find_base_model(base, cache_folder()),
-        make_gate_judge(registry),
-        folder,
-        cache=cache_folder(),
-        clock=time.monotonic,
-        report=lambda progress: console.print(format_step(progress)),
-        process_group=group,
-        own_adapters=_unbootstrapped_adapters(),
-    )
-    return group.run_on_first(lambda: _register_adapter(card, dataset, folder, ledger, json=json))
+    judge, own = make_gate_judge(registry), _unbootstrapped_adapters()
+    card = training.train_adapter(base, settings, judge, folder, group, dataset=dataset, own_adapters=own)
+    return group.run_on_first(lambda: _finish(card, dataset, folder, ledger, json=json))
 
 
 def _unbootstrapped_adapters() -> list[str]:
@@ -215,34 +182,14 @@ def _unbootstrapped_adapters() -> list[str]:
     return [one for one in intact if not registry.card(one).bootstrapped]
 
 
-def _register_adapter(card: Any, dataset: Any, folder: Path, ledger: Path | None, *, json: bool) -> ExitCode:
-    """Register the adapter in `folder` and print the next commands; exit code 1 if the ledger was not updated."""
-    from dualbrain.adaptation.adapters.registry import place_of_card
-    from dualbrain.cli.adapters.registry import open_adapter_registry
-
-    registry, console = open_adapter_registry(), StderrConsole()
-    registry.add(folder / "adapter", now=time.time())
+def _finish(card: Any, dataset: Any, folder: Path, ledger: Path | None, *, json: bool) -> ExitCode:
+    """Register the adapter in `folder`; exit code 1 if the ledger was not updated."""
+    training.register_adapter(folder)
     is_recorded = _record_in_ledger(card, dataset, folder, ledger)
-    console.print(f"adapter {card.id[:16]}; it is not used until it is promoted. Next, in this order:")
-    for line in _next_commands(card, folder, ledger, alone=not registry.champion(place_of_card(card))):
-        _print_unwrapped(console, f"  {line}")
+    training.print_next_commands(card, folder, ledger=ledger)
     if json:
         print_json(card)
     return ExitCode.SUCCESS if is_recorded else ExitCode.FAILED_SAFELY
-
-
-def _next_commands(card: Any, folder: Path, ledger: Path | None, *, alone: bool) -> tuple[str, ...]:
-    """The commands that bring a new adapter into service; `alone` if no adapter serves in its place yet."""
-    from dualbrain.planner.registry import DEFAULT_PLANNER
-
-    one, results = card.id[:16], folder / "measured.json"
-    data, measured = (shlex.quote(str(path)) for path in (folder / DATASET_FOLDER, results))
-    of = f" --ledger {shlex.quote(str(ledger))}" if ledger else ""
-    return (
-        f"dualbrain adapters measure {one} --data {data} --out {measured}{of}",
-        f'dualbrain run "…" --robot {card.robot} --planner shadow:{one}{f"@{DEFAULT_PLANNER}" if alone else ""}',
-        f"dualbrain adapters promote {one} --measured {measured}",
-    )
 
 
 def _record_in_ledger(card: Any, dataset: Any, folder: Path, ledger: Path | None) -> bool:
@@ -266,25 +213,6 @@ def _record_in_ledger(card: Any, dataset: Any, folder: Path, ledger: Path | None
         )
         return False
     return True
-
-
-def import_trainer() -> Any:
-    """The training module; raises `MissingDependencyError` without the extra `adapt`."""
-    try:
-        from dualbrain.adaptation.training import train
-    except ModuleNotFoundError as error:
-        fix = "Install it with `pip install 'dualbrain[adapt]'`."
-        raise MissingDependencyError(f"The package {error.name} of the extra `adapt`", fix=fix) from error
-    return train
-
-
-def format_step(progress: Any) -> str:
-    """One line of progress for a person."""
-    line = f"step {progress.step}/{progress.steps}  loss {progress.cross_entropy:.3f}  KL {progress.divergence:.4f}"
-    if progress.held_out is not None:
-        compliance, loss = progress.held_out.compliance, progress.held_out.loss
-        line += f"  held out: {'' if compliance is None else f'{compliance:.0%} compliant, '}loss {loss:.3f}"
-    return f"{line}  {progress.seconds_left / 60.0:.1f} min left"
 
 
 def _sample_fields(curated: Any) -> list[dict[str, Any]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import time
 from collections.abc import Callable
 from datetime import UTC, datetime
@@ -12,7 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+from dualbrain.cli.adapters import training
 from dualbrain.cli.adapters.process_launcher import console_of, process_group
+from dualbrain.cli.adapters.training import DATASET_FOLDER
 from dualbrain.cli.common.console import StderrConsole
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.memory.open_memory import print_json
@@ -20,9 +21,9 @@ from dualbrain.core.paths import cache_folder
 from dualbrain.errors import ConfigurationError, UsageError
 
 if TYPE_CHECKING:
+    from dualbrain.adaptation.training.process_group import ProcessGroup
     from dualbrain.runtime.data_collection.exploration.cycle import CycleConfig
 
-DATASET_FOLDER = "dataset"
 Flag = Annotated[bool, Parameter(negative="")]
 
 
@@ -59,18 +60,17 @@ def explore(
         Print the card of the adapter, or of the data set, as one JSON object on stdout.
     """
     from dualbrain.adaptation.adapters.base_models import require_base_model
-    from dualbrain.cli.adapters.adapt import announce_folder, import_trainer
 
     require_base_model(base)
     settings = _settings(robot, config)
     folder = out or Path("runs") / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-explore-{settings.robot}"
     if dataset_only:
-        with announce_folder(folder, StderrConsole()):
+        with training.announce_folder(folder, StderrConsole()):
             data = write_explored_dataset("this cycle", settings, folder)
             if json:
                 print_json(data.card)
         return ExitCode.SUCCESS
-    with process_group(import_trainer, out) as group, announce_folder(folder, console_of(group)):
+    with process_group(training.import_trainer, out) as group, training.announce_folder(folder, console_of(group)):
         group.run_on_first(lambda: write_explored_dataset("this cycle", settings, folder))
         return _fit(settings, base, folder, group, json=json)
 
@@ -146,43 +146,20 @@ def episode_printer(console: StderrConsole, number: int) -> Callable[[int, Any],
     return print_episode
 
 
-def _fit(settings: CycleConfig, base: str, folder: Path, group: Any, *, json: bool) -> int:
-    """Train an adapter on the data set in `folder`, register it, and print the next commands."""
-    from dualbrain.adaptation.adapters.base_models import find_base_model
+def _fit(settings: CycleConfig, base: str, folder: Path, group: ProcessGroup, *, json: bool) -> int:
+    """Train an adapter on the data set in `folder`, and register it."""
     from dualbrain.adaptation.compliance import make_gate_judge
-    from dualbrain.adaptation.curation.dataset import read_dataset
-    from dualbrain.cli.adapters.adapt import format_step, import_trainer
     from dualbrain.grounding.vocabulary import load_skill_registry
 
-    console = console_of(group)
-    card = import_trainer().adapt(
-        read_dataset(folder / DATASET_FOLDER),
-        settings.adapt,
-        find_base_model(base, cache_folder()),
-        make_gate_judge(load_skill_registry(settings.robot)),
-        folder,
-        cache=cache_folder(),
-        clock=time.monotonic,
-        report=lambda progress: console.print(format_step(progress)),
-        process_group=group,
-    )
-    return group.run_on_first(lambda: _register(card, folder, json=json))
+    judge = make_gate_judge(load_skill_registry(settings.robot))
+    card = training.train_adapter(base, settings.adapt, judge, folder, group)
+    return group.run_on_first(lambda: _finish(card, folder, json=json))
 
 
-def _register(card: Any, folder: Path, *, json: bool) -> ExitCode:
-    """Add the adapter in `folder` to the registry and print how to measure and promote it."""
-    from dualbrain.cli.adapters.registry import open_adapter_registry
-
-    console, measured = StderrConsole(), folder / "measured.json"
-    open_adapter_registry().add(folder / "adapter", now=time.time())
-    console.print(f"adapter {card.id[:16]}; it is not used until it is promoted. Next, in this order:")
-    data, results = (shlex.quote(str(path)) for path in (folder / DATASET_FOLDER, measured))
-    for line in (
-        f"dualbrain adapters measure {card.id[:16]} --data {data} --out {results}",
-        f'dualbrain run "…" --robot {card.robot} --planner shadow:{card.id[:16]}@base-135m',
-        f"dualbrain adapters promote {card.id[:16]} --measured {results}",
-    ):
-        console.print(f"  {line}", markup=False, soft_wrap=True)
+def _finish(card: Any, folder: Path, *, json: bool) -> ExitCode:
+    """Register the adapter in `folder` and print the next commands."""
+    training.register_adapter(folder)
+    training.print_next_commands(card, folder)
     if json:
         print_json(card)
     return ExitCode.SUCCESS

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -10,7 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+from dualbrain.cli.adapters import training
 from dualbrain.cli.adapters.process_launcher import console_of, process_group
+from dualbrain.cli.adapters.training import DATASET_FOLDER
 from dualbrain.cli.common.console import StderrConsole
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.memory.open_memory import print_json
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from dualbrain.adaptation.training.process_group import ProcessGroup
     from dualbrain.contracts.registry import SkillRegistry
 
-DATASET_FOLDER = "dataset"
 Flag = Annotated[bool, Parameter(negative="")]
 
 
@@ -45,10 +45,8 @@ def make(name: str, /, *, out: Path | None = None, json: Flag = False) -> int:
     """
     if name not in _MAKERS:
         raise UnknownNameError("packaged adapter", name, tuple(_MAKERS))
-    from dualbrain.cli.adapters.adapt import announce_folder, import_trainer
-
     folder = out or Path("runs") / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{name}"
-    with process_group(import_trainer, out) as group, announce_folder(folder, console_of(group)):
+    with process_group(training.import_trainer, out) as group, training.announce_folder(folder, console_of(group)):
         card = _MAKERS[name](folder, group)
         if json and group.rank == 0:
             print_json(card)
@@ -131,24 +129,10 @@ def _write_rollout_dataset(folder: Path) -> None:
 
 def _fit(base: str, settings: Any, registries: Mapping[str, SkillRegistry], folder: Path, group: ProcessGroup) -> Any:
     """Train an adapter of `base` on the data set in `folder` and return its card."""
-    from dualbrain.adaptation.adapters.base_models import find_base_model
-    from dualbrain.adaptation.curation.dataset import read_dataset
     from dualbrain.adaptation.synthetic.dataset import make_language_judge
-    from dualbrain.cli.adapters.adapt import format_step, import_trainer
 
-    console = console_of(group)
-    card = import_trainer().adapt(
-        read_dataset(folder / DATASET_FOLDER),
-        settings,
-        find_base_model(base, cache_folder()),
-        make_language_judge(registries),
-        folder,
-        cache=cache_folder(),
-        clock=time.monotonic,
-        report=lambda progress: console.print(format_step(progress)),
-        process_group=group,
-    )
-    console.print(f"adapter {card.id} in {folder / 'adapter'}")
+    card = training.train_adapter(base, settings, make_language_judge(registries), folder, group)
+    console_of(group).print(f"adapter {card.id} in {folder / training.ADAPTER_FOLDER}")
     return card
 
 
