@@ -24,7 +24,7 @@ from dualbrain.runtime.planning.reused_contract import (
 )
 from dualbrain.runtime.session import RunObserver, Session
 from tests.grounding.perceived_scenes import bowl, box, scene
-from tests.runtime.test_replanning import PUSH, near_destination
+from tests.runtime.planning.test_replanning import PUSH, near_destination
 from tests.stories.story_session import GRASP, PLACE, contract_text, decline_contract, make_clocks, run_config
 
 CUBE_TO_BOWL = contract_text(("grasp", GRASP), ("place", PLACE))
