@@ -65,10 +65,10 @@ def evaluate(
     Parameters
     ----------
     suite
-        Name of a built-in suite (smoke, first, paper, cross, scenes, large, ablations, adaptation, refusals, attacks,
-        eyes), or a TOML file.
+        Name of a built-in suite (smoke, first, paper, cross, scenes, large, ablations, adaptation, reuse, refusals,
+        attacks, eyes), or a TOML file.
     methods
-        Only these methods, for example B1,B2,B3. Also available: G, B4, M, P, PE, PE-fixed, V, Full, the
+        Only these methods, for example B1,B2,B3. Also available: G, B4, M, M-reuse, P, PE, PE-fixed, V, Full, the
         adversarial A1-A3, B3-depth, B1-free, and the ablations. Further methods can be added to the same --out later.
     episodes
         Number of episodes of each method in each task (a family at a level) on each robot, instead of the suite's. The
