@@ -5,6 +5,7 @@ import os
 import signal
 import time
 
+import jsonschema_rs
 import pytest
 
 from dualbrain import Robot
@@ -24,6 +25,7 @@ from dualbrain.planner.scripted import ScriptedPlanner
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from dualbrain.visualization.html import run_report
 from tests.agent_api.test_saved_runs import full_disk
+from tests.stories.story_session import GRASP, PLACE
 
 pytestmark = pytest.mark.realtime
 
@@ -44,6 +46,7 @@ def test_contracts_are_checked_executed_once_and_remembered_under_their_client(h
     planner = ScriptedPlanner(["no contract"])
     with Robot.simulated("panda", scene="bare:0", ledger=ledger, runs=runs, planner=planner) as robot:
         check_checks(robot)
+        check_schemas(robot)
         first = robot.run(hold(robot, 0.5, "c-0001"), "pause briefly", client="desk agent")
         assert (first.state, first.accepted, first.succeeded) == ("finished", True, True)
         again = robot.run(hold(robot, 0.5, "c-0001"))
@@ -61,6 +64,19 @@ def test_contracts_are_checked_executed_once_and_remembered_under_their_client(h
         check_unsaved_episode(robot, monkeypatch)
         check_failed_report(robot, monkeypatch)
     check_memory(ledger, runs, first, other)
+
+
+def check_schemas(robot):
+    """The hand is empty, and the cube is 40 mm wide: a narrow grasp and a placement are refused now, not for ever."""
+    narrow = robot.contract([{"skill": "grasp", "params": GRASP | {"opening": 0.03}}])
+    place = robot.contract([{"skill": "place", "params": PLACE}])
+    for contract in (narrow, place):
+        assert not jsonschema_rs.validator_for(robot.schema()).is_valid(contract)
+        assert jsonschema_rs.validator_for(robot.schema("tool")).is_valid(contract)
+    (tool,) = (one for one in robot.tools("mcp") if one["name"] == "submit_contract")
+    assert tool["inputSchema"]["properties"]["contract"] == robot.schema("tool")
+    with pytest.raises(ConfigurationError, match="form of the schema"):
+        robot.schema("short")
 
 
 def check_checks(robot):

@@ -45,7 +45,7 @@ def test_every_form_holds_the_same_tools_with_valid_schemas(form, robot):
         assert one[key]["additionalProperties"] is False
         assert one["description"]
     checks = {one["name"]: one[key]["properties"] for one in exported}
-    assert checks["check_contract"]["contract"] == checks["submit_contract"]["contract"] == robot.schema()
+    assert checks["check_contract"]["contract"] == checks["submit_contract"]["contract"] == robot.schema("tool")
 
 
 def test_an_unknown_form_is_refused(robot):

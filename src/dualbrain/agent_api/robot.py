@@ -182,22 +182,26 @@ class Robot:
     def schema(self, form: str = "decoding") -> dict[str, Any]:
         """JSON Schema of a contract in the present scene.
 
-        `decoding` is for generation (it leaves out the first actions that the robot's state refuses, and grasps that do
-        not fit the object), `validation` is the whole Draft-07 schema with units and provenance. Raises
+        `decoding` is for generation: it leaves out the first actions that the robot's state refuses, and grasps that do
+        not fit the object. `tool` is the same for any state, for the definition of a tool that a client keeps while
+        the robot moves. `validation` is the whole Draft-07 schema with units and provenance. Raises
         `ConfigurationError` for another form.
         """
-        report = self._scene_report()
+        registry, report = self.registry, self._scene_report()
         names = scene_names(report.scene)
-        if form == "validation":
-            return validation_schema(self.registry, names)
-        if form != "decoding":
-            raise ConfigurationError("form of the schema", got=form, allowed="decoding or validation")
-        order = skill_order([skill.name for skill in self.registry.skills], report.holding)
-        schema = decoding_schema(
-            self.registry, names, order=order, domains=parameter_domains(report.scene, self.registry)
-        )
-        del schema["properties"]["action_sequence"][ORDER_KEYWORD]  # frameworks refuse keywords that they do not know
-        return schema
+        match form:
+            case "validation":
+                return validation_schema(registry, names)
+            case "tool":
+                return decoding_schema(registry, names)
+            case "decoding":
+                order = skill_order([skill.name for skill in registry.skills], report.holding)
+                domains = parameter_domains(report.scene, registry)
+                schema = decoding_schema(registry, names, order=order, domains=domains)
+                del schema["properties"]["action_sequence"][ORDER_KEYWORD]  # frameworks refuse unknown keywords
+                return schema
+            case _:
+                raise ConfigurationError("form of the schema", got=form, allowed="decoding, tool or validation")
 
     def events(self, after: int = 0) -> list[dict[str, Any]]:
         """Events after the one with the number `after`: number, the robot's time t [s], kind, and text for people."""

@@ -96,8 +96,11 @@ class ToolError(DualbrainError):
 
 
 def robot_tools(robot: ToolRobot) -> list[Tool]:
-    """The tools of `robot` in its present scene, whose names are in the schema of a contract."""
-    contract = robot.schema()
+    """The tools of `robot` in its present scene, whose names are in the schema of a contract.
+
+    A client keeps the definitions while the robot moves, so that the schema holds for every state of the robot.
+    """
+    contract = robot.schema("tool")
     return [
         replace(one, properties={**one.properties, "contract": contract}) if "contract" in one.properties else one
         for one in available_tools(robot)
