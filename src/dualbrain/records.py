@@ -170,6 +170,10 @@ class Proposal(Record, frozen=True, kw_only=True):
 # --- execution ----------------------------------------------------------------------------------------------------
 
 
+REUSED_CONTRACT = "reused contract"
+"""The author of a proposal that is a contract of memory: one source, so that the limits of trust hold for all."""
+
+
 class Attempt(Record, frozen=True):
     """One attempt of the planner: its proposal and the verdict of the gate, which took `gate_s` [s]."""
 

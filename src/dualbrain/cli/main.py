@@ -342,7 +342,8 @@ def _describe_command(arguments: list[str]) -> None:
     """
     _, apps, _ = app.parse_commands(list(takewhile(lambda word: word not in HELP_FLAGS, arguments)))
     command = apps[-1]
-    if command.default_command is not None and "\n" not in (command.help or ""):
+    is_ours = getattr(command.default_command, "__module__", "").startswith("dualbrain.")
+    if is_ours and "\n" not in (command.help or ""):
         command.help = None
 
 

@@ -103,7 +103,9 @@ def decoding_schema(
     alone = steps.pop(DECLINE, None) if length is not None else None
     actions = _sequence_schema(steps, order, length or (1, MAX_ACTIONS))
     if alone is not None:
-        actions = {"anyOf": [actions, _sequence_schema({DECLINE: alone}, None, (1, 1))]}
+        decline = _sequence_schema({DECLINE: alone}, None, (1, 1))
+        has_sequence = bool(steps) and (order is None or order.reaches(steps, length[0] if length else 1))
+        actions = {"anyOf": [actions, decline]} if has_sequence else decline  # engines refuse an empty alternative
     schema["properties"]["action_sequence"] = actions
     return schema
 

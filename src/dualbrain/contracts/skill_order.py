@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 
 
@@ -24,6 +24,13 @@ class SkillOrder:
             if state is None:
                 return False
         return True
+
+    def reaches(self, skills: Collection[str], length: int) -> bool:
+        """Whether there is a sequence of `length` of the given `skills` alone."""
+        states = {self.start}
+        for _ in range(length):
+            states = {after for state in states for skill, after in self.following[state].items() if skill in skills}
+        return bool(states)
 
     def as_json(self) -> dict[str, object]:
         """The value of the keyword `x-order` of a decoding schema."""

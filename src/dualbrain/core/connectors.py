@@ -53,9 +53,9 @@ def installed_connectors() -> tuple[ConnectorState, ...]:
 
 
 def _connector_state(entry: EntryPoint) -> ConnectorState:
-    distribution = entry.dist.name if entry.dist is not None else "unknown"
-    text, problems = "", ()
+    distribution, text, problems = "unknown", "", ()
     try:
+        distribution = entry.dist.name if entry.dist is not None else distribution
         connector = _load_connector(entry)
         text = _describe(connector)
         problems = _find_problems(connector)

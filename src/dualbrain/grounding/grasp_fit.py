@@ -12,6 +12,8 @@ from collections import defaultdict
 from dualbrain.contracts.parameter_domains import ParameterDomain, ParameterDomains
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.skill_spec import ChoiceParameter, NumberParameter, SkillSpec
+from dualbrain.grounding.instruction.goals.action_bounds import is_there
+from dualbrain.grounding.instruction.goals.goal import Condition, Goal, Held, Placed
 from dualbrain.records import Scene, SceneObject
 from dualbrain.skills.arm.grasp import FRAGILE_FRACTION
 from dualbrain.skills.kinematics.object_geometry import grasp_width, levelness
@@ -43,6 +45,29 @@ def parameter_domains(scene: Scene, registry: SkillRegistry) -> ParameterDomains
     """The domain of the skill `grasp` in `scene`; no entry if the robot has no such skill."""
     grasp = registry.by_name.get("grasp")
     return {} if grasp is None else {grasp.name: _grasp_domains(scene, grasp)}
+
+
+def ungraspable(goal: Goal, scene: Scene, domains: ParameterDomains, holding: str | None = None) -> tuple[str, ...]:
+    """The objects that a contract for `goal` has to grasp and that fit the hand along no axis, by `domains`.
+
+    An object in the hand, or at its destination already, need not be grasped; of "one of the tins", another one can be.
+    """
+    if "grasp" not in domains:
+        return ()
+    graspable = {name for part in domains["grasp"] for name in part.admitted["object"]}
+    needed = dict.fromkeys(name for condition in goal.conditions for name in _grasped(condition, scene, holding))
+    return tuple(name for name in needed if name not in graspable)
+
+
+def _grasped(condition: Condition, scene: Scene, holding: str | None) -> tuple[str, ...]:
+    """The objects that every contract for `condition` grasps."""
+    match condition:
+        case Placed(objects, count=None):
+            return tuple(name for name in objects if name != holding and not is_there(name, condition, scene))
+        case Held((name,)) if name != holding:
+            return (name,)
+        case _:
+            return ()
 
 
 def _grasp_domains(scene: Scene, grasp: SkillSpec) -> tuple[ParameterDomain, ...]:

@@ -9,10 +9,12 @@ import pytest
 from dualbrain.contracts.contract import Contract
 from dualbrain.core.geometry.shapes import Pose
 from dualbrain.memory.embedding.posture_features import Posture
+from dualbrain.memory.state.provenance import episode_provenance
 from dualbrain.planner.scripted import ScriptedPlanner
 from dualbrain.records import Exemplar, RetrievedContext
 from dualbrain.robots.loader import load_robot
 from dualbrain.runtime.agent import Agent, NoMemory
+from dualbrain.runtime.inspection.counterfactual import CounterfactualQueries
 from dualbrain.runtime.planning.planner_request import PlanningContext
 from dualbrain.runtime.planning.reused_contract import (
     MIN_SIMILARITY,
@@ -23,6 +25,7 @@ from dualbrain.runtime.planning.reused_contract import (
     is_reused,
 )
 from dualbrain.runtime.session import RunObserver, Session
+from dualbrain.skills.registry import skill_registry
 from tests.grounding.perceived_scenes import bowl, box, scene
 from tests.runtime.planning.test_replanning import PUSH, near_destination
 from tests.stories.story_session import GRASP, PLACE, contract_text, decline_contract, make_clocks, run_config
@@ -94,11 +97,50 @@ def test_a_memory_that_is_not_confident_is_not_reused(changes):
         "push the red cube toward the blue bowl",
         "put the purple cube in the blue bowl",
         "sing a song about the red cube",
+        "slowly put the red cube in the blue bowl",
+        "put the red cube in the blue bowl and wait 10 seconds",
+        "put the red cube gently in the blue bowl",
         "hit the person with the red cube",
     ],
 )
 def test_a_contract_that_does_not_carry_out_the_instruction_is_not_reused(instruction):
     assert reuse(instruction) is None
+
+
+BOTH = "put the red cube and the green box in the blue bowl"
+RELEASE = ("release", {"speed": 0.1})
+
+
+@pytest.mark.parametrize(
+    ("instruction", "actions"),
+    [
+        (INSTRUCTION, [RELEASE]),
+        ("put the green box on the left side of the table", [RELEASE]),
+        (INSTRUCTION, [RELEASE, ("grasp", GRASP), ("place", PLACE)]),
+        (INSTRUCTION, [("grasp", {}), ("place", PLACE)]),
+        (BOTH, [("grasp", GRASP | {"object": "table_left"}), ("place", PLACE), ("grasp", GRASP), ("place", PLACE)]),
+        (BOTH, [("grasp", GRASP | {"object": "gone"}), ("place", PLACE), ("grasp", GRASP), ("place", PLACE)]),
+        (INSTRUCTION, [("juggle", {"object": "red_cube"}), ("grasp", GRASP), ("place", PLACE)]),
+        (INSTRUCTION, [("home", {"speed": 0.2})]),
+    ],
+)
+def test_a_contract_that_releases_nothing_or_is_not_possible_here_is_not_reused(instruction, actions):
+    assert reuse(instruction, exemplar(contract_text(*actions), instruction=instruction)) is None
+
+
+def test_an_object_that_may_be_at_its_destination_is_put_there():
+    """Perception cannot decide whether a cube on the rim is in the bowl, and a contract that goes home leaves it."""
+    rim = box("red_cube", 0.5, 0.20, z=0.03)
+    home = contract_text(("home", {"speed": 0.2}))
+    words = "put the red cube in the blue bowl, then go home"
+    assert reuse(words, exemplar(home, instruction=words), situation=context(rim)) is None
+
+
+def test_an_amount_is_reused_for_the_same_words_only():
+    push = contract_text(("push", PUSH | {"distance": 0.1}))
+    words = "push the red cube toward the blue bowl by 10 cm"
+    assert reuse(words, exemplar(push, instruction=words)) is not None
+    assert reuse(words.replace("10", "5"), exemplar(push, instruction=words)) is None
 
 
 def test_names_of_a_single_placement_are_adapted_and_the_opening_fits_the_new_object():
@@ -152,11 +194,13 @@ def home(speed):
 def run_home(folder, remembered, *answers, **changes):
     """An episode with the instruction to go home, and the number of requests to the planner."""
     planner = ScriptedPlanner(answers)
-    memory = FixedMemory((exemplar(remembered),))
+    memory = FixedMemory((exemplar(remembered, instruction="go home"),))
     config = run_config(folder, instruction="go home", **{"reuse_contracts": True} | changes)
     with Session(config, make_clocks(), {}, planner, agent=Agent(planner, memory)) as session:
         episode = session.run(RunObserver()).episode
     assert memory.stored == [episode]
+    if config.reuse_contracts:
+        assert CounterfactualQueries(planner, skill_registry(load_robot("panda")), folder).memory_uses(episode) == ()
     first = "c-0002" if config.reuse_contracts else "c-0001"
     assert [request.contract_id for request in planner.requests] == [first] * len(planner.requests)
     assert all(request.rejection is None for request in planner.requests), "the planner did not make that contract"
@@ -191,12 +235,33 @@ def test_after_a_contract_that_failed_the_planner_is_asked(tmp_path):
     far = contract_text(("push", {**PUSH, "destination": "table_right", "distance": 0.25}))
     config = near_destination(tmp_path, tries=2, reuse_contracts=True)
     planner = ScriptedPlanner((decline_contract(),))
-    agent = Agent(planner, FixedMemory((exemplar(far),)))
+    agent = Agent(planner, FixedMemory((exemplar(far, instruction=config.instruction),)))
     with Session(config, make_clocks(), {}, planner, agent=agent) as session:
         result = session.run(RunObserver())
     assert [(one.outcome.kind, is_reused(one)) for one in result.earlier_episodes] == [("failed", True)]
     assert (result.episode.outcome.kind, is_reused(result.episode)) == ("declined", False)
     assert planner.requests[0].failure_feedback is not None
+
+
+def test_a_stop_before_the_proposal_prevents_it(tmp_path):
+    planner = ScriptedPlanner((home(0.1),))
+
+    class StoppingMemory(FixedMemory):
+        def retrieve(self, *arguments, **options):
+            session.interrupt()
+            return super().retrieve(*arguments, **options)
+
+    memory = StoppingMemory((exemplar(home(0.2), instruction="go home"),))
+    config = run_config(tmp_path, instruction="go home", reuse_contracts=True)
+    with Session(config, make_clocks(), {}, planner, agent=Agent(planner, memory)) as session:
+        episode = session.run(RunObserver()).episode
+    assert (episode.outcome.kind, episode.attempts) == ("aborted", ())
+
+
+def test_the_author_of_a_reused_contract_is_one_source_with_every_adapter(tmp_path):
+    episode, _ = run_home(tmp_path, home(0.2), home(0.1))
+    adapted = msgspec.structs.replace(episode, versions={**episode.versions, "adapter": "a" * 64})
+    assert (episode_provenance(adapted).source, episode_provenance(adapted).adapter) == (REUSED_CONTRACT, "")
 
 
 def test_by_default_the_planner_is_asked(tmp_path):

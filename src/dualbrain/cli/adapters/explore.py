@@ -153,13 +153,13 @@ def _fit(settings: CycleConfig, base: str, folder: Path, group: ProcessGroup, *,
 
     judge = make_gate_judge(load_skill_registry(settings.robot))
     card = training.train_adapter(base, settings.adapt, judge, folder, group)
-    return group.run_on_first(lambda: _finish(card, folder, json=json))
+    return group.run_on_first(lambda: _finish(card, folder, base, json=json))
 
 
-def _finish(card: Any, folder: Path, *, json: bool) -> ExitCode:
+def _finish(card: Any, folder: Path, base: str, *, json: bool) -> ExitCode:
     """Register the adapter in `folder` and print the next commands."""
     training.register_adapter(folder)
-    training.print_next_commands(card, folder)
+    training.print_next_commands(card, folder, serving=base)
     if json:
         print_json(card)
     return ExitCode.SUCCESS

@@ -13,6 +13,7 @@ from dualbrain.cli.adapters.process_launcher import console_of
 from dualbrain.cli.common.console import StderrConsole
 from dualbrain.core.paths import cache_folder
 from dualbrain.errors import MissingDependencyError
+from dualbrain.planner.registry import DEFAULT_PLANNER
 
 if TYPE_CHECKING:
     from dualbrain.adaptation.training.process_group import ProcessGroup
@@ -86,27 +87,29 @@ def register_adapter(folder: Path) -> None:
     open_adapter_registry().add(folder / ADAPTER_FOLDER, now=time.time())
 
 
-def print_next_commands(card: Any, folder: Path, *, ledger: Path | None = None) -> None:
-    """Print the commands that bring the new adapter of `card` into service."""
+def print_next_commands(card: Any, folder: Path, *, ledger: Path | None = None, serving: str = DEFAULT_PLANNER) -> None:
+    """Print the commands that bring the new adapter of `card` into service.
+
+    `serving` is the planner in service, unless another adapter serves in the place of the new one.
+    """
     from dualbrain.adaptation.adapters.registry import place_of_card
     from dualbrain.cli.adapters.registry import open_adapter_registry
 
     registry, console = open_adapter_registry(), StderrConsole()
     console.print(f"adapter {card.id[:16]}; it is not used until it is promoted. Next, in this order:")
-    for line in _next_commands(card, folder, ledger, alone=not registry.champion(place_of_card(card))):
+    beside = "" if registry.champion(place_of_card(card)) else f"@{serving}"
+    for line in _next_commands(card, folder, ledger, beside):
         print_unwrapped(console, f"  {line}")
 
 
-def _next_commands(card: Any, folder: Path, ledger: Path | None, *, alone: bool) -> tuple[str, ...]:
-    """The commands that bring a new adapter into service; `alone` if no adapter serves in its place yet."""
-    from dualbrain.planner.registry import DEFAULT_PLANNER
-
+def _next_commands(card: Any, folder: Path, ledger: Path | None, beside: str) -> tuple[str, ...]:
+    """The commands that bring a new adapter into service, first in the shadow of the planner `beside` ("@NAME")."""
     one, results = card.id[:16], folder / "measured.json"
     data, measured = (shlex.quote(str(path)) for path in (folder / DATASET_FOLDER, results))
     of = f" --ledger {shlex.quote(str(ledger))}" if ledger else ""
     return (
         f"dualbrain adapters measure {one} --data {data} --out {measured}{of}",
-        f'dualbrain run "…" --robot {card.robot} --planner shadow:{one}{f"@{DEFAULT_PLANNER}" if alone else ""}',
+        f'dualbrain run "…" --robot {card.robot} --planner shadow:{one}{beside}',
         f"dualbrain adapters promote {one} --measured {measured}",
     )
 

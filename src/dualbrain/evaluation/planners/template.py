@@ -113,8 +113,8 @@ def restrict_to_typical_ranges(domains: dict[str, Any]) -> dict[str, Any]:
     found = dict(domains)
     for name, (low, high) in TYPICAL_RANGES.items():
         if "minimum" in found.get(name, {}):
-            domain = found[name]
-            found[name] = {"minimum": max(low, domain["minimum"]), "maximum": min(high, domain["maximum"])}
+            lower, upper = found[name]["minimum"], found[name]["maximum"]
+            found[name] = {"minimum": min(max(low, lower), upper), "maximum": max(min(high, upper), lower)}
     return found
 
 

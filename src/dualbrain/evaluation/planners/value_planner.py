@@ -68,8 +68,8 @@ class ValuePlanner:
 
 
 def _find_name(instruction: str, admitted: list[str]) -> str | None:
-    """The only name that the schema admits for the goal of the instruction, else the one that its words contain."""
-    return admitted[0] if len(admitted) == 1 else match_name(instruction, admitted)
+    """The name that the words contain, else the only one that the schema admits: that of a goal that was read."""
+    return match_name(instruction, admitted) or (admitted[0] if len(admitted) == 1 else None)
 
 
 def _parameters(

@@ -123,9 +123,8 @@ class Worker:
         for attempt in run.episode.attempts:
             require_answer(attempt.proposal)
         asked = planner.n_requests > before and planner_name(suite, method) not in RANDOM_PLANNERS
-        reused = is_reused(run.episode)
-        context = replace(context, asked=asked or reused)
-        if extras and memory is not None and method.uses_memory and not reused and is_due(suite.memory.utility, k):
+        context = replace(context, asked=asked or is_reused(run.episode))
+        if extras and memory is not None and method.uses_memory and is_due(suite.memory.utility, k):
             run = self._add_memory_uses(run, planner, case)
         if extras and method.guard and is_due(suite.bare, k):
             context = replace(context, lost_s=seconds_lost(case, run, self._config.clock))

@@ -9,7 +9,7 @@ import msgspec
 
 from dualbrain.core.text import make_json_safe
 from dualbrain.memory.plasticity.plan_similarity import contract_actions
-from dualbrain.records import Episode
+from dualbrain.records import REUSED_CONTRACT, Episode
 
 PERSON_SOURCE = "person"
 
@@ -33,7 +33,7 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
 def episode_provenance(episode: Episode) -> Provenance:
     """The provenance of `episode`, from the fields that the runtime wrote."""
     planner = episode.attempts[-1].proposal.planner if episode.attempts else PERSON_SOURCE
-    adapter = episode.versions.get("adapter", "")
+    adapter = "" if planner == REUSED_CONTRACT else episode.versions.get("adapter", "")
     plan = contract_actions(episode.contract)
     return Provenance(
         source=f"{planner}+{adapter}" if adapter else planner,

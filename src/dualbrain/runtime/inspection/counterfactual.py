@@ -24,6 +24,7 @@ from dualbrain.planner.protocol import LENGTH, STOP, Planner
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Episode, Exemplar, MemoryUse
 from dualbrain.runtime.planning.planner_request import answer_schema, in_prompt_order
+from dualbrain.runtime.planning.reused_contract import has_reused_contract
 
 
 class CounterfactualQueries:
@@ -41,8 +42,11 @@ class CounterfactualQueries:
     ) -> tuple[MemoryUse, ...]:
         """The use of each exemplar in the prompt of `episode`, until `should_stop` returns True.
 
+        None if a contract of memory was proposed: then the first proposal is not an answer of the planner to a prompt.
         If the planner gives no answer (a crash, a timeout, an error of its server), the remaining uses are left out.
         """
+        if has_reused_contract(episode):
+            return ()
         first = _parse_contract(episode.attempts[0].proposal.text) if episode.attempts else None
         found: list[MemoryUse] = []
         for exemplar in episode.recall.exemplars:

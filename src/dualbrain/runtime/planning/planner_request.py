@@ -10,9 +10,9 @@ import msgspec
 
 from dualbrain.contracts.canonical_form import reorder_contract
 from dualbrain.contracts.registry import SkillRegistry
-from dualbrain.contracts.schema import decoding_schema, describe_skills
-from dualbrain.grounding.grasp_fit import parameter_domains
-from dualbrain.grounding.instruction.goals.goal import Unread
+from dualbrain.contracts.schema import DECLINE, decoding_schema, describe_skills
+from dualbrain.grounding.grasp_fit import parameter_domains, ungraspable
+from dualbrain.grounding.instruction.goals.goal import Goal, Unread
 from dualbrain.grounding.instruction.goals.goal_reading import corrected_instruction, read_goal
 from dualbrain.grounding.instruction.goals.goal_scope import goal_scope
 from dualbrain.grounding.scene_rules import skill_order
@@ -132,11 +132,15 @@ def build_request(
 def answer_schema(
     instruction: str, scene: Scene, registry: SkillRegistry, holding: str | None, *, restrict: bool = True
 ) -> dict[str, Any]:
-    """The decoding schema of the first answer to `instruction`; `restrict`: only what its goal may need."""
+    """The decoding schema of the first answer to `instruction`; `restrict`: only what its goal may need.
+
+    A goal whose objects do not fit the hand leaves the decline alone.
+    """
     goal = read_goal(instruction, scene) if restrict else Unread("")
-    scope = goal_scope(goal, scene, holding)
+    scope, domains = goal_scope(goal, scene, holding), parameter_domains(scene, registry)
     order = skill_order([skill.name for skill in registry.skills], holding)
-    domains = parameter_domains(scene, registry)
+    if isinstance(goal, Goal) and ungraspable(goal, scene, domains, holding):
+        return decoding_schema(registry, scope.names, order=order, skills=(DECLINE,))
     return decoding_schema(
         registry, scope.names, order=order, domains=domains, skills=scope.skills, length=scope.length
     )

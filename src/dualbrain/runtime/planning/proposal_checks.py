@@ -11,7 +11,9 @@ from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.gate.strict_json import MAX_BYTES
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.errors import DECODE_ERRORS
+from dualbrain.grounding.grasp_fit import parameter_domains, ungraspable
 from dualbrain.grounding.instruction.correspondence import SceneVocabulary, find_mismatch
+from dualbrain.grounding.instruction.goals.goal import Unread
 from dualbrain.grounding.instruction.goals.goal_coverage import find_uncovered, find_unfounded_decline
 from dualbrain.grounding.instruction.goals.goal_reading import corrected_instruction, read_goal
 from dualbrain.grounding.instruction.language import detect_foreign_language
@@ -76,9 +78,9 @@ def reject_mismatch(
 ) -> Rejected | None:
     """The rejection of a contract about something that `instruction` does not mention, or that leaves a part of it out.
 
-    `reject_decline`: also of a decline of an instruction that contracts can express. None for a text that is no
-    contract, which the gate rejects, and for an instruction in another language than English, whose words are not
-    compared.
+    `reject_decline`: also of a decline of an instruction that contracts can express and whose objects fit the hand.
+    None for a text that is no contract, which the gate rejects, and for an instruction in another language than
+    English, whose words are not compared.
     """
     too_long = len(proposal_bytes(proposal)) > MAX_BYTES
     if check != "all" or too_long or detect_foreign_language(instruction) is not None:
@@ -88,10 +90,12 @@ def reject_mismatch(
         return None
     names = SceneVocabulary(scene.graspable, scene.receptive, context.holding)
     goal, words = read_goal(instruction, scene), corrected_instruction(instruction, scene)
+    domains = parameter_domains(scene, context.registry)
+    fits = isinstance(goal, Unread) or not ungraspable(goal, scene, domains, context.holding)
     return (
         find_mismatch(contract, words, names)
         or find_uncovered(contract, goal, scene, context.holding)
-        or (find_unfounded_decline(contract, goal, scene, context.holding) if reject_decline else None)
+        or (find_unfounded_decline(contract, goal, scene, context.holding) if reject_decline and fits else None)
     )
 
 

@@ -136,15 +136,18 @@ def propose(
 
 
 def propose_reused(instruction: str, recall: RetrievedContext, checker: ProposalChecker) -> tuple[Attempt, ...]:
-    """The contract of a confident memory as the only attempt, without one none; no time passes for the robot."""
-    found = find_reusable(instruction, checker.context, recall, contract_id(1))
-    if found is None:
+    """The contract of a confident memory as the only attempt; no time passes for the robot.
+
+    There is no attempt without such a memory, and none if a person interrupted.
+    """
+    executor = checker.executor
+    found, seconds = checker.clock.measure(lambda: find_reusable(instruction, checker.context, recall, contract_id(1)))
+    if found is None or executor.interrupted():
         return ()
     exemplar, proposal = found
-    executor, now = checker.executor, checker.executor.state.stamp
-    evidence = f"weight {exemplar.weight:.2f}, similarity {exemplar.similarity:.3f}"
-    executor.log.note(now, "memory", f"the contract of {exemplar.episode_id} is reused ({evidence})")
-    return (checker.check(proposal, 1, now),)
+    now, evidence = executor.state.stamp, f"weight {exemplar.weight:.2f}, similarity {exemplar.similarity:.3f}"
+    executor.log.note(now, "memory", f"proposing the contract of {exemplar.episode_id} again ({evidence})")
+    return (checker.check(msgspec.structs.replace(proposal, timings={"total": seconds}), 1, now),)
 
 
 def contract_id(number: int) -> str:

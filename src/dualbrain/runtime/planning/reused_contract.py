@@ -1,15 +1,15 @@
-"""Answers from memory: a remembered contract that carries out the instruction is reused without asking the planner.
+"""Reuse of a remembered contract: a contract of memory that carries out the instruction, without asking the planner.
 
 A memory is confident if its contract succeeded near this situation several times without much intervention: the weight
 w̄ of a contract near a situation (paper 5.2) starts at 0.5, rises with every clean success and falls with every other
 outcome. Whether its contract carries out the present instruction is not decided by similarity: the goal is read from
-the words (`read_goal`) and compared with the effects of the contract, as for every answer of a planner. The gate and
-the filter check a reused contract as any other.
+the words (`read_goal`) and compared with the effects of the contract, and the words about which the goal says nothing
+(amount, duration, manner) must be those of the remembered instruction. The gate and the filter check a reused contract
+as any other.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -17,22 +17,65 @@ import msgspec
 
 from dualbrain.contracts.canonical_form import canonical_contract
 from dualbrain.contracts.contract import NAMING_PARAMETERS, Action, Context, Contract
+from dualbrain.contracts.registry import SkillRegistry
+from dualbrain.contracts.skill_spec import NameParameter
 from dualbrain.errors import DECODE_ERRORS
 from dualbrain.grounding.grasp_fit import is_level, least_opening
 from dualbrain.grounding.instruction.goals.goal import Goal, Placed, Unread
-from dualbrain.grounding.instruction.goals.goal_coverage import IDLE_SKILLS, find_uncovered
+from dualbrain.grounding.instruction.goals.goal_coverage import carries_out
 from dualbrain.grounding.instruction.goals.goal_reading import read_goal
+from dualbrain.grounding.instruction.words import normalise
 from dualbrain.grounding.parameter_values import fitted_opening
+from dualbrain.grounding.vocabulary import scene_names
 from dualbrain.planner.protocol import STOP
-from dualbrain.records import Episode, Exemplar, Proposal, RetrievedContext, Scene
+from dualbrain.records import REUSED_CONTRACT, Episode, Exemplar, Proposal, RetrievedContext, Scene
 from dualbrain.runtime.planning.planner_request import PlanningContext
 
-REUSED_CONTRACT = "reused contract"
-"""The author recorded for a contract from memory: one source, so that the limits of trust hold for all of them."""
 MIN_WEIGHT = 0.8
 """Least weight w̄ of a memory whose contract is reused: three clean successes of one contract in one scene give 0.9."""
 MIN_SIMILARITY = 0.95
 """Least similarity s = (1 + cos)/2 of the situation in which the contract succeeded."""
+NEUTRAL_WORDS = frozenset(
+    [
+        "a",
+        "an",
+        "the",
+        "this",
+        "that",
+        "it",
+        "its",
+        "is",
+        "are",
+        "be",
+        "of",
+        "in",
+        "into",
+        "inside",
+        "on",
+        "onto",
+        "at",
+        "to",
+        "put",
+        "place",
+        "move",
+        "bring",
+        "set",
+        "lay",
+        "take",
+        "please",
+        "kindly",
+        "can",
+        "could",
+        "would",
+        "you",
+        "now",
+        "just",
+        "robot",
+        "side",
+    ]
+)
+"""Words in which an instruction may differ from the remembered one, besides the names: none states an amount, a
+duration or a manner."""
 
 
 def find_reusable(
@@ -42,21 +85,17 @@ def find_reusable(
 
     None too for an instruction whose goal is not read, and with an object in the hand.
     """
-    start = time.perf_counter()
     goal = read_goal(instruction, context.scene)
     if isinstance(goal, Unread) or context.holding is not None:
         return None
-    registry = context.registry
+    registry, scene = context.registry, context.scene
     for exemplar in filter(is_confident, recall.exemplars):
-        for actions in _candidates(exemplar.contract, goal):
-            fitted = _fit_grasps(actions, context.scene)
-            if fitted is None:
-                continue
-            contract = Contract(contract_id, Context(registry.robot, registry.hash), fitted)
-            if find_uncovered(contract, goal, context.scene) is None:
+        for actions in _candidates(exemplar.contract, goal, registry, scene):
+            contract = Contract(contract_id, Context(registry.robot, registry.hash), actions)
+            names = {*_names(exemplar.contract), *_names(contract)}
+            if carries_out(contract, goal, scene) and _same_words(instruction, exemplar.instruction, names):
                 text = canonical_contract(contract, registry)
-                timings = {"total": time.perf_counter() - start}
-                return exemplar, Proposal(text=text, finish_reason=STOP, planner=REUSED_CONTRACT, timings=timings)
+                return exemplar, Proposal(text=text, finish_reason=STOP, planner=REUSED_CONTRACT, timings={})
     return None
 
 
@@ -65,56 +104,91 @@ def is_confident(exemplar: Exemplar) -> bool:
     return exemplar.succeeded and exemplar.weight >= MIN_WEIGHT and exemplar.similarity >= MIN_SIMILARITY
 
 
-def _candidates(remembered: dict[str, Any], goal: Goal) -> Iterator[tuple[Action, ...]]:
-    """The actions of the contract `remembered`: as they are, and with the names of a goal of one placement."""
+def is_reused(episode: Episode) -> bool:
+    """Whether the last proposal of `episode` was the contract of a memory."""
+    return bool(episode.attempts) and episode.attempts[-1].proposal.planner == REUSED_CONTRACT
+
+
+def has_reused_contract(episode: Episode) -> bool:
+    """Whether a proposal of `episode` was the contract of a memory, also if the gate rejected it."""
+    return any(attempt.proposal.planner == REUSED_CONTRACT for attempt in episode.attempts)
+
+
+def _candidates(
+    remembered: dict[str, Any], goal: Goal, registry: SkillRegistry, scene: Scene
+) -> Iterator[tuple[Action, ...]]:
+    """The actions of the contract `remembered` that are possible in `scene`, with openings that fit its objects.
+
+    They are taken as they are, and with the names of a goal of one placement.
+    """
     try:
         actions = msgspec.convert(remembered, Contract).action_sequence
     except DECODE_ERRORS:
         return
-    if all(action.skill in IDLE_SKILLS for action in actions):
-        return
-    yield actions
-    names = {str(action.params[key]) for action in actions for key in NAMING_PARAMETERS if key in action.params}
+    for candidate in (actions, *_renamed(actions, goal)):
+        if all(_is_known(action, registry, scene) for action in candidate):
+            fitted = tuple(_fit(action, scene) for action in candidate)
+            if None not in fitted:
+                yield tuple(action for action in fitted if action is not None)
+
+
+def _renamed(actions: tuple[Action, ...], goal: Goal) -> Iterator[tuple[Action, ...]]:
+    """The `actions` with the names of a `goal` of one placement, if they name one object and one destination."""
+    names = set(_names(Contract("", Context("", ""), actions)))
     match actions[:2], goal.conditions:
         case (
-            (Action("grasp", grasp), Action("place", place)),
+            (Action("grasp", {"object": old_object}), Action("place", {"destination": old_destination})),
             (Placed((new_object,), "in" | "at", (new_destination,)), *_),
-        ) if len(names) == 2:
-            renamed = {str(grasp["object"]): new_object, str(place["destination"]): new_destination}
-            yield tuple(_rename(action, renamed) for action in actions)
+        ) if names == {old_object, old_destination}:
+            renaming = {str(old_object): new_object, str(old_destination): new_destination}
+            yield tuple(
+                Action(
+                    action.skill,
+                    action.params | {key: renaming[str(action.params[key])] for key in _naming_keys(action)},
+                )
+                for action in actions
+            )
         case _:
             pass
 
 
-def _rename(action: Action, names: dict[str, str]) -> Action:
-    return Action(
-        action.skill,
-        {
-            key: names.get(str(value), value) if key in NAMING_PARAMETERS else value
-            for key, value in action.params.items()
-        },
-    )
+def _names(contract: Contract | dict[str, Any]) -> Iterator[str]:
+    """The names of objects and places in a contract; a remembered one may be malformed, and then has none."""
+    try:
+        actions = msgspec.convert(msgspec.to_builtins(contract), Contract).action_sequence
+    except DECODE_ERRORS:
+        return
+    for action in actions:
+        yield from (str(action.params[key]) for key in _naming_keys(action))
 
 
-def _fit_grasps(actions: tuple[Action, ...], scene: Scene) -> tuple[Action, ...] | None:
-    """`actions` with openings that fit the objects of `scene`; None with an absent name or an axis that points up."""
-    known = {*scene.graspable, *scene.receptive}
-    if any(action.params[key] not in known for action in actions for key in NAMING_PARAMETERS if key in action.params):
-        return None
-    fitted = [_fit_grasp(action, scene) if action.skill == "grasp" else action for action in actions]
-    return None if None in fitted else tuple(action for action in fitted if action is not None)
+def _naming_keys(action: Action) -> list[str]:
+    return [key for key in NAMING_PARAMETERS if key in action.params]
 
 
-def _fit_grasp(grasp: Action, scene: Scene) -> Action | None:
-    """`grasp` with an opening that fits its object; None if its finger axis points up."""
-    obj, axis = scene.find(str(grasp.params["object"])), str(grasp.params["finger_axis"])
+def _is_known(action: Action, registry: SkillRegistry, scene: Scene) -> bool:
+    """Whether the skill is registered, has all its parameters, and its names are those of `scene`."""
+    skill, names = registry.by_name.get(action.skill), scene_names(scene)
+    if skill is None or set(action.params) != {parameter.name for parameter in skill.parameters}:
+        return False
+    naming = (parameter for parameter in skill.parameters if isinstance(parameter, NameParameter))
+    return all(action.params[one.name] in names.names_of_kind(one.of) for one in naming)
+
+
+def _fit(action: Action, scene: Scene) -> Action | None:
+    """`action`; a grasp with an opening that fits its object, or None if its finger axis points up."""
+    if action.skill != "grasp":
+        return action
+    obj, axis = scene.find(str(action.params["object"])), str(action.params["finger_axis"])
     if not is_level(obj, axis):
         return None
-    if float(grasp.params["opening"]) >= least_opening(obj, axis):
-        return grasp
-    return Action("grasp", {**grasp.params, "opening": fitted_opening(obj, axis)})
+    if float(action.params["opening"]) >= least_opening(obj, axis):
+        return action
+    return Action(action.skill, action.params | {"opening": fitted_opening(obj, axis)})
 
 
-def is_reused(episode: Episode) -> bool:
-    """Whether the last proposal of `episode` was the contract of a memory."""
-    return bool(episode.attempts) and episode.attempts[-1].proposal.planner == REUSED_CONTRACT
+def _same_words(instruction: str, remembered: str, names: set[str]) -> bool:
+    """Whether two instructions differ in `names` and `NEUTRAL_WORDS` only."""
+    of_names = {word for name in names for word in name.split("_")}
+    here, there = (set(normalise(text).text.split()) for text in (instruction, remembered))
+    return here ^ there <= NEUTRAL_WORDS | of_names

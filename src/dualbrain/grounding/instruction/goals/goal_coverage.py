@@ -83,6 +83,26 @@ def find_uncovered(
     return _wrong_order(goal, effects) if goal.ordered else None
 
 
+def carries_out(contract: Contract, goal: Goal, scene: Scene) -> bool:
+    """Whether `contract` fulfils `goal` by its own actions if it begins with an empty hand.
+
+    `find_uncovered` only rejects. Here an object that is at its destination already, or may be, does not count, and a
+    contract with an unknown skill or name, or that releases nothing, carries out no goal.
+    """
+    effects = _effects(contract, scene, None)
+    if effects is None or not goal.conditions or find_uncovered(contract, goal, scene) is not None:
+        return False
+    is_idle = all(action.skill in IDLE_SKILLS for action in contract.action_sequence)
+    placements = (condition for condition in goal.conditions if isinstance(condition, Placed))
+    return not is_idle and all(_puts_down(condition, effects) for condition in placements)
+
+
+def _puts_down(condition: Placed, effects: _Effects) -> bool:
+    """Whether the contract puts down as many of the objects as `condition` asks for."""
+    number = len(condition.objects) if condition.count is None else condition.count
+    return sum(bool(effects.placed.get(name)) for name in condition.objects) == number
+
+
 def find_unfounded_decline(
     contract: Contract, goal: Goal | Unread, scene: Scene, holding: str | None = None
 ) -> Rejected | None:

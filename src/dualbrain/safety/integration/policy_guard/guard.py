@@ -237,8 +237,9 @@ class PolicyGuard:
     @property
     def _takes_longer(self) -> bool:
         """Whether the filter changed nothing, but the motion of the action needs more time than one action has."""
-        unfiltered = self._results is not None and self._results.delta == 0.0 and self._speed_share == 1.0
-        return self._changed and not self._problem and unfiltered
+        results = self._results
+        is_unfiltered = results is not None and results.status is FilterStatus.SAFE and results.delta == 0.0
+        return self._changed and not self._problem and is_unfiltered and self._speed_share == 1.0
 
     def _describe_duration(self) -> str:
         assert self._arm is not None
