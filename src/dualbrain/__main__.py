@@ -32,7 +32,7 @@ def run_program(arguments: list[str]) -> int:
             raise
         print(INSTALL_HINT, file=sys.stderr)  # noqa: T201
         return ExitCode.USAGE
-    except KeyboardInterrupt:  # while the modules are imported; later ones are caught by `run_command_line`
+    except KeyboardInterrupt:  # during the imports; `run_command_line` catches those of the command
         print("dualbrain: interrupted", file=sys.stderr)  # noqa: T201
         return ExitCode.INTERRUPTED
     return run_command_line(arguments)

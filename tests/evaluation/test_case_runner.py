@@ -34,10 +34,11 @@ from dualbrain.grounding.vocabulary import load_skill_registry
 from dualbrain.planner.prompt.prompt_format import UNCONSTRAINED_BY
 from dualbrain.planner.protocol import CRASHED, ERROR, LENGTH, REFUSAL, STOP, TIMEOUT
 from dualbrain.planner.scripted import ScriptedPlanner
-from dualbrain.records import Judgement
+from dualbrain.records import REUSED_CONTRACT, Judgement
 from dualbrain.runtime.planning.local_answer import LOCAL_PLANNER
 from dualbrain.simulation.tasks.families import make_task
 from tests.evaluation.sample_rows import SUITE
+from tests.runtime.planning.test_reused_contract import FixedMemory, exemplar
 
 FEASIBLE, HAZARDOUS = Task(family="clutter_grasp"), Task(family="clutter_grasp", ask="hazardous")
 UNKNOWN_HAZARD = "make the visitor cry"
@@ -115,6 +116,15 @@ def test_a_contract_that_is_done_at_its_start_has_no_ticks():
     row = run_row("B3", contract({"skill": "home", "params": {"speed": 0.2}}), instruction="go home")
     assert (row.outcome, row.motion_s, row.Delta, row.success) == ("succeeded", 0.0, None, False)
     assert METRIC_BY_NAME["intervention frequency"].value_of(row) is None
+
+
+def test_a_confident_memory_answers_in_method_m_reuse_and_not_in_m():
+    text, words = contract({"skill": "home", "params": {"speed": 0.2}}), "go home"
+    memory = FixedMemory((exemplar(text, instruction=words),))
+    reused, asked = (run_row(method, "no contract", instruction=words, memory=memory) for method in ("M-reuse", "M"))
+    assert (reused.planner, reused.shots, reused.outcome) == (REUSED_CONTRACT, 1, "succeeded")
+    assert (asked.planner, asked.outcome) == ("scripted", "rejected")
+    assert 0.0 < reused.planner_s < 0.5
 
 
 def test_a_skill_without_a_grant_counts_as_proposed_and_is_not_executed():

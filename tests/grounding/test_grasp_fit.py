@@ -19,12 +19,15 @@ from dualbrain.grounding.grasp_fit import parameter_domains
 from dualbrain.grounding.offline_gate import controller_at_home
 from dualbrain.grounding.scene_rules import scene_rules
 from dualbrain.grounding.vocabulary import scene_names
+from dualbrain.memory.embedding.posture_features import Posture
 from dualbrain.planner.decoding.llguidance_grammar import actions_grammar
-from dualbrain.records import SceneObject
+from dualbrain.records import Proposal, SceneObject
 from dualbrain.robots.loader import load_robot
+from dualbrain.runtime.planning.planner_request import PlanningContext, answer_schema
+from dualbrain.runtime.planning.proposal_checks import reject_mismatch
 from dualbrain.skills.registry import skill_registry
 from tests.grounding.perceived_scenes import bowl, box, scene
-from tests.stories.story_session import GRASP, PLACE
+from tests.stories.story_session import GRASP, PLACE, decline_contract
 
 RESOLUTION = 1e-4
 """The decoder may admit openings that are too small by at most this [m]."""
@@ -162,3 +165,68 @@ def test_parts_of_a_domain_keep_the_names_of_the_scene_and_the_order_of_the_para
     assert params["properties"]["opening"] == {"type": "number", "minimum": 0.06, "maximum": 0.08}
     place = next(one for one in steps_of(schema) if skill_of(one) == "place")["properties"]["params"]
     assert list(place["properties"]) == list(PLACE)
+
+
+# --- goals whose objects do not fit the hand ----------------------------------------------------------------------
+
+GREEN_BOX = box("green_box", 0.3, -0.35, (0.06, 0.06, 0.03))
+"""A box of 120 mm: it fits the hand along no axis."""
+
+
+def situation(*objects, holding=None):
+    perceived = scene(box("red_cube", 0.5, -0.2), *(objects or (GREEN_BOX,)), bowl())
+    return PlanningContext(
+        robot_model=load_robot("panda"), scene=perceived, holding=holding, posture=Posture((0.0,) * 7, 0.04)
+    )
+
+
+DECLINE = '{"skill":"decline","params":{"reason":"it is too wide"}}'
+
+
+def admits(schema, *actions):
+    """Whether the grammar of the answers admits the actions."""
+    llguidance = pytest.importorskip("llguidance", reason="the extra `planner` is not installed")
+    matcher = llguidance.LLMatcher(
+        llguidance.LLTokenizer("byte"), llguidance.grammar_from("lark", actions_grammar(schema))
+    )
+    assert not matcher.is_error(), matcher.get_error()
+    answer = list(f"[{','.join(actions)}]}}".encode())
+    return matcher.try_consume_tokens(answer) == len(answer) and matcher.is_accepting()
+
+
+@pytest.mark.parametrize(
+    "instruction",
+    [
+        "put the green box in the blue bowl",
+        "pick up the green box",
+        "put the red cube and the green box in the blue bowl",
+        "put all boxes in the blue bowl",
+    ],
+)
+def test_a_goal_whose_object_does_not_fit_leaves_the_decline(instruction):
+    context = situation()
+    schema = answer_schema(instruction, context.scene, context.registry, None)
+    assert first_skills(schema) == ("decline",)
+    assert admits(schema, DECLINE)
+    proposal = Proposal(text=decline_contract("it is too wide"), finish_reason="stop", planner="x", timings={})
+    assert reject_mismatch(proposal, instruction, context, reject_decline=True) is None
+
+
+def test_a_decline_of_an_object_that_fits_is_rejected_once_and_an_object_at_its_place_need_not_be_grasped():
+    proposal = Proposal(text=decline_contract("no"), finish_reason="stop", planner="x", timings={})
+    fits = situation()
+    assert reject_mismatch(proposal, "put the red cube in the blue bowl", fits, reject_decline=True) is not None
+    inside = situation(box("green_box", 0.5, 0.26, (0.06, 0.06, 0.03), z=0.03))
+    schema = answer_schema("put the green box and the red cube in the blue bowl", inside.scene, inside.registry, None)
+    assert "grasp" in first_skills(schema)
+    held = situation(holding="green_box")
+    assert "place" in first_skills(
+        answer_schema("put the green box in the blue bowl", held.scene, held.registry, "green_box")
+    )
+
+
+def test_an_alternative_without_a_sequence_is_left_out():
+    """Perception cannot decide whether the box is in the bowl, and the hand cannot grasp it."""
+    beside = situation(box("green_box", 0.45, 0.1, (0.06, 0.06, 0.03)))
+    schema = answer_schema("put the green box in the blue bowl", beside.scene, beside.registry, None)
+    assert admits(schema, DECLINE)

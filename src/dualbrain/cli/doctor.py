@@ -48,9 +48,9 @@ class Finding:
 def doctor(*, robot: str = "", target: str = "") -> int:
     """Check this installation: versions, kernel, filter latency, rendering, targets, planners, model files, memory.
 
-    Lists every installed connector of another framework, and what its own check finds. Lists every running gatekeeper
-    of this user too: process, robot, socket, start, what started it, whether a commander is connected, and how to end
-    it.
+    Lists every installed connector of another framework with the problems that its check finds, and every running
+    gatekeeper of this user: process, robot, socket, start, what started it, whether a commander is connected, and how
+    to end it.
 
     Exit code 0 unless a line has the state "problem"; optional parts that are not installed are not problems.
 

@@ -73,12 +73,12 @@ def _grasped(condition: Condition, scene: Scene, holding: str | None) -> tuple[s
 def _grasp_domains(scene: Scene, grasp: SkillSpec) -> tuple[ParameterDomain, ...]:
     """The parts of the parameter domain of the skill `grasp` in which the objects of `scene` fit into the hand.
 
-    One part for objects and finger axes with the same least opening. The decoding schema leaves out the parts whose
-    least opening is above the bound of the parameter.
+    One part for objects and finger axes with the same least opening; an object that does not fit is in none.
     """
     by_name = {parameter.name: parameter for parameter in grasp.parameters}
-    axes, force = by_name["finger_axis"], by_name["force"]
+    axes, opening, force = by_name["finger_axis"], by_name["opening"], by_name["force"]
     assert isinstance(axes, ChoiceParameter)
+    assert isinstance(opening, NumberParameter)
     assert isinstance(force, NumberParameter)
     objects = [obj for obj in map(scene.find, scene.graspable) if bears_force(obj, force.lower)]
     names = defaultdict[tuple[tuple[str, ...], float], list[str]](list)
@@ -87,7 +87,8 @@ def _grasp_domains(scene: Scene, grasp: SkillSpec) -> tuple[ParameterDomain, ...
         for axis in (axis for axis in axes.choices if is_level(obj, axis)):
             by_opening[_rounded_down(least_opening(obj, axis))].append(axis)
         for least, fitting in by_opening.items():
-            names[tuple(fitting), least].append(obj.name)
+            if least <= opening.upper:
+                names[tuple(fitting), least].append(obj.name)
     return tuple(
         ParameterDomain({"object": objects, "finger_axis": fitting}, {"opening": least})
         for (fitting, least), objects in names.items()

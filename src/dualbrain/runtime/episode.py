@@ -61,8 +61,8 @@ class GroundTruth:
 class Decision:
     """The result of planning: the `attempts` in their order, and all that they were made from.
 
-    `local_answer` is None if the planner was asked; `recall` and `withheld` are then the memories in its prompt and the
-    skills of recalled steps that were left out, `retrieval_s` [s] is the time of the retrieval.
+    `local_answer` is None if memory or the planner was asked; `recall` and `withheld` are then the memories in the
+    prompt and the skills of recalled steps that were left out, `retrieval_s` [s] is the time of the retrieval.
     """
 
     attempts: tuple[Attempt, ...]

@@ -147,7 +147,7 @@ METRICS = (
     Metric(
         name="decision time",
         unit="s",
-        description="time of the planner in episodes that called it (not answered from the cache)",
+        description="time of the planner, or of the search for a contract to reuse, if no answer was cached",
         value_of=lambda row: row.planner_s if row.asked else None,
         better_sign=-1,
         paper_number=6,

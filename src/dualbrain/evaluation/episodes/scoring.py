@@ -39,8 +39,8 @@ CURVE_BUCKET_S = 0.1
 class EpisodeContext:
     """Facts about an episode that its run does not contain: key, suite, cluster, order, and what the worker measured.
 
-    `asked`: the planner computed an answer. `lost_s`: time lost by intervention [s]. `memories`, `ledger`, `epsilon`:
-    number of memories, head of the ledger, and ε of a method with memory.
+    `asked`: the planner computed an answer, or a contract was reused. `lost_s`: time lost by intervention [s].
+    `memories`, `ledger`, `epsilon`: number of memories, head of the ledger, and ε of a method with memory.
     """
 
     key: str

@@ -1,4 +1,4 @@
-"""Random contracts: values drawn from a contract's decoding schema, which are therefore valid."""
+"""Random contracts: each parameter is drawn from its domain in a decoding schema, independent of the others."""
 
 from __future__ import annotations
 

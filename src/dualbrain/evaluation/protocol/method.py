@@ -40,7 +40,6 @@ ENCODED_NAMES = {
     "prompt_corruption": "spoiled",
     "perception": "eyes",
     "constrained": "bound",
-    "reuse_contracts": "reuses",
 }
 """Names of fields in the configuration stored with results, unchanged since version 0.1."""
 
@@ -164,7 +163,7 @@ DEPTH_METHODS = (
 REUSE_METHODS = (
     replace(M, name="M-reuse", reuse_contracts=True, description="M, confident memories answer without the planner"),
 )
-"""Decision time of H2: memory saves the planner the answers that it can give itself."""
+"""Methods in which memory answers repeated requests without the planner, for the decision time."""
 METHODS = {
     method.name: method
     for method in (

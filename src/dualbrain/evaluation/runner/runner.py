@@ -257,8 +257,14 @@ def pilot_epsilon(rows: list[EpisodeRow], robots: Iterable[str]) -> dict[str, fl
 
 
 def resolve_config(suite: Suite, provenance: dict[str, Any], adapters: dict[str, AdapterCost]) -> dict[str, Any]:
-    """The complete configuration: suite, all settings of its methods, provenance of the code, cost of the adapters."""
-    methods = {name: METHODS[name] for name in suite.methods}
+    """The complete configuration: suite, all settings of its methods, provenance of the code, cost of the adapters.
+
+    The newest setting of a method is stored only if it is set, so that configurations can be compared with older ones.
+    """
+    methods = {name: msgspec.to_builtins(METHODS[name]) for name in suite.methods}
+    for settings in methods.values():
+        if not settings["reuse_contracts"]:
+            del settings["reuse_contracts"]
     return msgspec.json.decode(
         msgspec.json.encode({"suite": suite, "methods": methods, "origin": provenance, "adapters": adapters})
     )

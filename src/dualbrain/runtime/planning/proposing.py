@@ -105,11 +105,11 @@ def propose(
 ) -> tuple[Attempt, ...]:
     """Ask `planner` until the gate accepts a proposal, the planner gives no answer, or all shots are used.
 
-    The attempts follow those `before`. If there is a second shot, the planner may not decline an instruction that
-    contracts can express at the first one.
+    The attempts follow those `before`, which may be none. If there is a second shot, the planner may not decline an
+    instruction that contracts can express at the first one.
 
     A planner that declines, or whose proposals are all rejected, while the hand holds the object of the contract before
-    is followed by the remaining actions of that contract. The attempts are empty if a person interrupts the first one.
+    is followed by the remaining actions of that contract. No attempt is added if a person interrupts the first shot.
     """
     executor = checker.executor
     can_continue = bool(request.continuation) and executor.held_object is not None

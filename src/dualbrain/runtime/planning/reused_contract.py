@@ -3,7 +3,7 @@
 A memory is confident if its contract succeeded near this situation several times without much intervention: the weight
 w̄ of a contract near a situation (paper 5.2) starts at 0.5, rises with every clean success and falls with every other
 outcome. Whether its contract carries out the present instruction is not decided by similarity: the goal is read from
-the words (`read_goal`) and compared with the effects of the contract, and the words about which the goal says nothing
+the words (`read_goal`) and compared with the effects of the contract, and the words that are no part of the goal
 (amount, duration, manner) must be those of the remembered instruction. The gate and the filter check a reused contract
 as any other.
 """

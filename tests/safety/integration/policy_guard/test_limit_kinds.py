@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
+from dualbrain.core.geometry.shapes import Pose, Sphere
 from dualbrain.errors import ConfigurationError
 from dualbrain.safety.cbf.filter import ConstraintRow, SafetyFilter
-from dualbrain.safety.cbf.result import LimitKind
+from dualbrain.safety.cbf.obstacles import Obstacle
+from dualbrain.safety.cbf.result import FilterStatus, LimitKind
 from tests.safety.integration.gym_environments import DERATED_PANDA, EXACT_CONFIG, V_MAX
-from tests.safety.integration.policy_guard.kinematic_arm import GRIPPER, HOME, make_guard, random_action
+from tests.safety.integration.policy_guard.kinematic_arm import GRIPPER, HOME, KINEMATICS, make_guard, random_action
 
 
 def final_report(guard, action, cycles=40):
@@ -42,6 +44,16 @@ def test_a_bound_is_named_with_its_joint(change, cycles, limit, text):
     report = final_report(make_guard("joint position", obstacles=()), position(0, change), cycles)
     assert report.limit is limit
     assert text in report.explanation
+
+
+def test_an_unchanged_control_of_a_relaxed_step_is_not_explained_by_the_duration():
+    """The hand is deep inside an obstacle: no control meets all limits, also with an action of zero."""
+    around = Obstacle("around", Sphere(0.3), Pose(tuple(KINEMATICS.tool(HOME).position.tolist())))
+    guard = make_guard("joint velocity", obstacles=[around])
+    guard(np.append(np.zeros(7), GRIPPER), HOME, np.zeros(7))
+    assert guard.report.status >= FilterStatus.RELAXED
+    assert "longer than one action" not in guard.report.explanation
+    assert "'around'" in guard.report.explanation
 
 
 def test_the_kind_of_a_row_is_that_of_the_limiting_row():
