@@ -55,6 +55,7 @@ def test_the_settings_come_from_the_file(run_command, bench, tmp_path):
     assert (used.training_set.wordings, used.adapt.fit.steps) == (2, 30)
     assert bench.added == [tmp_path / "made" / "adapter"]
     assert "dualbrain adapters measure aaaaaaaaaaaaaaaa" in err
+    assert "--planner shadow:aaaaaaaaaaaaaaaa@base-135m" in err, "beside the base that serves"
     assert "dualbrain adapters promote aaaaaaaaaaaaaaaa" in err
 
 
