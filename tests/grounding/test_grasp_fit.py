@@ -29,8 +29,6 @@ from dualbrain.skills.registry import skill_registry
 from tests.grounding.perceived_scenes import bowl, box, scene
 from tests.stories.story_session import GRASP, PLACE, decline_contract
 
-RESOLUTION = 1e-4
-"""The decoder may admit openings that are too small by at most this [m]."""
 ROBOTS = {name: skill_registry(load_robot(name)) for name in ("panda", "ur5e", "fr3")}
 
 BOOK = box("book", 0.4, 0.2, (0.0324, 0.05, 0.02))
@@ -86,10 +84,20 @@ def test_no_grasp_that_fits_is_lost_and_no_other_is_admitted(target, other, robo
     width = opening.lower + fraction * (opening.upper - opening.lower)
     params = GRASP | {"object": "red_cube", "finger_axis": axis, "opening": width, "force": force.lower}
     admitted = is_admitted(schema_of(perceived, registry), contract_with(robot, params))
-    if fits(perceived, robot, params):
-        assert admitted
-    elif admitted:
-        assert fits(perceived, robot, params | {"opening": width + RESOLUTION})
+    assert admitted == fits(perceived, robot, params)
+
+
+def test_an_opening_in_millimetres_that_noise_makes_too_small_is_in_neither():
+    """A glass of 48 mm that is perceived at a lean of 1 mrad is 48.1 mm wide."""
+    lean = (np.cos(5e-4), np.sin(5e-4), 0.0, 0.0)
+    glass = SceneObject(name="glass", role="object", shape=Cylinder(0.024, 0.05), pose=Pose((0.5, 0.0, 0.05), lean))
+    perceived = scene(glass, bowl())
+    params = GRASP | {"object": "glass", "finger_axis": "across", "opening": 0.058}
+    schema = schema_of(perceived, ROBOTS["panda"])
+    assert not fits(perceived, "panda", params)
+    assert not is_admitted(schema, contract_with("panda", params))
+    assert fits(perceived, "panda", params | {"opening": 0.0582})
+    assert is_admitted(schema, contract_with("panda", params | {"opening": 0.0582}))
 
 
 @cache

@@ -22,8 +22,8 @@ MIN_LEVELNESS = 0.7
 """The fingers close only along an axis of an object that is about level: least length of its horizontal component."""
 FINGER_MARGIN = 0.010
 """The opening of the fingers must exceed the width of the object by at least this [m]."""
-_RESOLUTION = 1e-4
-"""The least openings of `parameter_domains` are rounded down to this [m], so that grammars are short."""
+RESOLUTION = 1e-4
+"""The least openings are rounded up to this [m], for the gate and the decoder alike."""
 
 
 def is_level(obj: SceneObject, finger_axis: str) -> bool:
@@ -32,8 +32,8 @@ def is_level(obj: SceneObject, finger_axis: str) -> bool:
 
 
 def least_opening(obj: SceneObject, finger_axis: str) -> float:
-    """The least opening of the fingers [m] for a grasp of `obj` along the named axis."""
-    return grasp_width(obj, finger_axis) + FINGER_MARGIN
+    """The least opening of the fingers [m] for a grasp of `obj` along the named axis, a multiple of `RESOLUTION`."""
+    return round(math.ceil((grasp_width(obj, finger_axis) + FINGER_MARGIN) / RESOLUTION - 1e-6) * RESOLUTION, 4)
 
 
 def bears_force(obj: SceneObject, force: float) -> bool:
@@ -85,7 +85,7 @@ def _grasp_domains(scene: Scene, grasp: SkillSpec) -> tuple[ParameterDomain, ...
     for obj in objects:
         by_opening = defaultdict[float, list[str]](list)
         for axis in (axis for axis in axes.choices if is_level(obj, axis)):
-            by_opening[_rounded_down(least_opening(obj, axis))].append(axis)
+            by_opening[least_opening(obj, axis)].append(axis)
         for least, fitting in by_opening.items():
             if least <= opening.upper:
                 names[tuple(fitting), least].append(obj.name)
@@ -93,7 +93,3 @@ def _grasp_domains(scene: Scene, grasp: SkillSpec) -> tuple[ParameterDomain, ...
         ParameterDomain({"object": objects, "finger_axis": fitting}, {"opening": least})
         for (fitting, least), objects in names.items()
     )
-
-
-def _rounded_down(opening: float) -> float:
-    return round(math.floor(opening / _RESOLUTION) * _RESOLUTION, 4)

@@ -176,12 +176,12 @@ def _check_fit(hand: RobotModel, obj: SceneObject, params: Mapping[str, Any], po
     needed, widest = least_opening(obj, axis), 2.0 * hand.gripper.opening.value
     if float(params["opening"]) < needed:
         fits = needed <= widest
-        room = f"open wider than {obj.name} ({needed * 1000:.0f} mm with room)"
+        room = f"open wider than {obj.name} ({needed * 1000:.1f} mm with room)"
         return Rejected(
             stage="envelope",
             pointer=f"{pointer}/opening",
             got=params["opening"],
-            allowed={"minimum": round(needed, 4), "maximum": widest},
+            allowed={"minimum": needed, "maximum": widest},
             hint=room if fits else "it is too wide for this hand",
         )
     return None
