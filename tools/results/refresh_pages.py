@@ -40,7 +40,7 @@ VIOLATION_TIME = re.compile(r", at \d+\.\d s \(")
 
 def main() -> int:
     """Refresh the folders of the command line, or else all results."""
-    folders = [Path(one) for one in sys.argv[1:]] or sorted(path.parent for path in RESULTS.glob("*/results.parquet"))
+    folders = [Path(one) for one in sys.argv[1:]] or sorted(path.parent for path in RESULTS.rglob("results.parquet"))
     for folder in folders:
         data = report_data(folder)
         page = folder / PAGE_FILE
