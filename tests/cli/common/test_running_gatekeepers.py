@@ -96,6 +96,23 @@ def test_a_running_one_that_does_not_answer_is_a_problem_with_its_remedy(tmp_pat
     assert not list((tmp_path / REGISTRATIONS).iterdir())
 
 
+def test_one_that_is_shutting_down_is_left_out(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "_from_process_list", lambda: iter(()))
+    (tmp_path / REGISTRATIONS).mkdir()
+    ending = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(0.5)"])
+    entry = registration(pid=ending.pid, start_ticks=process_start_ticks(ending.pid), socket=str(tmp_path / "s"))
+    (tmp_path / REGISTRATIONS / "1.json").write_bytes(msgspec.json.encode(entry))
+    assert running_gatekeepers(tmp_path) == []
+    assert ending.wait(LIMIT) == 0
+
+
+def test_one_that_is_starting_is_asked_until_it_answers(tmp_path, monkeypatch):
+    answers = iter([(None, "it does not answer"), (None, "it sends no status"), (True, "")])
+    monkeypatch.setattr(module, "_from_process_list", lambda: iter([registration()]))
+    monkeypatch.setattr(module, "_ask_for_commander", lambda socket: next(answers))
+    assert [(one.pid, one.commander) for one in running_gatekeepers(tmp_path)] == [(os.getpid(), True)]
+
+
 def test_a_new_registration_removes_stale_ones_and_a_read_only_folder_stops_nothing(tmp_path):
     (tmp_path / "1.json").write_bytes(b"junk")
     options = {"robot": "panda", "socket": "s", "keys": "k", "started_by": "a test"}

@@ -25,6 +25,8 @@ SPAWNED_MODULE = "dualbrain.control.gatekeeper.process"
 STARTED_BY_PERSON = "a person with `dualbrain gatekeeper`"
 STATUS_TIMEOUT_S = 1.0
 """Longest wait for a status report [s]."""
+SETTLING_TIME_S = 3.0
+"""Time [s] in which a gatekeeper that is starting begins to answer, and one that is shutting down has ended."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,11 +68,13 @@ class RunningGatekeeper:
 def running_gatekeepers(home: Path) -> list[RunningGatekeeper]:
     """All running gatekeepers of this user, registered in the data folder `home` or found in /proc, by process number.
 
-    Each is asked for its status over its socket, as an observer, which changes nothing.
+    Each is asked for its status over its socket, as an observer, which changes nothing. One that does not answer, and
+    still runs after `SETTLING_TIME_S`, has a problem; one that has ended by then is left out.
     """
     found = {one.pid: one for one in _from_process_list()}
     found |= {one.pid: one for one in read_registrations(home / REGISTRATIONS)}
-    return [_examine(one) for pid, one in sorted(found.items()) if not _is_part_of(found.get(_parent(pid)), one)]
+    whole = [one for pid, one in sorted(found.items()) if not _is_part_of(found.get(_parent(pid)), one)]
+    return [examined for one in whole if (examined := _examine_settled(one)) is not None]
 
 
 def running_sockets(home: Path) -> list[Path]:
@@ -82,6 +86,20 @@ def running_sockets(home: Path) -> list[Path]:
 def _is_part_of(parent: Registration | None, one: Registration) -> bool:
     """Whether `one` is a process that a gatekeeper forked: it has the command line of its parent."""
     return parent is not None and parent.socket == one.socket
+
+
+def _examine_settled(one: Registration) -> RunningGatekeeper | None:
+    """The gatekeeper `one` once it answers, or after `SETTLING_TIME_S`; None if it has ended."""
+    deadline = time.monotonic() + SETTLING_TIME_S
+    examined = _examine(one)
+    while examined.commander is None:
+        if not one.is_running:
+            return None
+        if time.monotonic() > deadline:
+            break
+        time.sleep(0.05)
+        examined = _examine(one)
+    return examined
 
 
 def _examine(one: Registration) -> RunningGatekeeper:
