@@ -17,7 +17,7 @@ from dualbrain.contracts.schema import decoding_schema, first_skills
 from dualbrain.core.geometry.shapes import Box, Cylinder, Pose, Sphere
 from dualbrain.grounding.grasp_fit import parameter_domains
 from dualbrain.grounding.offline_gate import controller_at_home
-from dualbrain.grounding.scene_rules import scene_rules
+from dualbrain.grounding.scene_rules import scene_rules, skill_order
 from dualbrain.grounding.vocabulary import scene_names
 from dualbrain.memory.embedding.posture_features import Posture
 from dualbrain.planner.decoding.llguidance_grammar import actions_grammar
@@ -234,7 +234,10 @@ def test_a_decline_of_an_object_that_fits_is_rejected_once_and_an_object_at_its_
 
 
 def test_an_alternative_without_a_sequence_is_left_out():
-    """Perception cannot decide whether the box is in the bowl, and the hand cannot grasp it."""
-    beside = situation(box("green_box", 0.45, 0.1, (0.06, 0.06, 0.03)))
-    schema = answer_schema("put the green box in the blue bowl", beside.scene, beside.registry, None)
-    assert admits(schema, DECLINE)
+    """With an empty hand a placement needs a grasp, and engines refuse a schema with an alternative that admits none."""
+    names, registry = SceneNames(("red_cube",), ("blue_bowl",)), ROBOTS["panda"]
+    order = skill_order([skill.name for skill in registry.skills], None)
+    goal = {"order": order, "skills": ("grasp", "place", "decline"), "length": (2, 2)}
+    assert first_skills(decoding_schema(registry, names, **goal)) == ("grasp", "decline")
+    assert admits(decoding_schema(registry, names, domains={"grasp": ()}, **goal), DECLINE)
+    assert first_skills(decoding_schema(registry, names, domains={"grasp": ()}, **goal)) == ("decline",)
