@@ -19,7 +19,7 @@ from dualbrain.evaluation.protocol.suite import builtin_suites, load_suite
 from dualbrain.evaluation.runner import probe as probe_module
 from dualbrain.evaluation.runner.probe import ProbeTimes
 from dualbrain.evaluation.runner.provenance import collect_provenance
-from dualbrain.evaluation.runner.runner import STAGES, Runner
+from dualbrain.evaluation.runner.runner import STAGES, Runner, resolve_config
 from dualbrain.evaluation.runner.work_units import build_units
 from dualbrain.evaluation.runner.workload import compute_workload, distinct_units
 from tests.evaluation.sample_rows import fake_result_lines
@@ -27,6 +27,11 @@ from tests.evaluation.sample_rows import fake_result_lines
 
 def test_the_help_names_every_built_in_suite():
     assert [name for name in builtin_suites() if name not in (evaluate.evaluate.__doc__ or "")] == []
+
+
+def test_a_method_that_reuses_no_contracts_is_stored_as_in_older_results():
+    methods = resolve_config(load_suite("reuse"), {}, {})["methods"]
+    assert [name for name, settings in methods.items() if "reuse_contracts" in settings] == ["M-reuse"]
 
 
 def test_a_dry_run_runs_nothing_and_estimates_the_duration(tmp_path, capsys, monkeypatch):

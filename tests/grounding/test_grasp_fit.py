@@ -234,7 +234,7 @@ def test_a_decline_of_an_object_that_fits_is_rejected_once_and_an_object_at_its_
 
 
 def test_an_alternative_without_a_sequence_is_left_out():
-    """With an empty hand a placement needs a grasp, and engines refuse a schema with an alternative that admits none."""
+    """With an empty hand a placement needs a grasp. Engines refuse a schema with an alternative that admits nothing."""
     names, registry = SceneNames(("red_cube",), ("blue_bowl",)), ROBOTS["panda"]
     order = skill_order([skill.name for skill in registry.skills], None)
     goal = {"order": order, "skills": ("grasp", "place", "decline"), "length": (2, 2)}
