@@ -13,7 +13,7 @@ from dualbrain.contracts.verdict import Rejected
 from dualbrain.errors import DECODE_ERRORS
 from dualbrain.grounding.grasp_fit import parameter_domains, ungraspable
 from dualbrain.grounding.instruction.correspondence import SceneVocabulary, find_mismatch
-from dualbrain.grounding.instruction.goals.goal import Unread
+from dualbrain.grounding.instruction.goals.goal import Goal, Unread
 from dualbrain.grounding.instruction.goals.goal_coverage import find_uncovered, find_unfounded_decline
 from dualbrain.grounding.instruction.goals.goal_reading import corrected_instruction, read_goal
 from dualbrain.grounding.instruction.language import detect_foreign_language
@@ -90,13 +90,19 @@ def reject_mismatch(
         return None
     names = SceneVocabulary(scene.graspable, scene.receptive, context.holding)
     goal, words = read_goal(instruction, scene), corrected_instruction(instruction, scene)
-    domains = parameter_domains(scene, context.registry)
-    fits = isinstance(goal, Unread) or not ungraspable(goal, scene, domains, context.holding)
     return (
         find_mismatch(contract, words, names)
         or find_uncovered(contract, goal, scene, context.holding)
-        or (find_unfounded_decline(contract, goal, scene, context.holding) if reject_decline and fits else None)
+        or (_reject_decline(contract, goal, context) if reject_decline else None)
     )
+
+
+def _reject_decline(contract: Contract, goal: Goal | Unread, context: PlanningContext) -> Rejected | None:
+    """The rejection of a decline of a `goal` whose objects fit the hand."""
+    scene, holding = context.scene, context.holding
+    if isinstance(goal, Goal) and ungraspable(goal, scene, parameter_domains(scene, context.registry), holding):
+        return None
+    return find_unfounded_decline(contract, goal, scene, holding)
 
 
 def _decode(proposal: Proposal) -> Contract | None:

@@ -90,9 +90,10 @@ def find_reusable(
         return None
     registry, scene = context.registry, context.scene
     for exemplar in filter(is_confident, recall.exemplars):
-        for actions in _candidates(exemplar.contract, goal, registry, scene):
+        remembered = _decode(exemplar.contract)
+        for actions in _candidates(remembered, goal, registry, scene):
             contract = Contract(contract_id, Context(registry.robot, registry.hash), actions)
-            names = {*_names(exemplar.contract), *_names(contract)}
+            names = {*_names(remembered), *_names(actions)}
             if carries_out(contract, goal, scene) and _same_words(instruction, exemplar.instruction, names):
                 text = canonical_contract(contract, registry)
                 return exemplar, Proposal(text=text, finish_reason=STOP, planner=REUSED_CONTRACT, timings={})
@@ -114,18 +115,22 @@ def has_reused_contract(episode: Episode) -> bool:
     return any(attempt.proposal.planner == REUSED_CONTRACT for attempt in episode.attempts)
 
 
+def _decode(remembered: dict[str, Any]) -> tuple[Action, ...]:
+    """The actions of a remembered contract, none of a malformed one."""
+    try:
+        return msgspec.convert(remembered, Contract).action_sequence
+    except DECODE_ERRORS:
+        return ()
+
+
 def _candidates(
-    remembered: dict[str, Any], goal: Goal, registry: SkillRegistry, scene: Scene
+    remembered: tuple[Action, ...], goal: Goal, registry: SkillRegistry, scene: Scene
 ) -> Iterator[tuple[Action, ...]]:
-    """The actions of the contract `remembered` that are possible in `scene`, with openings that fit its objects.
+    """The actions `remembered` if they are possible in `scene`, with openings that fit its objects.
 
     They are taken as they are, and with the names of a goal of one placement.
     """
-    try:
-        actions = msgspec.convert(remembered, Contract).action_sequence
-    except DECODE_ERRORS:
-        return
-    for candidate in (actions, *_renamed(actions, goal)):
+    for candidate in (remembered, *_renamed(remembered, goal)):
         if all(_is_known(action, registry, scene) for action in candidate):
             fitted = tuple(_fit(action, scene) for action in candidate)
             if None not in fitted:
@@ -134,7 +139,7 @@ def _candidates(
 
 def _renamed(actions: tuple[Action, ...], goal: Goal) -> Iterator[tuple[Action, ...]]:
     """The `actions` with the names of a `goal` of one placement, if they name one object and one destination."""
-    names = set(_names(Contract("", Context("", ""), actions)))
+    names = set(_names(actions))
     match actions[:2], goal.conditions:
         case (
             (Action("grasp", {"object": old_object}), Action("place", {"destination": old_destination})),
@@ -152,12 +157,8 @@ def _renamed(actions: tuple[Action, ...], goal: Goal) -> Iterator[tuple[Action, 
             pass
 
 
-def _names(contract: Contract | dict[str, Any]) -> Iterator[str]:
-    """The names of objects and places in a contract; a remembered one may be malformed, and then has none."""
-    try:
-        actions = msgspec.convert(msgspec.to_builtins(contract), Contract).action_sequence
-    except DECODE_ERRORS:
-        return
+def _names(actions: tuple[Action, ...]) -> Iterator[str]:
+    """The names of objects and places in `actions`."""
     for action in actions:
         yield from (str(action.params[key]) for key in _naming_keys(action))
 
