@@ -5,7 +5,7 @@ import pytest
 
 from dualbrain.contracts.contract import Action, Context, Contract
 from dualbrain.control.control_loop import LoopInputs
-from dualbrain.control.residual_contacts import CLEARANCE, INTACT_CLEARANCE, ResidualContacts
+from dualbrain.control.residual_contacts import INTACT_CLEARANCE, ResidualContacts
 from dualbrain.core.geometry.shapes import Box, Pose
 from dualbrain.records import Scene, SceneObject
 from dualbrain.robots.interface import home_state
@@ -17,6 +17,7 @@ from dualbrain.simulation.perception.noisy_perception import NoisyPerception, Pe
 from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from dualbrain.simulation.world import SimulatedWorld
+from dualbrain.skills.kinematics.object_geometry import CLEARANCE
 from dualbrain.skills.skill import PermittedContact
 
 MODEL = load_robot("panda")

@@ -13,15 +13,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-import numpy as np
-
-from dualbrain.core.geometry.distance import bounding_solid, signed_distance
-from dualbrain.records import Scene, SceneObject
+from dualbrain.records import Scene
 from dualbrain.robots.interface import RobotState
+from dualbrain.skills.kinematics.object_geometry import CLEARANCE, part_clearance
 from dualbrain.skills.skill import MotionModel, PermittedContact
 
-CLEARANCE = 0.010
-"""Distance [m] from an object, beyond the error of its position, at which a part of the robot is clear of it."""
 CLOSING_PHASE = "close"
 """The phase in which the fingers close on a target."""
 INTACT_CLEARANCE = 0.001
@@ -85,12 +81,11 @@ class ResidualContacts:
         perceived = {obj.name: obj for obj in scene.objects}
 
         def near(contact: PermittedContact) -> bool:
-            part = np.array([group == contact.robot_part for group in groups])
             obj = perceived.get(contact.obstacle)
-            if obj is None or (contact.robot_part == HELD_GROUP and not part.any()):
+            if obj is None or (contact.robot_part == HELD_GROUP and HELD_GROUP not in groups):
                 return True
             enough = INTACT_CLEARANCE if _pair(contact) in self._ending else CLEARANCE
-            return _min_clearance(obj, centres[part], radii[part]) < enough
+            return part_clearance(obj, contact.robot_part, centres, radii, groups) < enough
 
         remaining = tuple(contact for contact in self.contacts if near(contact))
         if all(contact.robot_part == HELD_GROUP for contact in remaining) and HELD_GROUP not in groups:
@@ -109,9 +104,3 @@ class ResidualContacts:
 
 def _pair(contact: PermittedContact) -> tuple[str, str]:
     return contact.robot_part, contact.obstacle
-
-
-def _min_clearance(obj: SceneObject, centres: np.ndarray, radii: np.ndarray) -> float:
-    """Minimum distance [m] of the spheres (n, 3) with `radii` (n,) from `obj`, minus the error of its position."""
-    distances = signed_distance(*bounding_solid(obj.shape, obj.pose), centres) - radii
-    return float(distances.min(initial=np.inf)) - obj.error

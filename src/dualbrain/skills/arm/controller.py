@@ -26,7 +26,7 @@ from dualbrain.skills.kinematics.clearance_prediction import (
     ToolGoal,
 )
 from dualbrain.skills.kinematics.inverse_kinematics import MAX_STEPS_PER_CANDIDATE, InverseKinematics
-from dualbrain.skills.kinematics.object_geometry import bottom_height, top_height
+from dualbrain.skills.kinematics.object_geometry import CLEARANCE, bottom_height, part_clearance, top_height
 from dualbrain.skills.kinematics.resolved_rate import ResolvedRate, pose_error
 from dualbrain.skills.progress_watchdog import PROGRESS_TIMEOUT, ProgressWatchdog
 from dualbrain.skills.skill import (
@@ -55,6 +55,8 @@ MAX_EVASION_HEIGHT = 0.50
 """Largest tool height during evasion [m]."""
 YIELD_SPEED = 0.30
 """Tool speed during evasion of a person [m/s]."""
+LEAVING_SPEED, LEAVING_STEP, LEAVING_TIMEOUT = 0.15, 0.05, 2.0
+"""Speed of the open hand while it leaves an object [m/s], distance of its goal [m], and longest duration [s]."""
 PERSON_CLEARANCE = 0.17
 """Half the width of the hand and a margin [m]: people farther from the tool are no threat."""
 YIELDED = SkillResult(SkillStatus.RUNNING, "yielded to a person")
@@ -76,6 +78,7 @@ class ArmController:
         self.load_event: LoadEvent | None = None
         """The newest change of the load that no skill has reported yet."""
         self.load_monitor = LoadMonitor()
+        self._motion = motion
         self._phi = ResolvedRate(robot_model, motion)
         self._clearance_predictor = ClearancePredictor(robot_model, motion)
         self._observation: Observation | None = None
@@ -220,11 +223,14 @@ class ArmController:
     def avoid_person(self, phase: str, height: float) -> SubRoutine:
         """Rise until tool and load are above `height` [m], rest until the person has passed, then return `YIELDED`.
 
-        The contacts of `phase` stay permitted, because the hand may be around an object that it is leaving. The
-        sub-routine takes at least one tick, so that a repeated sub-routine starts at a later time.
+        The phase goes on while the hand is near an object that it may touch, which an empty hand leaves first. The
+        contacts of `phase` stay permitted. The sub-routine takes at least one tick, so that a repeated sub-routine
+        starts at a later time.
         """
         start, spot = self.observation.now, self.observation.tool.position.copy()
         rotation, posture = self.observation.tool.rotation.copy(), self.observation.state.q.copy()
+        yield from self._leave_objects(phase)
+        near = True
         while (
             self.observation.now == start
             or self.person_threat_height(spot, horizon=2.5, radius=PERSON_CLEARANCE, any_height=True) is not None
@@ -242,8 +248,38 @@ class ArmController:
                 u = self._phi.toward_pose(state, tool, pose_error(tool, up, rotation), YIELD_SPEED, posture, now)
             else:
                 u = self._phi.rest(state, now)
-            yield self._nominal(u, "yield", contacts_of=phase)
+            near = near and self._is_near_permitted_contact(phase)
+            yield self._nominal(u, phase if near else "yield", contacts_of=phase)
         return YIELDED
+
+    def _leave_objects(self, phase: str) -> Generator[Nominal | None, None, None]:
+        """Move the empty hand back along its approach axis, until it is clear of the objects that it may touch."""
+        start, first = self.observation.now, self.observation.tool
+        line, axis, posture = first.position.copy(), first.rotation[:, 2].copy(), self.observation.state.q.copy()
+        rotation = first.rotation.copy()
+        while (
+            self.observation.now - start < LEAVING_TIMEOUT
+            and not (self.holding or self.is_gripping())
+            and self._is_near_permitted_contact(phase)
+        ):
+            tool, state, now = self.observation.tool, self.observation.state, self.observation.now
+            back = line + ((tool.position - line) @ axis - LEAVING_STEP) * axis
+            error = pose_error(tool, back, rotation)
+            yield self._nominal(self._phi.toward_pose(state, tool, error, LEAVING_SPEED, posture, now), phase)
+
+    def _is_near_permitted_contact(self, phase: str) -> bool:
+        """Whether a part of the robot is near an object that it may touch in `phase`, except the held object."""
+        held = self.holding.name if self.holding else None
+        pairs = [one for one in self._contacts_by_phase.get(phase, ()) if one.obstacle != held]
+        if not pairs:
+            return False
+        centres, radii, groups = self._motion.spheres(self.observation.state.q, self.observation.state.opening)
+        perceived = {obj.name: obj for obj in self.observation.scene.objects}
+        return any(
+            part_clearance(perceived[one.obstacle], one.robot_part, centres, radii, groups) < CLEARANCE
+            for one in pairs
+            if one.obstacle in perceived
+        )
 
     # --- state and prediction -----------------------------------------------------------------------------------
 

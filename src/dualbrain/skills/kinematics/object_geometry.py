@@ -1,10 +1,13 @@
-"""Extents of perceived objects and the tool rotations that grasp them."""
+"""Extents of perceived objects, distances from parts of the robot, and the tool rotations that grasp an object."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dualbrain.core.geometry.distance import bounding_solid, signed_distance
 from dualbrain.core.geometry.rotations import quaternion_to_matrix
 from dualbrain.core.geometry.shapes import Bowl, Box, Capsule, Cylinder, Pose, Shape, Sphere
 from dualbrain.records import SceneObject
@@ -13,6 +16,9 @@ Array = NDArray[np.float64]
 
 APPROACH_LEAN = {"top": 0.0, "tilted": np.deg2rad(25.0), "side": np.deg2rad(45.0)}
 """Angle between the tool's approach axis and straight down [rad]; at 45° the hand clears the table at a 5 cm object."""
+
+CLEARANCE = 0.010
+"""Distance [m] from an object, beyond the error of its position, at which a part of the robot is clear of it."""
 
 
 def axis_rotation(axis: ArrayLike, angle: float) -> Array:
@@ -120,3 +126,13 @@ def extent_along(obj: SceneObject, direction: Array) -> float:
             return radius * float(np.sqrt(max(0.0, 1.0 - lean * lean))) + lean * half_height
         case _:
             return 0.0
+
+
+def part_clearance(obj: SceneObject, robot_part: str, centres: Array, radii: Array, groups: Sequence[str]) -> float:
+    """Minimum distance [m] of `robot_part` from `obj`, minus the error of its position; inf if the part has no spheres.
+
+    `centres` (k, 3) [m], `radii` (k,) [m] and `groups` are the spheres of the robot.
+    """
+    part = np.array([group == robot_part for group in groups])
+    distances = signed_distance(*bounding_solid(obj.shape, obj.pose), centres[part]) - radii[part]
+    return float(distances.min(initial=np.inf)) - obj.error
