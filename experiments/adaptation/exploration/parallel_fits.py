@@ -133,7 +133,11 @@ def first_samples(dataset: Dataset, count: int) -> Dataset:
     """`dataset` with the first `count` training samples (0: all of them) and a card for them."""
     if not count or count >= len(dataset.train):
         return dataset
-    train = dataset.train[:count]
+    return with_training_samples(dataset, dataset.train[:count])
+
+
+def with_training_samples(dataset: Dataset, train: tuple[Sample, ...]) -> Dataset:
+    """`dataset` with the training samples `train`, and a card for them."""
     card = msgspec.structs.replace(
         dataset.card,
         hash=dataset_hash(encode_samples(train), encode_samples(dataset.held_out)),

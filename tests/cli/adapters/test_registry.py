@@ -429,7 +429,7 @@ def test_an_unknown_base_is_reported_with_the_known_ones(run_command, name):
         code, _, err = run_command("adapters", "rollback", "--reason", "a test", "--base", base)
         assert (code, f"'{base}' is not a base." in err) == (ExitCode.SETUP, True)
         models = "qwen2.5-coder-0.5b-instruct, qwen2.5-coder-1.5b-instruct, smollm2-135m-instruct"
-        assert err.partition("Known: ")[2] == f"base-135m, {models}, starter-135m.\n"
+        assert err.partition("Known: ")[2] == f"base-135m, explored-135m, {models}, starter-135m.\n"
 
 
 def test_an_empty_registry_is_not_an_error(run_command):

@@ -25,14 +25,14 @@ from experiments.evaluation.outcome_confusion import OutcomeConfusion
 from experiments.figures.tables import format_share_by_scene
 from tests.evaluation.sample_rows import episode_row
 
-PACKAGED = ("base-135m", "starter-135m")
+PACKAGED = ("base-135m", "explored-135m", "starter-135m")
 
 
 def test_packaged_planners_are_asked_one_after_the_other(tmp_path):
     assert planners_of("packaged") == PACKAGED
     assert planners_of("some-planner") == ("some-planner",)
-    assert len(FreeInstructionsExperiment().units(Options(tmp_path, "packaged"))) == 320
-    assert len(DemoSentence().units(Options(tmp_path, "packaged"))) == 600
+    assert len(FreeInstructionsExperiment().units(Options(tmp_path, "packaged"))) == 480
+    assert len(DemoSentence().units(Options(tmp_path, "packaged"))) == 900
     assert open_named_planner("starter-135m", "ur5e") is None
 
 
