@@ -47,6 +47,7 @@ from experiments.robots.ros2.rates import Ros2Rates
 from experiments.robots.so101.careless_servos import CarelessServos
 from experiments.robots.targets.host_kills import HostKills
 from experiments.robots.targets.target_bits import TargetBits
+from experiments.robots.targets.target_faults import TargetFaults
 from experiments.robots.zoo.robot_zoo import RobotZoo
 from experiments.safety.adversary import Adversary
 from experiments.safety.conservatism import Conservatism
@@ -74,6 +75,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         CrossEmbodiment(),
         RobotZoo(),
         TargetBits(),
+        TargetFaults(),
         HostKills(),
         CrashRecovery(),
         SharedLedger(),

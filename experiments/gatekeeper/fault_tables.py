@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
 
-from dualbrain.evaluation.fault_injection.faults import KINDS, MOBILE_BASE_MOMENTS, MOMENTS, SOURCES
+from dualbrain.evaluation.fault_injection.faults import HOST_SOURCES, KINDS, MOBILE_BASE_MOMENTS, MOMENTS
 from dualbrain.robots.loader import load_robot
 from dualbrain.safety.supervisor.actions import SafetyAction
 from experiments.engine.experiment import Row
@@ -53,7 +53,7 @@ def fault_matrices(rows: list[Row]) -> list[str]:
         lines += [
             f"### {robot}",
             "",
-            *markdown_table(head, (_fault_row(cells, s, k, moments) for s in SOURCES for k in KINDS)),
+            *markdown_table(head, (_fault_row(cells, s, k, moments) for s in HOST_SOURCES for k in KINDS)),
         ]
     return lines
 

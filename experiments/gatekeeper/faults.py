@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from dualbrain.evaluation.fault_injection.faults import KINDS, MOBILE_BASE_MOMENTS, MOMENTS, SOURCES, Fault
+from dualbrain.evaluation.fault_injection.faults import HOST_SOURCES, KINDS, MOBILE_BASE_MOMENTS, MOMENTS, Fault
 from dualbrain.evaluation.fault_injection.trial import run_fault_trial
 from experiments.engine.experiment import Options, Row, WorkUnit
 from experiments.gatekeeper.fault_tables import fault_matrices, summary
@@ -62,12 +62,12 @@ class Faults:
 
 def _interleaved_units(robots: tuple[str, ...], moments: tuple[str, ...], scenes: tuple[str, ...]) -> list[WorkUnit]:
     """Return each combination once, ordered so that successive units differ in every axis."""
-    cells = list(product(*(range(len(axis)) for axis in (robots, moments, KINDS, SOURCES))))
+    cells = list(product(*(range(len(axis)) for axis in (robots, moments, KINDS, HOST_SOURCES))))
     order = sorted(range(len(cells)), key=lambda k: (k * 283) % len(cells))
     found: list[WorkUnit] = []
     for robot, moment, kind, source in (cells[k] for k in order):
         scene = scenes[(robot + moment + kind + source) % len(scenes)]
-        fault = [SOURCES[source], KINDS[kind], moments[moment]]
+        fault = [HOST_SOURCES[source], KINDS[kind], moments[moment]]
         parameters = {"body": robots[robot], "scene": scene, "fault": fault}
         found.append(WorkUnit("/".join((robots[robot], *fault, scene)), parameters))
     return found

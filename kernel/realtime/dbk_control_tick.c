@@ -131,7 +131,9 @@ static void control(dbk_control_tick *t, const dbk_stamped_scene *scene, dbk_tic
   dbk_real filtered[DBK_MAX_DOF];
   double scaled[DBK_MAX_DOF] = {0.0}, u[DBK_MAX_DOF] = {0.0};
   const double factor = scale(t, record->speed_scale);
-  for (int32_t k = 0; k < t->model.n; ++k) { scaled[k] = factor == 1.0 ? record->u_nom[k] : factor * record->u_nom[k]; }
+  for (int32_t k = 0; k < t->model.n; ++k) { /* + 0.0: 0 and not -0 */
+    scaled[k] = factor == 1.0 ? record->u_nom[k] : factor * record->u_nom[k] + 0.0;
+  }
   for (int32_t k = 0; k < DBK_MAX_DOF; ++k) { in->u_nom[k] = (dbk_real)scaled[k]; }
   in->opening = plausible_opening(t->state.opening, t->limits.opening_max);
   in->state_age = (dbk_real)(now - seconds(t->state.stamp_us));

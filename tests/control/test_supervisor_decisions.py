@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dualbrain.contracts.contract import Action, Context, Contract
-from dualbrain.control.control_loop import ControlLoopConfig, LoopInputs
+from dualbrain.control.control_loop import ControlLoopConfig, LoopInputs, LoopObserver
 from dualbrain.robots.loader import load_robot
 from dualbrain.runtime.assembly import SimulatedCell
 from dualbrain.safety.supervisor.actions import SafetyAction
@@ -84,6 +84,37 @@ def test_a_pause_waits_and_the_contract_continues_after_it():
     assert np.abs(cell.trace["v"][paused]).max() < 0.01
     assert cell.tripped_checks()[:2] == ["paused", ""]
     assert cell.has_no_violations()
+
+
+def test_a_nominal_control_that_is_scaled_to_zero_is_a_positive_zero(monkeypatch):
+    """A target sets it to 0; −0 has another bit and would be a difference between target and host."""
+    cell, scaled = SupervisedCell(between(C.ABORT, 1.0)), []
+    filter_control = cell.loop.safety.filter
+
+    def observed(state, u_nom, now):
+        scaled.append(u_nom)
+        return filter_control(state, u_nom, now)
+
+    monkeypatch.setattr(cell.loop.safety, "filter", observed)
+    assert cell.grasp().kind == "aborted"
+    zeros = [u for u in scaled if not u.any()]
+    assert len(zeros) > 50
+    assert not np.signbit(zeros).any()
+
+
+def test_the_cell_passes_on_every_callback_of_an_observer():
+    seen = []
+    world = SupervisedCell().world
+    observer = LoopObserver(
+        on_tick=lambda snapshot: seen.append("tick"),
+        on_phase=lambda phase, roles: seen.append("phase"),
+        mark_part=lambda part: seen.append("part"),
+        on_result=lambda result, action, *, in_contract: seen.append("result"),
+    )
+    cell = SimulatedCell(MODEL, world, observer=observer)
+    cell.loop.hold(0.1)
+    assert set(seen) == {"tick", "phase", "part", "result"}
+    assert seen.count("result") == 100
 
 
 def test_a_speed_stage_slows_the_whole_contract_and_patience_with_it():

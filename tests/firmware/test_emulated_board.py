@@ -221,7 +221,7 @@ def encoded_frame(session, kind, payload, *, ahead=1, key=None):
     ],
 )
 def test_a_bad_message_is_refused_and_counted(session, name, change):
-    assert refused_by(session, lambda: session._link.write(change(session))) == 1
+    assert refused_by(session, lambda: session.link.write(change(session))) == 1
 
 
 def test_a_new_scene_permits_no_contact(session):
@@ -268,7 +268,7 @@ def test_a_replayed_hello_ends_the_session_and_changes_nothing_else(lockstep):
     """Both nonces enter the key of a session, so that no message of the former session is accepted."""
     first = TargetSession(lockstep.board.link, lockstep.session._shared, robot_tables_hash(PANDA, CONFIG))
     TargetSession(lockstep.board.link, lockstep.session._shared, robot_tables_hash(PANDA, CONFIG))
-    first._link.write(encode_frame(Message.CYCLE, first._sequence + 50, cycle_payload(), first._key))
+    first.link.write(encode_frame(Message.CYCLE, first._sequence + 50, cycle_payload(), first._key))
     assert first.listen(0.05) == []
     restored = TargetSession(lockstep.board.link, lockstep.session._shared, robot_tables_hash(PANDA, CONFIG))
     lockstep.session._key, lockstep.session._sequence = restored._key, restored._sequence
@@ -278,7 +278,7 @@ def test_tables_of_another_robot_are_refused_by_name(lockstep):
     with pytest.raises(ConfigurationError, match=f"{robot_tables_hash(PANDA, CONFIG):016x}"):
         TargetSession(lockstep.board.link, lockstep.session._shared, 1)
     stranger = TargetSession.__new__(TargetSession)
-    stranger.__dict__.update(_link=lockstep.board.link, _shared=lockstep.session._shared, _reader=FrameReader())
+    stranger.__dict__.update(link=lockstep.board.link, _shared=lockstep.session._shared, _reader=FrameReader())
     stranger.__dict__.update(_sequence=0, outputs=[])
     stranger._open(1)
     stranger.send(Message.CYCLE, cycle_payload())
@@ -327,7 +327,7 @@ def accepted_cycles(session, count, seconds):
         session.send(Message.CYCLE, cycle_payload(q=BASE.home))
     replies, end = [], time.monotonic() + seconds
     while time.monotonic() < end:
-        for piece in session._reader.feed(session._link.read(0.02)):
+        for piece in session._reader.feed(session.link.read(0.02)):
             frame = decode_frame(piece, session._key)
             replies += [frame] if frame is not None and frame.type == Message.CYCLE_REPLY else []
     return replies

@@ -87,7 +87,7 @@ def _compare_replies(
     results: Iterator[FilterResult], session: TargetSession, kernel: TargetKernel, waiting: deque[int]
 ) -> int:
     """Compare the replies that have arrived; returns the number of those with a control."""
-    data, controls = session._link.read(REPLY_TIMEOUT_S), 0
+    data, controls = session.link.read(REPLY_TIMEOUT_S), 0
     if not data:
         raise TargetLostError(f"no reply within {REPLY_TIMEOUT_S:g} s")
     for piece in session._reader.feed(data):

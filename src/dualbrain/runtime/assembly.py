@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol, Self
 
 import msgspec
@@ -124,7 +124,7 @@ class SimulatedCell:
             self.safety,
             self.log,
             config or ControlLoopConfig(),
-            LoopObserver(on_tick=outer.on_tick, on_phase=on_phase, mark_part=outer.mark_part),
+            replace(outer, on_phase=on_phase),
             inputs or LoopInputs(),
         )
         self.executor = ContractExecutor(self.loop, time_limit=time_limit)

@@ -3,7 +3,13 @@
 from collections import Counter
 from itertools import product
 
-from dualbrain.evaluation.fault_injection.faults import EXPECTED_ACTIONS, KINDS, MOBILE_BASE_MOMENTS, MOMENTS, SOURCES
+from dualbrain.evaluation.fault_injection.faults import (
+    EXPECTED_ACTIONS,
+    HOST_SOURCES,
+    KINDS,
+    MOBILE_BASE_MOMENTS,
+    MOMENTS,
+)
 from experiments.engine.experiment import Options
 from experiments.gatekeeper.fault_tables import fault_matrices, summary
 from experiments.gatekeeper.faults import ARMS, ROOMS, Faults
@@ -31,15 +37,17 @@ def row(body="panda", fault=("state", "off", "carrying"), **changes):
 def test_units_cover_each_fault_moment_and_robot_once_and_scenes_evenly(tmp_path):
     units = Faults().units(Options(tmp_path, "some-planner"))
     parameters = [unit.parameters for unit in units]
-    mobile = set(product(("base",), SOURCES, KINDS, MOBILE_BASE_MOMENTS))
-    assert {(one["body"], *one["fault"]) for one in parameters} == set(product(ARMS, SOURCES, KINDS, MOMENTS)) | mobile
+    mobile = set(product(("base",), HOST_SOURCES, KINDS, MOBILE_BASE_MOMENTS))
+    assert {(one["body"], *one["fault"]) for one in parameters} == set(
+        product(ARMS, HOST_SOURCES, KINDS, MOMENTS)
+    ) | mobile
     assert len(units) == 882 + 98 >= 500
     counts = Counter((one["body"] == "base", *one["fault"][:2], one["body"], one["scene"]) for one in parameters)
     assert {(key[0], count) for key, count in counts.items()} == {(False, 2), (True, 1)}
     assert {one["scene"] for one in parameters if one["body"] == "base"} == set(ROOMS)
     early = parameters[:60]
     assert {one["body"] for one in early} == {*ARMS, "base"}
-    assert {one["fault"][0] for one in early} == set(SOURCES)
+    assert {one["fault"][0] for one in early} == set(HOST_SOURCES)
 
 
 def test_one_unit_on_another_robot():

@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 from dualbrain.cli.common.exit_codes import ExitCode
 
-FaultSource = Literal["state", "scene", "clock", "qp", "drive", "planner", "socket"]
+FaultSource = Literal["state", "scene", "clock", "qp", "drive", "planner", "socket", "target"]
 FaultKind = Literal["off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent"]
 FaultMoment = Literal["closing", "descending", "grasping", "carrying", "lowering", "acknowledgement", "drawn"]
 
@@ -23,14 +23,19 @@ def fault(
     scene: str = "tabletop:1",
     robot: str = "panda",
     seed: int = 0,
+    target: str = "",
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
     """Inject a fault in simulation. Exit code 0 if the supervisor reacts as specified, 4 if a violation is observed.
 
+    Examples: `dualbrain fault qp stuck --moment carrying`; `dualbrain fault target off --target an500` loses the link
+    to an emulated board on which filter and supervisor run.
+
     Parameters
     ----------
     source
-        Faulty component: joint states, perceived scene, clock, QP, drive; planner or socket, behind a gatekeeper.
+        Faulty component: joint states, perceived scene, clock, QP, drive; planner or socket, behind a gatekeeper; the
+        link to a target, with --target.
     kind
         Kind of the fault.
     moment
@@ -41,6 +46,8 @@ def fault(
         The robot.
     seed
         Seed of the fault (and of a drawn moment) and of the perception noise.
+    target
+        An emulated board on which filter and supervisor run too (an386, an500, an505); not for planner and socket.
     json
         Print the report as one JSON object on stdout.
     """
@@ -52,7 +59,7 @@ def fault(
 
     full = {"acknowledgement": "between write and acknowledgement", "drawn": draw_moment(seed)}
     when = full.get(moment, moment)
-    report = run_fault_trial(Fault(source, kind, when, seed), robot=robot, scene=scene, seed=seed)
+    report = run_fault_trial(Fault(source, kind, when, seed), robot=robot, scene=scene, seed=seed, target=target)
     if json:
         print_result(msgspec.json.encode(report).decode())
     struck = "not injected: its moment never came" if report.struck is None else f"injected at {report.struck:.2f} s"
@@ -60,6 +67,10 @@ def fault(
     if report.struck is not None and report.as_declared and report.reached != report.expected:
         reaction += " (at least as strong as expected)"
     print(f"{report.fault}: {struck}; {reaction}; {report.outcome}: {report.reason}", file=sys.stderr)
+    if (board := report.target) is not None:
+        lost = f"; lost: {board.lost}" if board.lost else ""
+        different = f"{board.differences} of {board.steps} steps with other bits than the host's"
+        print(f"board {board.board}: its supervisor reached {board.reached}, {different}{lost}", file=sys.stderr)
     for one in report.unsafe:
         print(f"violation {one.kind} at {one.start:.2f} s: {' × '.join(one.bodies)}", file=sys.stderr)
     if not report.safe:

@@ -156,7 +156,7 @@ class _ReplayFilter:
     def _recompute(self, state: RobotState, part: dict[str, Array], now: float, scale: float) -> FilterResult | None:
         """The result with the control that the supervisor wrote; None where braking replaced a failed filter."""
         u_nom = part["u_nom"]
-        scaled = u_nom if scale == UNSCALED else max(0.0, scale) * u_nom
+        scaled = u_nom if scale == UNSCALED else max(0.0, scale) * u_nom + 0.0
         result = self._filter.filter(state, scaled, now)
         if not self._guard:
             result = result.unfiltered()

@@ -24,10 +24,13 @@ from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.filter import FilterResult, SafetyFilter
 from dualbrain.safety.supervisor.actions import SafetyAction
 
-FaultSource = Literal["state", "scene", "clock", "qp", "drive", "planner", "socket"]
+FaultSource = Literal["state", "scene", "clock", "qp", "drive", "planner", "socket", "target"]
 FaultKind = Literal["off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent"]
 FaultMoment = Literal["closing", "descending", "grasping", "carrying", "lowering", "between write and acknowledgement"]
 SOURCES, KINDS, MOMENTS = get_args(FaultSource), get_args(FaultKind), get_args(FaultMoment)
+TARGET = "target"
+"""Source of the link to a target, on which filter and supervisor run; without a target it does not exist."""
+HOST_SOURCES: tuple[str, ...] = tuple(source for source in SOURCES if source != TARGET)
 
 MOMENT_PHASES: dict[str, tuple[str, ...]] = {
     "closing": ("approach", "carry", "drive"),
@@ -110,13 +113,14 @@ EXPECTED_ACTIONS: dict[tuple[str, str], SafetyAction] = {
     ("socket", "slow"): HOLD,
     ("socket", "delayed"): NONE,
     ("socket", "intermittent"): HOLD,
+    **{(TARGET, kind): ESTOP for kind in KINDS},
 }
 """The least action of the supervisor that must follow, by source and kind.
 
 The proposals of a planner that fails while its contract runs are refused with a warning, and the contract continues. A
-socket that fails disconnects the commander, and the arm holds position. NONE: the fault need not be detected, and must
-be harmless. In a scene in which nothing moves, an old scene is as good as a new one; in a scene with a person, it must
-lead to HOLD.
+socket that fails disconnects the commander, and the arm holds position. A message to or from a target that is lost or
+changed ends its session, and the drive is switched off. NONE: the fault need not be detected, and must be harmless. In
+a scene in which nothing moves, an old scene is as good as a new one; in a scene with a person, it must lead to HOLD.
 """
 EXPECTED_WITH_PERSON: dict[tuple[str, str], SafetyAction] = {("scene", "off"): HOLD, ("scene", "slow"): SLOW}
 """The expected actions that differ in a scene with a moving person."""

@@ -13,7 +13,9 @@ from dualbrain.contracts.contract import Action, Context, Contract
 from dualbrain.control.control_loop import ControlLoopConfig, LoopInputs, LoopObserver
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.trace import Event, Trace
+from dualbrain.errors import ConfigurationError
 from dualbrain.evaluation.fault_injection.faults import (
+    TARGET,
     Fault,
     FaultInjector,
     FaultyRobot,
@@ -22,12 +24,11 @@ from dualbrain.evaluation.fault_injection.faults import (
     inject_filter_fault,
 )
 from dualbrain.evaluation.fault_injection.gatekeeper_trial import run_gatekeeper_trial
+from dualbrain.evaluation.fault_injection.target_observer import TargetReport, open_filter
 from dualbrain.records import Outcome, Violation
 from dualbrain.robots.loader import load_robot
 from dualbrain.robots.model import RobotModel
 from dualbrain.runtime.assembly import SimulatedCell
-from dualbrain.safety.cbf.config import operating_config
-from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.supervisor.actions import SafetyAction
 from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
@@ -69,7 +70,7 @@ class FaultReport(msgspec.Struct, frozen=True, kw_only=True):
     `struck`: time of the fault, None if its moment did not occur. `expected`, `reached`: the declared action of the
     supervisor, and the strongest one that followed. `reaction`: time from the fault to the first action that is at
     least the expected one. `rest`: time from the fault until the arm was at rest. `unsafe`: the violations of
-    `UNSAFE_VIOLATIONS` while the arm moved; `other`: all others.
+    `UNSAFE_VIOLATIONS` while the arm moved; `other`: all others. `target`: how the trial ran on a target, if it did.
     """
 
     fault: str
@@ -84,6 +85,7 @@ class FaultReport(msgspec.Struct, frozen=True, kw_only=True):
     reason: str
     unsafe: tuple[Violation, ...]
     other: tuple[Violation, ...]
+    target: TargetReport | None = None
 
     @property
     def safe(self) -> bool:
@@ -96,39 +98,65 @@ class FaultReport(msgspec.Struct, frozen=True, kw_only=True):
         return self.struck is None or SafetyAction[self.reached] >= SafetyAction[self.expected]
 
 
-def run_fault_trial(fault: Fault, *, robot: str = "panda", scene: str = "tabletop:1", seed: int = 0) -> FaultReport:
+def run_fault_trial(
+    fault: Fault, *, robot: str = "panda", scene: str = "tabletop:1", seed: int = 0, target: str = ""
+) -> FaultReport:
     """Execute a pick and place of the red cube (or a drive to the shelf) with an injected fault.
 
-    Nothing is stored in a memory. Raises `UnknownNameError` and `ConfigurationError` for an unknown robot or scene.
+    Filter and supervisor also run on the emulated board `target`, if it is named. Nothing is stored in a memory.
+
+    Raises:
+        UnknownNameError: the robot, the scene or the board is unknown.
+        ConfigurationError: the source needs a target, or is impossible with one; or the target cannot be started.
     """
+    _require_target(fault, target)
     robot_model, spec = load_robot(robot), open_scene(scene, robot)
     if fault.source in COMMANDER_SOURCES:
         return _trial_through_gatekeeper(fault, robot_model, spec, scene, seed)
+    return _trial_in_lockstep(fault, robot_model, spec, scene, seed, target)
+
+
+def _require_target(fault: Fault, target: str) -> None:
+    """Raise `ConfigurationError` if the source of `fault` does not exist with, or without, a target."""
+    if fault.source == TARGET and not target:
+        raise ConfigurationError.stating(
+            "The link to a target can fail only in a trial on a target.", fix="Name a board, such as an500."
+        )
+    if fault.source in COMMANDER_SOURCES and target:
+        raise ConfigurationError.stating(
+            f"The source {fault.source} is in front of a gatekeeper, which runs its own filter.",
+            fix="Leave out the target.",
+        )
+
+
+def _trial_in_lockstep(
+    fault: Fault, robot_model: RobotModel, spec: SceneSpec, scene: str, seed: int, target: str
+) -> FaultReport:
     motion = _MotionRecorder()
     world = make_world(spec, robot_model, seed=seed, pace=motion)
     plant = world.plant
     motion.observe(plant)
     injector = FaultInjector(fault, lambda: plant.now)
-    safety = SafetyFilter(robot_model, operating_config(robot_model))
-    inject_filter_fault(safety, injector)
     events: list[tuple[float, Event]] = []  # with true times: the robot's own stamps may be faulty
     log = FlightLog(Trace(robot_model.n, robot_model.nq), None, lambda event: events.append((plant.now, event)))
-    cell = SimulatedCell(
-        robot_model,
-        world,
-        safety=safety,
-        log=log,
-        config=ControlLoopConfig(settle_time=SETTLE_TIME),
-        observer=LoopObserver(on_phase=lambda phase, roles: injector.set_phase(phase)),
-        inputs=LoopInputs(clock=faulty_clock(lambda: plant.now, injector)),
-        robot=FaultyRobot(plant, injector, robot_model),
-        environment=FaultyWorld(world, injector),
-    )
-    contract = Contract("c-0001", Context(robot, ""), tuple(Action(*one) for one in trial_actions(robot_model)))
-    outcome = cell.executor.execute(contract)
+    actions = tuple(Action(*one) for one in trial_actions(robot_model))
+    with open_filter(robot_model, target, injector) as observer:
+        inject_filter_fault(observer.safety, injector)
+        cell = SimulatedCell(
+            robot_model,
+            world,
+            safety=observer.safety,
+            log=log,
+            config=ControlLoopConfig(settle_time=SETTLE_TIME),
+            observer=LoopObserver(on_phase=lambda phase, roles: injector.set_phase(phase), on_result=observer),
+            inputs=LoopInputs(clock=faulty_clock(lambda: plant.now, injector)),
+            robot=FaultyRobot(plant, injector, robot_model),
+            environment=FaultyWorld(world, injector),
+        )
+        outcome = cell.executor.execute(Contract("c-0001", Context(robot_model.name, ""), actions))
     for _ in range(round(AFTERMATH_TIME / robot_model.period)):  # physics continues after the contract
         world.advance()
-    return _fault_report(
+    report = _fault_report(
         fault,
         spec,
         robot_model,
@@ -141,6 +169,7 @@ def run_fault_trial(fault: Fault, *, robot: str = "panda", scene: str = "tableto
         violations=world.judgement().violations,
         motion=motion,
     )
+    return msgspec.structs.replace(report, target=observer.report())
 
 
 def trial_actions(robot_model: RobotModel) -> tuple[tuple[str, dict[str, Any]], ...]:

@@ -212,7 +212,7 @@ class SafetyController:
         experiments without a filter.
         """
         scale = UNSCALED if self.retreating else self.enforcement.scale(self.decision, self.speed_scale)
-        scaled = u_nom if scale == 1.0 else scale * u_nom
+        scaled = u_nom if scale == 1.0 else scale * u_nom + 0.0  # 0 and not -0, as a target zeroes it
         self.safety.supervise(now, state.stamp, self._conditions, yielding=self.retreating)
         result = self.safety.filter(state, scaled, now)
         self._pending |= result_conditions(result)

@@ -43,7 +43,7 @@ class TargetSession:
             TargetLostError: no target with this key answers.
             ConfigurationError: the target has the tables of another robot.
         """
-        self._link, self._shared, self._reader = link, key, FrameReader()
+        self.link, self._shared, self._reader = link, key, FrameReader()
         self._sequence = 0
         self.outputs: list[CycleReply] = []
         self.description = self._open(robot_hash)
@@ -78,7 +78,7 @@ class TargetSession:
         """
         self._sequence += 1
         try:
-            self._link.write(encode_frame(kind, self._sequence, payload, key or self._key))
+            self.link.write(encode_frame(kind, self._sequence, payload, key or self._key))
         except OSError as error:
             raise TargetLostError(f"The link to the target failed: {error}.") from None
         return self._sequence
@@ -99,7 +99,7 @@ class TargetSession:
         """The next message of this type and sequence; collects outputs of the watchdog."""
         deadline = time.monotonic() + timeout
         while (left := deadline - time.monotonic()) > 0.0:
-            for piece in self._reader.feed(self._link.read(left)):
+            for piece in self._reader.feed(self.link.read(left)):
                 frame = decode_frame(piece, self._key)
                 if frame is None:
                     continue
