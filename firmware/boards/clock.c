@@ -9,6 +9,7 @@
 
 static volatile uint32_t milliseconds;
 static uint32_t last_milliseconds, wraps;
+static uint64_t last_us;
 
 void board_systick_handler(void) { ++milliseconds; }
 
@@ -27,5 +28,7 @@ uint64_t hal_now(void) {
   if (ms < last_milliseconds) { ++wraps; }
   last_milliseconds = ms;
   const uint64_t all = ((uint64_t)wraps << 32) | ms;
-  return all * 1000u + (CYCLES_PER_MS - 1u - counter) * 1000u / CYCLES_PER_MS; /* without a 64-bit division */
+  const uint64_t now = all * 1000u + (CYCLES_PER_MS - 1u - counter) * 1000u / CYCLES_PER_MS; /* without a 64-bit division */
+  if (now > last_us) { last_us = now; } /* a counter that has wrapped before its interrupt must not turn the time back */
+  return last_us;
 }

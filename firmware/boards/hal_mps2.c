@@ -121,7 +121,9 @@ void board_drive_off(void) { DRIVE_OUTPUT = 0; }
 #endif
 
 /* The watchdog of the boards (CMSDK APB): an interrupt that cannot be masked ends in the handler of faults, which
- * switches the drive off. In lockstep with a simulation it stays off, because there the time passes with the messages. */
+ * switches the drive off. It has no window of its own; the window is tested by the clock of the firmware, because after a
+ * pause of the emulator SysTick and the counter of the watchdog differ. In lockstep with a simulation the watchdog stays
+ * off, because there the time passes with the messages. */
 #define WATCHDOG_LOAD REGISTER(WATCHDOG_BASE + 0x000u)
 #define WATCHDOG_CONTROL REGISTER(WATCHDOG_BASE + 0x008u) /* bit 0: counter and interrupt */
 #define WATCHDOG_RELOAD REGISTER(WATCHDOG_BASE + 0x00Cu)
@@ -137,6 +139,13 @@ static void watchdog_start(void) {
 }
 
 void hal_watchdog(void) {
+  static uint64_t fed_us; /* 0: not fed yet */
+  const uint64_t now_us = hal_now();
+  if (fed_us != 0u && now_us - fed_us < HAL_WATCHDOG_EARLIEST_US) {
+    board_drive_off();
+    board_exit(99); /* as a fault of the processor */
+  }
+  fed_us = now_us;
   WATCHDOG_LOCK = 0x1ACCE551u;
   WATCHDOG_RELOAD = 0;
   WATCHDOG_LOCK = 0;

@@ -12,14 +12,27 @@ static void receive(executive *e) {
   }
 }
 
+#ifndef LOCKSTEP
+/* The time of a feed is read after it, so that two feeds are never closer than the period. */
+static void feed_watchdog(uint64_t now_us, uint64_t *fed_us) {
+  if (now_us - *fed_us < HAL_WATCHDOG_US) { return; }
+  hal_watchdog();
+  *fed_us = hal_now();
+}
+#endif
+
 void executive_loop(executive *e) {
   hal_init();
   executive_init(e);
+#ifndef LOCKSTEP
+  uint64_t fed_us = hal_now();
+#endif
   for (;;) {
     receive(e);
 #ifndef LOCKSTEP /* in lockstep with a simulation the time passes with the messages */
-    executive_watchdog(e, hal_now());
-    hal_watchdog();
+    const uint64_t now_us = hal_now();
+    executive_watchdog(e, now_us);
+    feed_watchdog(now_us, &fed_us);
 #endif
     hal_wait();
   }

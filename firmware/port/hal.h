@@ -22,8 +22,11 @@ void hal_drive_enable(int on);
 /* 1 while the hardware emergency stop is pressed */
 int hal_estop_in(void);
 
-/* restarts the period of the hardware watchdog, which switches the drive off; only the main loop calls it, once a pass */
+/* Feeds the hardware watchdog, which switches the drive off; only the main loop calls it, every HAL_WATCHDOG_US or later
+ * [us]. A call earlier than HAL_WATCHDOG_EARLIEST_US after the one before comes from a program that runs away, and is a
+ * fault (windowed watchdog). */
 void hal_watchdog(void);
+enum { HAL_WATCHDOG_US = 10000, HAL_WATCHDOG_EARLIEST_US = 5000 };
 
 /* a number that differs between starts, for the session keys */
 uint64_t hal_nonce(void);

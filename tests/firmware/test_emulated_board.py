@@ -350,6 +350,16 @@ def test_a_host_that_sends_faster_than_the_period_is_refused(slow_base):
         assert len(accepted_cycles(session, 4, 0.1)) == 4  # a late host may catch up
 
 
+RUNNING_AWAY = """
+#include "executive/executive.h"
+#include "port/hal.h"
+void __real_executive_watchdog(executive *e, uint64_t now_us);
+void __wrap_executive_watchdog(executive *e, uint64_t now_us) {
+  while (e->refused) { hal_watchdog(); }
+  __real_executive_watchdog(e, now_us);
+}
+"""
+"""Feeds the hardware watchdog without a pause, as a program whose loop has lost its rhythm."""
 HANGING = """
 #include "executive/executive.h"
 void __real_executive_watchdog(executive *e, uint64_t now_us);
@@ -360,11 +370,18 @@ void __wrap_executive_watchdog(executive *e, uint64_t now_us) {
 """
 
 
+def test_the_main_loop_feeds_the_watchdog_in_its_rhythm(slow_base):
+    """Neither too early nor too late, although the emulator is paused now and then; no host is needed."""
+    with EmulatedBoard(find_board("an386"), slow_base) as board:
+        time.sleep(0.5)
+        assert board.process.poll() is None
+
+
 @pytest.mark.realtime
-@pytest.mark.parametrize("name", ["an386", "an505"])
-def test_firmware_that_hangs_is_stopped_by_the_hardware_watchdog(tmp_path, name):
-    source = tmp_path / "hanging.c"
-    source.write_text(HANGING)  # a refused frame makes this main loop hang
+@pytest.mark.parametrize(("name", "fault"), [("an386", HANGING), ("an505", HANGING), ("an500", RUNNING_AWAY)])
+def test_firmware_that_hangs_or_runs_away_is_stopped_by_the_hardware_watchdog(tmp_path, name, fault):
+    source = tmp_path / "faulty.c"
+    source.write_text(fault)  # a refused frame starts the fault of this main loop
     extra = ("-Wl,--wrap=executive_watchdog", str(source))
     firmware = Firmware(board=find_board(name), key=KEY, lockstep=False, extra=extra)
     with EmulatedBoard(find_board(name), build_firmware(firmware, PANDA, CONFIG, tmp_path / "build")) as board:
@@ -373,6 +390,8 @@ def test_firmware_that_hangs_is_stopped_by_the_hardware_watchdog(tmp_path, name)
             session.send(kind, payload)
         assert session.cycle(cycle_payload()).drive_enabled
         assert board.link.drive_enabled
+        session.listen(0.04)  # more than one period of the watchdog
+        assert board.process.poll() is None
         session.send(Message.CYCLE, b"too short")
         assert board.process.wait(10.0) == 99  # the handler of faults
         assert not board.link.drive_enabled
