@@ -208,14 +208,17 @@ def test_a_suite_that_no_options_reproduce_needs_a_file(tmp_path):
 
 def test_the_reproduction_command_yields_the_same_suite(tmp_path):
     paper = ("paper", "B1,M", "200", "panda", "base=transformers:base-135m")
-    for options in (paper, ("paper", "", "0", "", ""), ("attacks", "", "0", "base", "")):
-        suite = override_suite(options[0], options[1], int(options[2]), options[3], options[4] or "adapted=adapter:x")
+    for *options, target in ((*paper, "an500"), ("paper", "", "0", "", "", ""), ("attacks", "", "0", "base", "", "")):
+        planner = options[4] or "adapted=adapter:x"
+        suite = override_suite(options[0], options[1], int(options[2]), options[3], planner, target=target)
         command = reproduction_command(suite, tmp_path / "there").split()
         assert command[:2] == ["dualbrain", "evaluate"]
         stated = dict(zip(command[2::2], command[3::2], strict=True))
         assert stated.pop("--out") == "there"
         again = [stated.get(f"--{name}", "") for name in ("suite", "methods", "episodes", "robots", "planner")]
-        assert override_suite(again[0], again[1], int(again[2] or 0), again[3], again[4]) == suite
+        assert stated.get("--target", "") == target
+        count = int(again[2] or 0)
+        assert override_suite(again[0], again[1], count, again[3], again[4], target=target) == suite
 
 
 def test_a_full_disk_leaves_the_old_results_and_is_reported(tmp_path):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, Protocol, Self
 
@@ -25,6 +26,7 @@ from dualbrain.robots.loader import load_robot
 from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.config import operating_config
 from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.safety.cbf.obstacles import Obstacle
 from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
@@ -205,6 +207,26 @@ def open_world(spec: SceneSpec, robot_model: RobotModel, options: CellOptions) -
     if options.configuration is not None:
         world.plant.set_configuration(*options.configuration)
     return world
+
+
+@contextmanager
+def open_filter(
+    robot_model: RobotModel, target: str = "", obstacles: Sequence[Obstacle] = ()
+) -> Generator[SafetyFilter]:
+    """The filter of a cell with permanent `obstacles`: in this process, or on the emulated board `target`.
+
+    Raises:
+        UnknownNameError: there is no such board.
+        ConfigurationError: a toolchain or the emulator is missing, or the robot does not fit a target.
+    """
+    config = operating_config(robot_model)
+    if not target:
+        yield SafetyFilter(robot_model, config, obstacles=obstacles)
+        return
+    from dualbrain.safety.target.target_filter import EmulatedTarget  # noqa: PLC0415  (needs the extra `target`)
+
+    with EmulatedTarget(target, robot_model, config) as board:
+        yield board.filter(obstacles)
 
 
 def _encoded(contract: str | dict[str, Any]) -> bytes:

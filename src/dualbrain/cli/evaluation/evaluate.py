@@ -49,6 +49,7 @@ def evaluate(
     episodes: HiddenDefault = 0,
     robots: str = "",
     planner: str = "",
+    target: str = "",
     out: Path | None = None,
     jobs: HiddenDefault = 0,
     pool: WorkerPlace = "processes",
@@ -78,6 +79,8 @@ def evaluate(
     planner
         Use this planner instead of the suite's base planner: a name of `dualbrain models list`, adapter:ID, a URL, or
         `template`. Set other roles by name: base=base-135m,adapted=adapter:ID.
+    target
+        Run the filter of every guarded method on an emulated board too (an386, an500 or an505), in lockstep.
     out
         Folder of the results; default runs/evaluate-SUITE. Episodes that it already contains are not run again.
     jobs
@@ -124,7 +127,7 @@ def evaluate(
         return _rerun(results, again, no_rendering, as_json=json)
     console = StderrConsole()
     on_left_out = partial(_print_left_out, console) if dry_run else None
-    chosen = override_suite(suite, methods, episodes, robots, planner, on_left_out=on_left_out)
+    chosen = override_suite(suite, methods, episodes, robots, planner, target=target, on_left_out=on_left_out)
     whole = Runner(
         chosen,
         out or Path("runs") / f"evaluate-{chosen.name}",

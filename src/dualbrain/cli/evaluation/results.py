@@ -156,9 +156,11 @@ def _command(suite: Suite, out: str) -> str:
         options |= {"robots": ",".join(suite.robots)} if suite.robots != builtin.robots else {}
         same_size = suite.episodes_per_task == builtin.episodes_per_task
         options |= {} if same_size else {"episodes": str(suite.episodes_per_task)}
+        options |= {"target": suite.target} if suite.target else {}
         methods, robots, planner = (options.get(name, "") for name in ("methods", "robots", "planner"))
         with suppress(DualbrainError):  # this version may reject the suite of another version
-            if override_suite(suite.name, methods, int(options.get("episodes", 0)), robots, planner) == suite:
+            count, target = int(options.get("episodes", 0)), suite.target
+            if override_suite(suite.name, methods, count, robots, planner, target=target) == suite:
                 words = [word for name, value in options.items() for word in (f"--{name}", value)]
                 return " ".join(["dualbrain evaluate --suite", suite.name, *words, "--out", out])
     return f"dualbrain evaluate --suite FILE.toml --out {out}  # FILE.toml: the suite in config.json there"

@@ -20,6 +20,7 @@ def override_suite(
     robots: str,
     planner: str,
     *,
+    target: str = "",
     on_left_out: Callable[[tuple[str, ...]], None] | None = None,
 ) -> Suite:
     """The suite `suite` with the options applied, validated again; an empty option changes nothing.
@@ -41,6 +42,8 @@ def override_suite(
         changes |= _restrict_to_robots(found, _split_names("--robots", robots))
     if planner:
         changes["planners"] = found.planners | _parse_planners(planner)
+    if target:
+        changes["target"] = target
     if episodes < 0:
         raise UsageError("--episodes", got=episodes, allowed="at least 1")
     if episodes:

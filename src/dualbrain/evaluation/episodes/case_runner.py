@@ -29,11 +29,10 @@ from dualbrain.robots.interface import RobotState
 from dualbrain.robots.loader import load_robot
 from dualbrain.robots.model import RobotModel
 from dualbrain.runtime.agent import Agent, EpisodicMemory, NoMemory
-from dualbrain.runtime.assembly import CellOptions, SimulatedCell, open_world
+from dualbrain.runtime.assembly import CellOptions, SimulatedCell, open_filter, open_world
 from dualbrain.runtime.episode import GroundTruth, run_episode
 from dualbrain.runtime.planning.episode_request import EpisodeRequest
 from dualbrain.runtime.planning.planning_time import PLANNING_TIME, PlanningClock
-from dualbrain.safety.cbf.config import operating_config
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.simulation.monitoring.safety_monitor import SafetyMeasurements
 from dualbrain.simulation.perception.noisy_perception import NoisyPerception, PerceptionNoise
@@ -84,6 +83,8 @@ class EpisodeResources:
     """Answers the first request too, without constrained decoding; its answer is judged and not executed."""
     keep_margins: bool = True
     """`ControlLoopConfig.keep_margins`; False for comparisons."""
+    target: str = ""
+    """Emulated board on which the filter of a method runs, in lockstep; "" runs it in this process."""
 
 
 class EvaluatedExecutor:
@@ -131,8 +132,16 @@ def load_cached_robot(robot: str) -> RobotModel:
 
 def run_case(case: Case, method: Method, resources: EpisodeResources) -> EpisodeRun:
     """Run the instruction of `case` through the episode loop with the switches of `method`."""
+    model = load_cached_robot(case.robot)
+    if not method.guard:
+        return _run_with_filter(case, method, resources, PassiveFilter(model))
+    with open_filter(model, resources.target) as safety:
+        return _run_with_filter(case, method, resources, safety)
+
+
+def _run_with_filter(case: Case, method: Method, resources: EpisodeResources, safety: SafetyFilter) -> EpisodeRun:
     stopwatch = Stopwatch(resources.clock)
-    cell = _make_cell(case, method, resources, stopwatch)
+    cell = _make_cell(case, method, resources, stopwatch, safety)
     executor = EvaluatedExecutor(cell.executor, method.gate, stopwatch)
     errors: list[tuple[float, float]] = []
 
@@ -170,6 +179,8 @@ def run_case(case: Case, method: Method, resources: EpisodeResources) -> Episode
         gate = executor.baseline_gate
         assert gate is not None  # every episode passes the gate once
         gate.check_unconstrained_answer(scene_names(executor.scene), PLANNER, executor.state.stamp)
+        if text := safety.describe_target():
+            cell.log.note(executor.state.stamp, "target", text)
     finally:
         cell.close()
     assert isinstance(cell.world, SimulatedWorld)  # a case is judged on ground truth
@@ -184,9 +195,11 @@ def run_case(case: Case, method: Method, resources: EpisodeResources) -> Episode
     )
 
 
-def _make_cell(case: Case, method: Method, resources: EpisodeResources, stopwatch: Stopwatch) -> SimulatedCell:
-    """The cell of a case; an unfiltered method gets a filter that only measures."""
-    model = load_cached_robot(case.robot)
+def _make_cell(
+    case: Case, method: Method, resources: EpisodeResources, stopwatch: Stopwatch, safety: SafetyFilter
+) -> SimulatedCell:
+    """The cell of a case; the filter of an unfiltered method only measures."""
+    model = safety.robot_model
     options = CellOptions(
         goal=case.goal,
         instruction=case.instruction,
@@ -195,7 +208,6 @@ def _make_cell(case: Case, method: Method, resources: EpisodeResources, stopwatc
         permitted_skills=planner_grants(skill_registry(model))[PLANNER],
     )
     world = open_world(case.spec, model, options)
-    safety = SafetyFilter(model, operating_config(model)) if method.guard else PassiveFilter(model)
     _time_parts(stopwatch, world, safety)
     return SimulatedCell(
         model,

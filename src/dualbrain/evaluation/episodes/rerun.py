@@ -45,6 +45,7 @@ def rerun_episode(
         on_tick=hooks.on_tick,
         image_features=open_plant,
         visuals=hooks.visuals,
+        target=suite.target,
     )
     return run_case(case, find_method(row.method), resources)
 

@@ -17,6 +17,7 @@ from dualbrain.core.untrusted.toml_document import TomlFault, parse_toml
 from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.evaluation.protocol.method import Method, find_method
 from dualbrain.robots.loader import SIMULATED_ROBOTS
+from dualbrain.safety.target.boards import find_board
 from dualbrain.simulation.tasks.families import Level, RequestType, supports_depth_perception, task_families_for
 
 PILOT_SEEDS = range(10_000, 20_000)
@@ -82,7 +83,8 @@ class Suite(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"de
 
     Additional measurements, each in every n-th repetition (0: never): `bare`, the contract once more without filter in
     the scene without obstacles, for the time lost by intervention; `free`, the first request once more with
-    unconstrained decoding, for compliance. `gallery`: number of failures shown with images in the report.
+    unconstrained decoding, for compliance. `gallery`: number of failures shown with images in the report. `target`: an
+    emulated board on which the filter of every guarded method runs, "" for this process.
     """
 
     name: str
@@ -100,6 +102,7 @@ class Suite(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"de
     bare: int = 0
     gallery: int = 6
     free: int = 0
+    target: str = ""
     memory: MemorySettings = MemorySettings()
 
     @property
@@ -193,6 +196,7 @@ def check_suite(suite: Suite) -> None:
     for check in (
         _check_name,
         _check_robots,
+        _check_target,
         _check_unique,
         _check_tasks,
         _check_perception,
@@ -214,6 +218,11 @@ def _check_robots(suite: Suite) -> None:
     for robot in (*suite.robots, *(robot for task in suite.tasks for robot in task.robots)):
         if robot not in SIMULATED_ROBOTS:
             raise UnknownNameError("packaged robot", robot[:80], SIMULATED_ROBOTS, owner=f"suite {suite.name}")
+
+
+def _check_target(suite: Suite) -> None:
+    if suite.target:
+        find_board(suite.target)
 
 
 def _check_unique(suite: Suite) -> None:

@@ -143,6 +143,7 @@ class Worker:
             now=episode_time(context.order),
             max_shots=self._suite.shots,
             planning_time=self._suite.planning_time,
+            target=self._suite.target,
         )
 
     def _add_memory_uses(self, run: EpisodeRun, planner: CachingPlanner, case: Case) -> EpisodeRun:

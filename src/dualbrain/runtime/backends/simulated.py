@@ -11,7 +11,7 @@ from dualbrain.control.recording.recorder import Recorder
 from dualbrain.control.recording.recording_file import reserve_for_recording
 from dualbrain.control.recording.trace import Trace
 from dualbrain.robots.loader import BUILTIN_ROBOTS
-from dualbrain.runtime.assembly import SimulatedCell
+from dualbrain.runtime.assembly import SimulatedCell, open_filter
 from dualbrain.runtime.backends.backend import RunContext, RunningRobot
 from dualbrain.runtime.config import RunObserver
 from dualbrain.runtime.episode import GroundTruth
@@ -31,7 +31,7 @@ class SimulatedBackend:
     @contextmanager
     def start(self, context: RunContext, observer: RunObserver) -> Generator[RunningRobot]:
         """The simulated robot; every tick is recorded in `episode.mcap` of the run folder."""
-        with _open_filter(context) as safety:
+        with open_filter(context.robot_model, context.config.target, context.fixed_obstacles) as safety:
             yield from self._start(context, observer, safety)
 
     def _start(self, context: RunContext, observer: RunObserver, safety: SafetyFilter) -> Generator[RunningRobot]:
@@ -78,19 +78,6 @@ class SimulatedBackend:
     def end_state(self, context: RunContext, held: str) -> EndState | None:
         """The state of the session's own simulated world."""
         return read_end_state(context.world.plant, held)
-
-
-@contextmanager
-def _open_filter(context: RunContext) -> Generator[SafetyFilter]:
-    """The filter of a run: in this process, or on an emulated board."""
-    model, config, obstacles = context.robot_model, operating_config(context.robot_model), context.fixed_obstacles
-    if not context.config.target:
-        yield SafetyFilter(model, config, obstacles=obstacles)
-        return
-    from dualbrain.safety.target.target_filter import EmulatedTarget  # noqa: PLC0415  (needs the extra `target`)
-
-    with EmulatedTarget(context.config.target, model, config) as target:
-        yield target.filter(obstacles)
 
 
 def _recording_metadata(context: RunContext) -> dict[str, object]:
