@@ -70,7 +70,7 @@ class TargetFaults:
             "board",
             "episodes",
             "board decided as the host",
-            "lost by the fault",
+            "not asked after the fault",
             "steps",
             "other bits than the host",
         )
@@ -86,12 +86,12 @@ class TargetFaults:
 
 
 def agrees(row: Row) -> bool:
-    """Whether no bit differed, and the board decided as the host, or was lost by a fault of its link."""
+    """Whether no bit differed, and the board decided as the host; a board that was not asked any more agrees."""
     target = row["target"]
     if target["differences"]:
         return False
-    if target["lost"]:
-        return row["fault"][0] == TARGET
+    if not target["answers"]:  # lost by a fault of its link, or the host ended
+        return row["fault"][0] == TARGET or row["outcome"] in ("stopped", "emergency")
     return bool(SafetyAction[target["reached"]] >= least_of_host(row))
 
 
@@ -104,11 +104,10 @@ def least_of_host(row: Row) -> SafetyAction:
 def _board_row(board: str, rows: list[Row]) -> tuple[object, ...]:
     if not rows:
         return ()
-    lost = sum(bool(row["target"]["lost"]) for row in rows)
-    answered = [row for row in rows if not row["target"]["lost"]]
+    answered = [row for row in rows if row["target"]["answers"]]
     steps, different = (sum(row["target"][name] for row in rows) for name in ("steps", "differences"))
     decided = format_proportion(sum(map(agrees, answered)), len(answered)) if answered else "–"
-    return f"{BOARDS[board].core} ({board})", len(rows), decided, lost, steps, different
+    return f"{BOARDS[board].core} ({board})", len(rows), decided, len(rows) - len(answered), steps, different
 
 
 def _fault_row(rows: list[Row], source: str, kind: str) -> tuple[str, ...]:
@@ -122,6 +121,6 @@ def _cell(row: Row | None) -> str:
         return "…"
     if row["struck"] is None:
         return "–"
-    board = "lost" if row["target"]["lost"] else row["target"]["reached"]
+    board = row["target"]["reached"] if row["target"]["answers"] else "not asked"
     marks = ("" if row["safe"] else " UNSAFE") + ("" if row["as_declared"] and agrees(row) else " ≠")
     return f"{row['reached']}, {board}{marks}"

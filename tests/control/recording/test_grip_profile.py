@@ -4,6 +4,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from dualbrain.contracts.contract import Action, Context, Contract
 from dualbrain.control.recording.grip_profile import grip_profiles
@@ -77,3 +79,38 @@ def test_without_contact_there_is_no_profile():
     assert profiles(trace_of((0, 0.0, 0.0, 50)), GRASP) == ()
     assert profiles(trace_of((0, 0.02, 20.0, 50)), PLACE) == ()
     assert grip_profiles(Trace(N), 0, Contract("c-0001", Context("panda", "x" * 8), (GRASP,))) == ()
+
+
+VALUES = st.sampled_from([0.0, 0.02, 20.0, -1.0, 1e300, np.nan, np.inf, -np.inf])
+
+
+@given(st.lists(st.tuples(st.integers(-1, 1), VALUES, VALUES, VALUES), min_size=1, max_size=60))
+def test_failing_sensors_and_clocks_give_finite_profiles(ticks):
+    trace = Trace(N)
+    for action, t, opening, force in ticks:
+        state = RobotState(
+            stamp=0.0, sequence=0, q=np.zeros(N), v=np.zeros(N), opening=opening, finger_forces=(force, 20.0)
+        )
+        trace.append(t, state, np.zeros(N), RESULT, action=action, phase="p")
+    for one in profiles(trace, GRASP, PLACE):
+        numbers = (
+            one.max_force,
+            one.first_opening,
+            one.min_opening,
+            one.fastest_closing,
+            one.end_force,
+            one.end_opening,
+        )
+        assert np.isfinite(numbers).all()
+
+
+def test_a_grip_that_is_not_measured_at_the_end_does_not_count_as_held():
+    (one,) = profiles(trace_of((0, 0.04, 0.0, 20), (0, 0.02, 20.0, 60), (0, np.nan, np.nan, 1)), GRASP)
+    assert (one.max_force, one.end_opening, one.holds_at_end) == (20.0, 0.02, False)
+
+
+def test_a_clock_without_numbers_does_not_hide_a_grip():
+    trace = trace_of((0, 0.04, 0.0, 20), (0, 0.02, 20.0, 60))
+    trace["t"][30:] = np.nan
+    (one,) = profiles(trace, GRASP)
+    assert (one.max_force, one.holds_at_end) == (20.0, True)

@@ -13,7 +13,15 @@ from tests.experiments.gatekeeper.test_faults import row
 
 
 def board_row(body="panda", fault=("state", "off", "carrying"), *, board="an386", target=None, **changes):
-    own = {"board": board, "reached": "CONTROLLED_STOP", "drive_off": True, "steps": 100, "differences": 0, "lost": ""}
+    own = {
+        "board": board,
+        "answers": 9,
+        "reached": "CONTROLLED_STOP",
+        "drive_off": True,
+        "steps": 100,
+        "differences": 0,
+        "lost": "",
+    }
     found = row(body, fault, **changes) | {"board": board, "target": own | (target or {})}
     return found | {"key": f"{found['key']}/{board}"}
 
@@ -36,8 +44,12 @@ def test_units_have_every_fault_once_on_each_robot_and_boards_evenly(tmp_path):
         ({"target": {"reached": "ESTOP"}}, True),
         ({"target": {"reached": "HOLD"}}, False),
         ({"target": {"differences": 1}}, False),
-        ({"target": {"lost": "no answer", "reached": "NONE"}}, False),
-        ({"target": {"lost": "no answer", "reached": "NONE"}, "fault": ("target", "off", "closing")}, True),
+        ({"target": {"answers": 0, "reached": "NONE"}, "outcome": "succeeded"}, False),
+        ({"target": {"answers": 0, "reached": "NONE"}}, True),
+        (
+            {"target": {"answers": 0, "lost": "no answer", "reached": "NONE"}, "fault": ("target", "off", "closing")},
+            True,
+        ),
         ({"target": {"reached": "NONE"}, "reached": "WARN"}, True),
         ({"target": {"reached": "NONE"}, "struck": None}, True),
     ],
@@ -51,7 +63,7 @@ def test_the_tables_count_boards_and_name_each_failure():
         board_row(),
         board_row("ur5e", target={"reached": "HOLD"}),
         board_row("base", safe=False, target={"differences": 3}, board="an500"),
-        board_row(fault=("target", "off", "closing"), target={"lost": "no answer", "reached": "NONE"}),
+        board_row(fault=("target", "off", "closing"), target={"answers": 0, "lost": "no answer", "reached": "NONE"}),
     ]
     text = "\n".join(TargetFaults().report(rows))
     assert "Unsafe: **1**." in text
@@ -59,6 +71,6 @@ def test_the_tables_count_boards_and_name_each_failure():
     assert "| Cortex-M7 (an500) | 1 | 0 of 1 (0%–79%) | 0 | 100 | 3 |" in text
     cells = "CONTROLLED_STOP, CONTROLLED_STOP | CONTROLLED_STOP, HOLD ≠ | CONTROLLED_STOP, CONTROLLED_STOP UNSAFE ≠ |"
     assert f"| state off | HOLD | {cells}" in text
-    assert "| target off | HOLD | CONTROLLED_STOP, lost | … | … |" in text
+    assert "| target off | HOLD | CONTROLLED_STOP, not asked | … | … |" in text
     assert "- base/state/off/carrying/an500: UNSAFE, expected HOLD" in text
     assert "3 of 100 steps differ" in text

@@ -1,7 +1,8 @@
 """Profiles of grips: forces and openings of the fingers from the trace of a contract.
 
 A grip lasts from the beginning of a `grasp` to the end of the next action that opens the hand, or to the end of the
-trace. The profile depends only on measurements and on the order of actions, not on the phases inside a skill.
+trace. The profile depends only on measurements and on the order of actions, not on the phases inside a skill. Ticks in
+which a force or the opening is not finite, because a sensor fails, do not count.
 """
 
 from __future__ import annotations
@@ -47,17 +48,21 @@ def _profile(trace: Trace, first: int, ticks: Array, actions: Sequence[Action], 
     ended = np.flatnonzero(ticks == ending) if ending is not None else np.zeros(0, np.intp)
     span = slice(first + int(begun[0]), first + int(ended[-1]) + 1 if len(ended) else len(trace))
     forces, opening, t = trace["forces"][span], trace["opening"][span], trace["t"][span]
+    measured = np.isfinite(forces).all(axis=1) & np.isfinite(opening)
+    forces, opening, t = forces[measured], opening[measured], t[measured]
     pressing = np.min(forces, axis=1) >= CONTACT_FORCE
-    if not pressing.any() or np.isnan(opening).all():
+    if not pressing.any():
         return None
     contact = int(np.argmax(pressing))
     end_force, end_opening = float(np.min(trace["forces"][-1])), float(trace["opening"][-1])
+    if not np.isfinite((end_force, end_opening)).all():
+        end_force, end_opening = 0.0, float(opening[-1])  # without a measurement nothing counts as held
     released = bool(len(ended)) and actions[ending or 0].skill in OPENING_SKILLS and not pressing[-1]
     return GripProfile(
         object_name=str(actions[index].params["object"]),
         max_force=float(np.max(forces)),
         first_opening=float(opening[contact]),
-        min_opening=float(np.nanmin(opening[pressing])),
+        min_opening=float(np.min(opening[pressing])),
         fastest_closing=_fastest_closing(t, opening, pressing, contact),
         released=released,
         end_force=end_force,
@@ -72,9 +77,10 @@ def _ends_grip(action: Action) -> bool:
 
 def _fastest_closing(t: Array, opening: Array, pressing: NDArray[np.bool_], contact: int) -> float:
     """Largest decrease of the opening within `CLOSING_WINDOW`, from settled contact on, both ends under load."""
-    period = float(np.median(np.diff(t))) if len(t) > 1 else CLOSING_WINDOW
-    step = max(1, round(CLOSING_WINDOW / max(period, 1e-6)))
-    start = contact + round(SETTLING_TIME / max(period, 1e-6))
+    steps = np.diff(t)  # of a clock that may have failed
+    forward = steps[np.isfinite(steps) & (steps > 0.0)]
+    period = max(float(np.median(forward)), 1e-6) if len(forward) else CLOSING_WINDOW
+    step, start = max(1, round(CLOSING_WINDOW / period)), contact + round(SETTLING_TIME / period)
     if len(opening) - start <= step:
         return 0.0
     gap, loaded = opening[start:], pressing[start:]

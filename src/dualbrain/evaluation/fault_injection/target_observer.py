@@ -22,11 +22,13 @@ if TYPE_CHECKING:
 class TargetReport(msgspec.Struct, frozen=True, kw_only=True):
     """The part of the target in a trial.
 
-    `reached`: the strongest action of its own supervisor after the fault. `drive_off`: whether it switched the drive
-    off. `steps` were computed on target and host, `differences` of them with different bits. `lost`: why it was lost.
+    `answers`: decisions after the fault; none if the host ended with it. `reached`: the strongest of them. `drive_off`:
+    whether one of them switched the drive off. `steps` were computed on target and host, `differences` of them with
+    different bits. `lost`: why it was lost.
     """
 
     board: str
+    answers: int
     reached: str
     drive_off: bool
     steps: int
@@ -41,13 +43,14 @@ class TargetObserver:
         """Observe `target`, which is `safety` if the trial runs on one."""
         self.safety = safety
         self._target, self._injector = target, injector
-        self._reached, self._drive_off = SafetyAction.NONE, False
+        self._answers, self._reached, self._drive_off = 0, SafetyAction.NONE, False
 
     def __call__(self, result: FilterResult, action: SafetyAction, *, in_contract: bool) -> None:
         """Record the target's decision of this tick."""
         del result, action, in_contract
         reply = self._target.target.reply if self._target is not None else None
         if reply is not None and self._injector.triggered_at is not None:
+            self._answers += 1
             self._reached = max(self._reached, SafetyAction(reply.action))
             self._drive_off |= not reply.drive_enabled
 
@@ -58,6 +61,7 @@ class TargetObserver:
         kernel = self._target.target
         return TargetReport(
             board=kernel.board,
+            answers=self._answers,
             reached=self._reached.name,
             drive_off=self._drive_off,
             steps=kernel.steps,
