@@ -1,5 +1,6 @@
 """Profiles of grips from a trace: forces, openings, sudden closing, and the end of the grip."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +11,8 @@ from hypothesis import strategies as st
 from dualbrain.contracts.contract import Action, Context, Contract
 from dualbrain.control.recording.grip_profile import grip_profiles
 from dualbrain.control.recording.trace import Trace
-from dualbrain.robots.interface import RobotState
+from dualbrain.robots.interface import RobotState, home_state
+from dualbrain.robots.loader import load_robot
 
 PERIOD, N = 0.01, 7
 GRASP, PLACE = Action("grasp", {"object": "red_cube"}), Action("place", {"destination": "blue_bowl"})
@@ -110,7 +112,9 @@ def test_a_grip_that_is_not_measured_at_the_end_does_not_count_as_held():
 
 
 def test_a_clock_without_numbers_does_not_hide_a_grip():
-    trace = trace_of((0, 0.04, 0.0, 20), (0, 0.02, 20.0, 60))
-    trace["t"][30:] = np.nan
+    trace, state = trace_of((0, 0.04, 0.0, 20)), home_state(load_robot("panda"))
+    for _ in range(60):
+        pressing = replace(state, opening=0.02, finger_forces=(20.0, 20.0))
+        trace.append(np.nan, pressing, np.zeros(N), RESULT, action=0, phase="p")
     (one,) = profiles(trace, GRASP)
     assert (one.max_force, one.holds_at_end) == (20.0, True)

@@ -77,8 +77,8 @@ def _ends_grip(action: Action) -> bool:
 
 def _fastest_closing(t: Array, opening: Array, pressing: NDArray[np.bool_], contact: int) -> float:
     """Largest decrease of the opening within `CLOSING_WINDOW`, from settled contact on, both ends under load."""
-    steps = np.diff(t)  # of a clock that may have failed
-    forward = steps[np.isfinite(steps) & (steps > 0.0)]
+    steps = np.diff(t[np.isfinite(t)])  # of a clock that may have failed
+    forward = steps[steps > 0.0]
     period = max(float(np.median(forward)), 1e-6) if len(forward) else CLOSING_WINDOW
     step, start = max(1, round(CLOSING_WINDOW / period)), contact + round(SETTLING_TIME / period)
     if len(opening) - start <= step:
