@@ -90,9 +90,16 @@ def agrees(row: Row) -> bool:
     target = row["target"]
     if target["differences"]:
         return False
-    if not target["answers"]:  # lost by a fault of its link, or the host ended
-        return row["fault"][0] == TARGET or row["outcome"] in ("stopped", "emergency")
+    if target["lost"]:
+        return row["fault"][0] == TARGET
+    if not target["answers"]:  # the host ended with the fault
+        return row["outcome"] in ("stopped", "emergency")
     return bool(SafetyAction[target["reached"]] >= least_of_host(row))
+
+
+def _was_asked(row: Row) -> bool:
+    """Whether the board could decide about the fault: its link did not fail, and the host went on."""
+    return bool(row["target"]["answers"]) and not row["target"]["lost"]
 
 
 def least_of_host(row: Row) -> SafetyAction:
@@ -104,7 +111,7 @@ def least_of_host(row: Row) -> SafetyAction:
 def _board_row(board: str, rows: list[Row]) -> tuple[object, ...]:
     if not rows:
         return ()
-    answered = [row for row in rows if row["target"]["answers"]]
+    answered = [row for row in rows if _was_asked(row)]
     steps, different = (sum(row["target"][name] for row in rows) for name in ("steps", "differences"))
     decided = format_proportion(sum(map(agrees, answered)), len(answered)) if answered else "–"
     return f"{BOARDS[board].core} ({board})", len(rows), decided, len(rows) - len(answered), steps, different
@@ -121,6 +128,6 @@ def _cell(row: Row | None) -> str:
         return "…"
     if row["struck"] is None:
         return "–"
-    board = row["target"]["reached"] if row["target"]["answers"] else "not asked"
+    board = row["target"]["reached"] if _was_asked(row) else "not asked"
     marks = ("" if row["safe"] else " UNSAFE") + ("" if row["as_declared"] and agrees(row) else " ≠")
     return f"{row['reached']}, {board}{marks}"

@@ -50,6 +50,8 @@ def test_units_have_every_fault_once_on_each_robot_and_boards_evenly(tmp_path):
             {"target": {"answers": 0, "lost": "no answer", "reached": "NONE"}, "fault": ("target", "off", "closing")},
             True,
         ),
+        ({"target": {"lost": "no answer", "reached": "ESTOP"}}, False),
+        ({"target": {"answers": 1, "reached": "NONE", "lost": "late"}, "fault": ("target", "off", "closing")}, True),
         ({"target": {"reached": "NONE"}, "reached": "WARN"}, True),
         ({"target": {"reached": "NONE"}, "struck": None}, True),
     ],
