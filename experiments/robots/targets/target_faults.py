@@ -28,7 +28,7 @@ class TargetFaults:
     claim = (
         "With filter and supervisor on an emulated board, at least the declared action follows after every fault of "
         "joint states, scene, clock, filter, drive and the link to the board, and the independent monitor reports no "
-        "violation. The supervisor of the board decides at least as the host's in every tick that it answers, and no "
+        "violation. The strongest action of the board's supervisor is at least the host's wherever it is asked, and no "
         "control has another bit than the host's."
     )
 
