@@ -1,7 +1,10 @@
 """The firmware on an emulated Cortex-M: the same bits as the host, refused messages, and the loss of host or target."""
 
+import subprocess
+import sys
 import time
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -368,6 +371,36 @@ void __wrap_executive_watchdog(executive *e, uint64_t now_us) {
   __real_executive_watchdog(e, now_us);
 }
 """
+
+
+HOLDING_A_BOARD = """
+import sys, time
+from pathlib import Path
+from dualbrain.safety.target.boards import find_board
+from dualbrain.safety.target.emulated_board import EmulatedBoard
+with EmulatedBoard(find_board("an386"), Path(sys.argv[1])) as board:
+    print(board.process.pid, flush=True)
+    time.sleep(60)
+"""
+
+
+def command_line(pid):
+    """The command line of a process, empty if it has ended."""
+    try:
+        return Path("/proc", str(pid), "cmdline").read_bytes()
+    except OSError:
+        return b""
+
+
+def test_a_killed_program_leaves_no_emulator(slow_base):
+    with subprocess.Popen([sys.executable, "-c", HOLDING_A_BOARD, slow_base], stdout=subprocess.PIPE) as program:
+        pid = int(program.stdout.readline())
+        assert b"qemu" in command_line(pid)
+        program.kill()
+    deadline = time.monotonic() + 10.0
+    while command_line(pid):
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
 
 
 def test_the_main_loop_feeds_the_watchdog_in_its_rhythm(slow_base):

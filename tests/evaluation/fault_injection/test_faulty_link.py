@@ -9,7 +9,7 @@ MESSAGES = [bytes([number]) * 8 for number in range(40)]
 
 
 class Line:
-    """A link that answers each read with the next message, and keeps what was written."""
+    """A link that answers each read with the next message, and keeps the written ones."""
 
     def __init__(self):
         self.written, self.closed = [], False

@@ -17,6 +17,15 @@ START_TIMEOUT_S = 20.0
 """Longest time until the firmware reports its start [s]."""
 
 
+def _killed_with_parent() -> list[str]:
+    """Words before a command that let the kernel kill it when the thread that starts it ends, also by `kill -9`.
+
+    Empty where the program setpriv (util-linux) is missing; a lost emulator then remains.
+    """
+    setpriv = shutil.which("setpriv")
+    return [setpriv, "--pdeathsig", "KILL"] if setpriv else []
+
+
 class EmulatedBoard:
     """A running emulator; `link` is the link to its firmware. Use it as a context manager."""
 
@@ -31,7 +40,15 @@ class EmulatedBoard:
             raise ConfigurationError.stating(
                 "The emulator qemu-system-arm is not installed.", fix="On Debian: apt-get install qemu-system-arm"
             )
-        command = [program, "-nographic", "-monitor", "none", "-semihosting-config", "enable=on,target=native"]
+        command = [
+            *_killed_with_parent(),
+            program,
+            "-nographic",
+            "-monitor",
+            "none",
+            "-semihosting-config",
+            "enable=on,target=native",
+        ]
         command += ["-kernel", str(elf)]
         self._memory_file: Path | None = None
         self.link: Link = self._start_mailbox(command, board) if link == "mailbox" else self._start_uart(command, board)
