@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Generator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import msgspec
 
 from dualbrain.evaluation.fault_injection.faults import FaultInjector
 from dualbrain.evaluation.fault_injection.faulty_link import FaultyLink
 from dualbrain.robots.model import RobotModel
-from dualbrain.safety.cbf.config import operating_config
+from dualbrain.runtime.assembly import open_filter
 from dualbrain.safety.cbf.filter import FilterResult, SafetyFilter
 from dualbrain.safety.supervisor.actions import SafetyAction
 
@@ -71,20 +71,13 @@ class TargetObserver:
 
 
 @contextmanager
-def open_filter(robot_model: RobotModel, board: str, injector: FaultInjector) -> Generator[TargetObserver]:
-    """The filter of a trial, on the emulated `board` or in this process if it is empty.
+def open_observed_filter(robot_model: RobotModel, board: str, injector: FaultInjector) -> Generator[TargetObserver]:
+    """The filter of a trial, on the emulated `board` behind a link that may fail, or in this process if it is empty.
 
-    Raises:
-        UnknownNameError: there is no such board.
-        ConfigurationError: a toolchain or the emulator is missing, or the robot does not fit a target.
+    Raises as `open_filter`.
     """
-    config = operating_config(robot_model)
-    if not board:
-        yield TargetObserver(SafetyFilter(robot_model, config), None, injector)
-        return
-    from dualbrain.safety.target.target_filter import EmulatedTarget  # noqa: PLC0415  (needs the extra `target`)
-
-    with EmulatedTarget(board, robot_model, config) as target:
-        target.session.link = FaultyLink(target.session.link, injector)
-        safety = target.filter()
-        yield TargetObserver(safety, safety, injector)
+    with open_filter(robot_model, board) as safety:
+        target = cast("TargetFilter", safety) if board else None
+        if target is not None:
+            target.target.session.link = FaultyLink(target.target.session.link, injector)
+        yield TargetObserver(safety, target, injector)

@@ -24,7 +24,7 @@ from dualbrain.evaluation.fault_injection.faults import (
     inject_filter_fault,
 )
 from dualbrain.evaluation.fault_injection.gatekeeper_trial import run_gatekeeper_trial
-from dualbrain.evaluation.fault_injection.target_observer import TargetReport, open_filter
+from dualbrain.evaluation.fault_injection.target_observer import TargetReport, open_observed_filter
 from dualbrain.records import Outcome, Violation
 from dualbrain.robots.loader import load_robot
 from dualbrain.robots.model import RobotModel
@@ -140,7 +140,7 @@ def _trial_in_lockstep(
     events: list[tuple[float, Event]] = []  # with true times: the robot's own stamps may be faulty
     log = FlightLog(Trace(robot_model.n, robot_model.nq), None, lambda event: events.append((plant.now, event)))
     actions = tuple(Action(*one) for one in trial_actions(robot_model))
-    with open_filter(robot_model, target, injector) as observer:
+    with open_observed_filter(robot_model, target, injector) as observer:
         inject_filter_fault(observer.safety, injector)
         cell = SimulatedCell(
             robot_model,

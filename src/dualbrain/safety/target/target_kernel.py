@@ -49,7 +49,7 @@ class TargetKernel:
 
     def __init__(self, host: Kernel, session: TargetSession, robot_model: RobotModel, config: FilterConfig) -> None:
         """`host` is the host's kernel of the same robot and configuration, with an empty scene."""
-        self._host, self._session, self._n = host, session, robot_model.n
+        self._host, self.session, self._n = host, session, robot_model.n
         self._opening_max: float | None = kernel_model(robot_model, config).get("opening_max")
         self.board = session.description.board
         self._table, self._near = np.zeros((0, 29)), dict[int, tuple[float, ...]]()
@@ -78,8 +78,8 @@ class TargetKernel:
 
     def set_obstacles(self, rows: Array) -> None:
         """Replace the obstacle table."""
-        if len(rows) > self._session.description.max_obstacles:
-            allowed = f"at most {self._session.description.max_obstacles} on this target"
+        if len(rows) > self.session.description.max_obstacles:
+            allowed = f"at most {self.session.description.max_obstacles} on this target"
             raise ConfigurationError("obstacles at once", got=len(rows), allowed=allowed)
         self._host.set_obstacles(rows)
         self._table, self._near, self._scene_changed = rows, {}, True
@@ -126,7 +126,7 @@ class TargetKernel:
         if self.lost:
             return
         try:
-            self._session.send(kind, payload)
+            self.session.send(kind, payload)
         except TargetLostError as error:
             self.lost = str(error)
 
@@ -158,7 +158,7 @@ class TargetKernel:
         names: RowNames,
     ) -> FilterResult:
         """One step on both channels; the opening is unknown to both if the target has no tables for it."""
-        if not self._session.description.knows_opening:
+        if not self.session.description.knows_opening:
             opening = ...
         result = self._host.step(q, v, u_nom, opening, state_age, scene_age, names)
         self.reply = None
@@ -166,7 +166,7 @@ class TargetKernel:
         if not self.lost:
             try:
                 payload = self._cycle_payload(q, v, u_nom, opening, state_age, scene_age)
-                self.reply = self._session.cycle(payload)
+                self.reply = self.session.cycle(payload)
             except TargetLostError as error:
                 self.lost = str(error)
         if self.reply is not None and self._agrees(result, self.reply):
