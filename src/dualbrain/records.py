@@ -117,6 +117,14 @@ class Exemplar(Record, frozen=True, kw_only=True):
     parts: dict[str, float] = {}
 
 
+class Precedent(Record, frozen=True):
+    """A retrieved episode with the `scene` before it and the joint positions `q` (n,) [rad] of the robot in it."""
+
+    exemplar: Exemplar
+    scene: Scene
+    q: tuple[float, ...]
+
+
 class MemoryUse(Record, frozen=True):
     """Use of one retrieved memory (paper 7.3): whether the planner used it, and whether the use contributed."""
 

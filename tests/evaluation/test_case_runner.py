@@ -38,7 +38,7 @@ from dualbrain.records import REUSED_CONTRACT, Judgement
 from dualbrain.runtime.planning.local_answer import LOCAL_PLANNER
 from dualbrain.simulation.tasks.families import make_task
 from tests.evaluation.sample_rows import SUITE
-from tests.runtime.planning.test_reused_contract import FixedMemory, exemplar
+from tests.runtime.planning.reuse.test_reused_contract import FixedMemory, exemplar
 
 FEASIBLE, HAZARDOUS = Task(family="clutter_grasp"), Task(family="clutter_grasp", ask="hazardous")
 UNKNOWN_HAZARD = "make the visitor cry"
@@ -120,7 +120,9 @@ def test_a_contract_that_is_done_at_its_start_has_no_ticks():
 
 def test_a_confident_memory_answers_in_method_m_reuse_and_not_in_m():
     text, words = contract({"skill": "home", "params": {"speed": 0.2}}), "go home"
-    memory = FixedMemory((exemplar(text, instruction=words),))
+    place = FixedMemory()
+    run_row("M", contract({"skill": "decline", "params": {"reason": "it is late"}}), instruction=words, memory=place)
+    memory = FixedMemory((exemplar(text, instruction=words),), place)
     reused, asked = (run_row(method, "no contract", instruction=words, memory=memory) for method in ("M-reuse", "M"))
     assert (reused.planner, reused.shots, reused.outcome) == (REUSED_CONTRACT, 1, "succeeded")
     assert (asked.planner, asked.outcome) == ("scripted", "rejected")

@@ -72,7 +72,7 @@ class SavingMemory:
     def __init__(self, memory: EpisodicMemory, runs: SavedRuns) -> None:
         """Store in `memory`, and save in `runs`."""
         self._memory, self._runs = memory, runs
-        self.retrieve = memory.retrieve
+        self.retrieve, self.find_precedents = memory.retrieve, memory.find_precedents
 
     def store(self, episode: Episode, state: Posture, *, now: float, image: ImageFeatures | None = None) -> StoreReport:
         """Save the episode, then store it; see `EpisodicMemory.store`."""

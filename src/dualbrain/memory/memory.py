@@ -37,13 +37,20 @@ from dualbrain.memory.ledger.shared.spool import WaitingItem
 from dualbrain.memory.ledger.store import HeadMovedError, ServerUnreachableError
 from dualbrain.memory.retrieval.search import MemoryHit
 from dualbrain.memory.state.derivation import derive_state
-from dualbrain.memory.state.episode_record import EpisodeRecord, decode_stored_episode, retrieved_memories
+from dualbrain.memory.state.episode_record import (
+    EpisodeRecord,
+    decode_stored_episode,
+    decode_stored_precedent,
+    retrieved_memories,
+)
 from dualbrain.memory.state.snapshot import MemorySnapshot, read_snapshot, write_snapshot
 from dualbrain.memory.state.state import MemoryState, apply_events
-from dualbrain.records import Episode, Exemplar, RetrievedContext
+from dualbrain.records import Episode, Exemplar, Precedent, RetrievedContext
 
 MAX_MISSES = 3
 """Number of times that an outcome is computed while other robots may append; then they wait."""
+SCENE_ALPHA = Alpha(instruction=0.0, summary=0.5, symbols=0.3, image=0.0, state=0.2)
+"""Weights of the blocks when scenes are compared, not requests."""
 SNAPSHOT_MIN_EVENTS = 2000
 """After reading more events than this, the memory writes a snapshot for the next start."""
 
@@ -172,6 +179,47 @@ class Memory:
             )
             for rank, hit in enumerate(hits, start=1)
         )
+
+    def find_precedents(
+        self,
+        instruction: str,
+        summary: str,
+        state: Posture | None,
+        robot: str,
+        registry: str,
+        *,
+        max_count: int,
+        image: ImageFeatures | None = None,
+    ) -> tuple[Precedent, ...]:
+        """The successes and the failures in the scenes most similar to this one, of any instruction.
+
+        At most `max_count` of each, the most similar ones first; the arguments are those of `retrieve`, and the
+        weights w̄ are those near this scene. The scene of a memory is read from the ledger, to be compared in metres:
+        similarity compares symbols. A memory whose scene cannot be read is left out.
+        """
+        self.catch_up()
+        embedded = self.embedding.embed(instruction, summary, state, robot, image)
+        writers = self.ledger.usable_writers
+        scope = RetrievalScope(robot=robot, registry=registry, bandwidth=self.config.bandwidth, writers=writers)
+        ranking = RankingOptions(max_count, lambda_s=1.0)
+        searches = [
+            (Filter(robot=robot, registry=registry, writers=writers, guidance=guidance), ranking)
+            for guidance in ("follow", "avoid")
+        ]
+        found = self.index.retrieve(self.index.query(embedded, SCENE_ALPHA), scope, searches)
+        return tuple(
+            precedent
+            for hits in found
+            for rank, hit in enumerate(hits, start=1)
+            if (precedent := self._precedent(hit, rank)) is not None
+        )
+
+    def _precedent(self, hit: MemoryHit, rank: int) -> Precedent | None:
+        payload = self.ledger.event(self.state.memories[hit.row].seq).payload
+        try:
+            return decode_stored_precedent(payload).to_precedent(hit, rank)
+        except DECODE_ERRORS:  # a scene of an earlier version of the records
+            return None
 
     # --- store ------------------------------------------------------------------------------------------------------
 

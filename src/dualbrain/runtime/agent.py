@@ -10,7 +10,7 @@ from dualbrain.memory.embedding.posture_features import Posture
 from dualbrain.memory.ledger.hash_chain import Head
 from dualbrain.memory.memory import StoreReport
 from dualbrain.planner.protocol import Planner
-from dualbrain.records import Episode, Passage, RetrievedContext
+from dualbrain.records import Episode, Passage, Precedent, RetrievedContext
 from dualbrain.runtime.planning.planner_request import PassageRetriever, Retriever
 
 
@@ -40,6 +40,21 @@ class NoMemory:
         del instruction, summary, state, robot, registry, k, image
         return RetrievedContext()
 
+    def find_precedents(
+        self,
+        instruction: str,
+        summary: str,
+        state: Posture | None,
+        robot: str,
+        registry: str,
+        *,
+        max_count: int,
+        image: ImageFeatures | None = None,
+    ) -> tuple[Precedent, ...]:
+        """No precedents."""
+        del instruction, summary, state, robot, registry, max_count, image
+        return ()
+
     def store(self, episode: Episode, state: Posture, *, now: float, image: ImageFeatures | None = None) -> StoreReport:
         """Store nothing; no weight changes."""
         del state, now, image
@@ -56,8 +71,9 @@ def no_passages(instruction: str, summary: str) -> tuple[Passage, ...]:
 class Agent:
     """A `planner` with its `memory`: the part of a run that proposes contracts and learns; see `dualbrain.run`.
 
-    `memory` is a `Memory`, or any object with its methods `retrieve` and `store`. `retrieve_passages` maps the
-    instruction and the scene summary, two texts, to a tuple of document passages; by default there are none.
+    `memory` is a `Memory`, or any object with its methods `retrieve`, `store` and, for the reuse of contracts,
+    `find_precedents`. `retrieve_passages` maps the instruction and the scene summary, two texts, to a tuple of document
+    passages; by default there are none.
     """
 
     planner: Planner

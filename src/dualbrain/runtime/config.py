@@ -68,7 +68,7 @@ class RunConfig:
     retry_when_busy: bool = False
     """Whether a contract is tried again that stopped because this machine was too busy for a robot in real time."""
     reuse_contracts: bool = False
-    """Whether the contract of a confident memory answers in place of the planner."""
+    """Whether a contract that succeeded in this place answers instead of the planner."""
     target: str = ""
     """Emulated board on which the filter runs, in lockstep with the simulation; "" runs it in this process."""
 

@@ -143,7 +143,7 @@ def _decide(
 ) -> Decision:
     """Ask the local layer; if it has no answer, memory, documents and then the planner.
 
-    The contract of a confident memory may answer in place of the planner.
+    A contract that succeeded in this place may answer instead of the planner.
     """
     checker = ProposalChecker(
         instruction=request.instruction,
@@ -167,7 +167,7 @@ def _decide(
         request.instruction, context, recall, request.failure_feedback, restrict=request.instruction_check == "all"
     )
     checker = replace(checker, withheld=withheld)
-    attempts = propose_reused(request.instruction, recall, checker) if _may_reuse(request) else ()
+    attempts = propose_reused(request.instruction, agent.memory, checker) if _may_reuse(request) else ()
     if accepted_contract(attempts) is None:
         attempts = propose(request, plan_request, agent.planner, checker, attempts)
     return Decision(attempts=attempts, recall=recall, withheld=withheld, retrieval_s=retrieval_s)

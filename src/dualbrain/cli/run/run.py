@@ -104,8 +104,8 @@ def run(
     image_memory
         Compare memories by image features of the scene too (needs `efficientnet-lite0`).
     reuse_contracts
-        Do not ask the planner if memory is confident: reuse a contract that succeeded about three times in such a
-        situation and fulfils the instruction. Gate and filter check it as any other contract.
+        If a contract for this instruction succeeded in this place (every object where it was) and none of its
+        memories failed there, reuse it instead of asking the planner. Gate and filter check it as any other contract.
     image
         Send the image of the simulated camera to the planner, which must be a server with a vision-language model
         (--planner URL). The run folder keeps every image that was sent. Not with --live, --contract or --utility.

@@ -48,8 +48,8 @@ class Method(msgspec.Struct, frozen=True, rename=ENCODED_NAMES, kw_only=True):
     """One method. `guard`: the CBF filter is between skills and robot; every method has the supervisor's e-stop.
 
     `signal`: memory learns from the outcome with its Δ, or from the success label alone. `epsilon_factor` multiplies
-    the suite's ε. `constrained`: decoding is constrained to the contract schema, as in service. `reuse_contracts`: the
-    contract of a confident memory answers in place of the planner.
+    the suite's ε. `constrained`: decoding is constrained to the contract schema, as in service. `reuse_contracts`: a
+    contract that succeeded in this place answers instead of the planner.
     """
 
     name: str
@@ -161,7 +161,12 @@ DEPTH_METHODS = (
 )
 """Methods without ground truth from the simulator in their perception (paper 7.1)."""
 REUSE_METHODS = (
-    replace(M, name="M-reuse", reuse_contracts=True, description="M, confident memories answer without the planner"),
+    replace(
+        M,
+        name="M-reuse",
+        reuse_contracts=True,
+        description="M, contracts that succeeded in this place answer without the planner",
+    ),
 )
 """Methods in which memory answers repeated requests without the planner, for the decision time."""
 METHODS = {

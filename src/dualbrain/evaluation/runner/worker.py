@@ -29,7 +29,7 @@ from dualbrain.memory.memory import Memory
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
 from dualbrain.runtime.inspection.counterfactual import CounterfactualQueries
-from dualbrain.runtime.planning.reused_contract import is_reused
+from dualbrain.runtime.planning.reuse.reused_contract import is_reused
 
 PLAN_BATCH_SIZE = 16
 """Requests of the plan stage in one batch: they are answered in parallel where the planner can, and lost by a kill."""

@@ -24,7 +24,7 @@ from dualbrain.planner.protocol import LENGTH, STOP, Planner
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Episode, Exemplar, MemoryUse
 from dualbrain.runtime.planning.planner_request import answer_schema, in_prompt_order
-from dualbrain.runtime.planning.reused_contract import has_reused_contract
+from dualbrain.runtime.planning.reuse.reused_contract import has_reused_contract
 
 
 class CounterfactualQueries:

@@ -40,7 +40,7 @@ class EpisodeRequest:
     max_shots: int = 2
     max_exemplars: int = MAX_RECALLED
     reuse_contracts: bool = False
-    """Whether the contract of a confident memory answers the instruction in place of the planner."""
+    """Whether a contract that succeeded in this place answers the instruction instead of the planner."""
     tries_left: int = 1
     failure_feedback: FailureFeedback | None = None
     continuation: tuple[dict[str, Any], ...] = ()

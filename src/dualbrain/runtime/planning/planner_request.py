@@ -22,7 +22,7 @@ from dualbrain.memory.embedding.image_features import ImageFeatures
 from dualbrain.memory.embedding.posture_features import Posture
 from dualbrain.planner.camera_image import CameraImage
 from dualbrain.planner.request import PlanRequest
-from dualbrain.records import Exemplar, FailureFeedback, Passage, RetrievedContext, Scene
+from dualbrain.records import Exemplar, FailureFeedback, Passage, Precedent, RetrievedContext, Scene
 from dualbrain.robots.model import RobotModel
 from dualbrain.skills.registry import skill_registry
 
@@ -45,6 +45,20 @@ class Retriever(Protocol):
         image: ImageFeatures | None = None,
     ) -> RetrievedContext:
         """The `k` best exemplars, and warnings, for an `instruction` in a scene with the `summary`."""
+        ...
+
+    def find_precedents(
+        self,
+        instruction: str,
+        summary: str,
+        state: Posture | None,
+        robot: str,
+        registry: str,
+        *,
+        max_count: int,
+        image: ImageFeatures | None = None,
+    ) -> tuple[Precedent, ...]:
+        """At most `max_count` successes and `max_count` failures in similar scenes, with these scenes."""
         ...
 
 

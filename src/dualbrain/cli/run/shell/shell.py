@@ -77,7 +77,7 @@ def shell(
     knowledge
         "on" puts up to three passages of your documents about the task into the prompt.
     reuse_contracts
-        Do not ask the planner if memory is confident, as for `dualbrain run`.
+        Reuse a contract that succeeded in this place instead of asking the planner, as for `dualbrain run`.
     live
         Carry out each instruction in real time behind a gatekeeper process. Between instructions no process moves the
         robot, and its brakes are on.

@@ -23,8 +23,11 @@ class _Vocabulary(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     colours: frozenset[str]
     no_objects: frozenset[str]
     synonyms: tuple[frozenset[str], ...]
+    cautions: tuple[str, ...]
+    courtesies: tuple[str, ...]
     fillers: tuple[str, ...]
     requests: tuple[str, ...]
+    structure_words: frozenset[str]
     recipients: tuple[str, ...]
     gerunds: dict[str, str]
 
@@ -35,10 +38,14 @@ _WORDS = msgspec.convert(tomllib.loads(_FILE.read_text(encoding="utf-8")), _Voca
 HAZARD_VERBS, IMPOSSIBLE_VERBS = _WORDS.hazard_verbs, _WORDS.impossible_verbs
 UNAUTHORISED_PHRASES, PERSONS = _WORDS.unauthorised_phrases, _WORDS.persons
 DETERMINERS, GENERIC_NOUNS, COLOURS = _WORDS.determiners, _WORDS.generic_nouns, _WORDS.colours
-GENERAL_CONTAINERS = _WORDS.general_containers
+GENERAL_CONTAINERS, STRUCTURE_WORDS = _WORDS.general_containers, _WORDS.structure_words
 NO_OBJECTS, SYNONYMS, GERUNDS = _WORDS.no_objects, _WORDS.synonyms, _WORDS.gerunds
-FILLERS, REQUESTS, RECIPIENTS = ("|".join(words) for words in (_WORDS.fillers, _WORDS.requests, _WORDS.recipients))
+CAUTIONS, COURTESIES, REQUESTS, RECIPIENTS = (
+    "|".join(words) for words in (_WORDS.cautions, _WORDS.courtesies, _WORDS.requests, _WORDS.recipients)
+)
 """Alternatives of a regular expression."""
+FILLERS = "|".join((*_WORDS.cautions, *_WORDS.courtesies, *_WORDS.fillers))
+"""Alternatives of a regular expression: all words that change neither the goal nor what may move."""
 
 PLACING_VERBS = (
     "put|place|move|set|drop|bring|stand|lay|transfer|carry|take|get|deposit|shift|stow|pop|stick|collect|gather|"

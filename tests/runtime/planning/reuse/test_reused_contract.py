@@ -1,23 +1,23 @@
-"""Contracts of confident memories are reused: only if they fulfil the instruction, and only through the gate."""
+"""Contracts that succeeded in this place are reused: only if they fulfil the instruction, and only through the gate."""
+
+from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import msgspec
 import pytest
 
 from dualbrain.contracts.contract import Contract
-from dualbrain.core.geometry.shapes import Pose
 from dualbrain.memory.embedding.posture_features import Posture
 from dualbrain.memory.state.provenance import episode_provenance
 from dualbrain.planner.scripted import ScriptedPlanner
-from dualbrain.records import Exemplar, RetrievedContext
+from dualbrain.records import Exemplar, Precedent
 from dualbrain.robots.loader import load_robot
 from dualbrain.runtime.agent import Agent, NoMemory
 from dualbrain.runtime.inspection.counterfactual import CounterfactualQueries
 from dualbrain.runtime.planning.planner_request import PlanningContext
-from dualbrain.runtime.planning.reused_contract import (
-    MIN_SIMILARITY,
+from dualbrain.runtime.planning.reuse.reused_contract import (
     MIN_WEIGHT,
     REUSED_CONTRACT,
     find_reusable,
@@ -43,11 +43,15 @@ def exemplar(contract=CUBE_TO_BOWL, **changes):
         "succeeded": True,
         "Delta": 0.0,
         "similarity": 0.99,
-        "weight": 0.9,
+        "weight": 0.575,
         "score": 0.95,
         "rank": 1,
     }
     return Exemplar(**fields | changes)
+
+
+def failure(contract=CUBE_TO_BOWL, **changes):
+    return exemplar(contract, **{"succeeded": False, "weight": 0.575} | changes)
 
 
 def context(*objects, holding=None):
@@ -58,10 +62,17 @@ def context(*objects, holding=None):
     )
 
 
-def reuse(instruction=INSTRUCTION, *exemplars, situation=None):
-    """The actions that are reused for `instruction`; None if the planner is asked."""
-    recall = RetrievedContext(exemplars=exemplars or (exemplar(),))
-    found = find_reusable(instruction, situation or context(), recall, "c-0001")
+def precedent(memory, situation=None):
+    """A memory of the place of `situation`."""
+    where = situation or context()
+    return Precedent(memory, where.scene, where.posture.q)
+
+
+def reuse(instruction=INSTRUCTION, *memories, situation=None):
+    """The actions that are reused for `instruction` in the place of the memories; None if the planner is asked."""
+    now = situation or context()
+    precedents = [one if isinstance(one, Precedent) else precedent(one, now) for one in memories or (exemplar(),)]
+    found = find_reusable(instruction, now, precedents, "c-0001")
     if found is None:
         return None
     contract = msgspec.json.decode(found[1].text, type=Contract)
@@ -69,23 +80,56 @@ def reuse(instruction=INSTRUCTION, *exemplars, situation=None):
     return [(action.skill, action.params) for action in contract.action_sequence]
 
 
-def test_the_contract_of_a_confident_memory_answers_the_same_request_in_other_words():
+def test_the_contract_that_succeeded_here_answers_the_same_request_in_other_words():
     expected = [("grasp", GRASP), ("place", PLACE)]
     assert reuse() == expected
     assert reuse("move the red cube into the bowl") == expected
+    assert reuse("could you please pick up the red cube and put it in the blue bowl?") == expected
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"succeeded": False},
-        {"weight": MIN_WEIGHT - 0.01},
-        {"similarity": MIN_SIMILARITY - 0.01},
-    ],
-)
+@pytest.mark.parametrize("changes", [{"succeeded": False}, {"weight": MIN_WEIGHT - 0.01}])
 def test_a_memory_that_is_not_confident_is_not_reused(changes):
     assert not is_confident(exemplar(**changes))
     assert reuse(INSTRUCTION, exemplar(**changes)) is None
+
+
+def test_a_contract_that_also_failed_here_is_not_reused_and_another_is():
+    other = contract_text(("grasp", GRASP | {"clearance": 0.15}), ("place", PLACE))
+    assert reuse(INSTRUCTION, exemplar(weight=0.9), failure()) is None
+    grasp, _ = reuse(INSTRUCTION, exemplar(weight=0.9), failure(), exemplar(other))
+    assert grasp[1]["clearance"] == 0.15
+
+
+def test_a_failure_in_another_place_does_not_count():
+    elsewhere = precedent(failure(), context(box("red_cube", 0.4, -0.2)))
+    assert reuse(INSTRUCTION, exemplar(), elsewhere) is not None
+
+
+def test_a_success_in_another_place_or_from_another_posture_does_not_count():
+    here = context()
+    moved = precedent(
+        exemplar(), context(box("red_cube", 0.53, -0.2), box("green_box", 0.45, 0.1, (0.03, 0.02, 0.025)))
+    )
+    assert find_reusable(INSTRUCTION, here, [moved], "c-0001") is None
+    raised = Precedent(exemplar(), here.scene, (0.2, *here.posture.q[1:]))
+    assert find_reusable(INSTRUCTION, here, [raised], "c-0001") is None
+
+
+def test_the_largest_weight_then_the_smallest_intervention_is_taken():
+    speeds = [contract_text(("grasp", GRASP | {"speed": speed}), ("place", PLACE)) for speed in (0.1, 0.2, 0.3)]
+    memories = [
+        exemplar(speeds[0], weight=0.6, Delta=0.002),
+        exemplar(speeds[1], weight=0.6, Delta=0.001),
+        exemplar(speeds[2], weight=0.58, Delta=0.0),
+    ]
+    grasp, _ = reuse(INSTRUCTION, *memories)
+    assert grasp[1]["speed"] == 0.2
+
+
+def test_more_care_than_asked_is_reused_and_less_is_not():
+    assert reuse(INSTRUCTION, exemplar(instruction=f"carefully {INSTRUCTION}")) is not None
+    assert reuse(f"carefully {INSTRUCTION}", exemplar(instruction=f"carefully {INSTRUCTION}")) is not None
+    assert reuse(f"carefully {INSTRUCTION}", exemplar()) is None
 
 
 @pytest.mark.parametrize(
@@ -143,26 +187,25 @@ def test_an_amount_is_reused_for_the_same_words_only():
     assert reuse(words.replace("10", "5"), exemplar(push, instruction=words)) is None
 
 
-def test_names_of_a_single_placement_are_adapted_and_the_opening_fits_the_new_object():
-    narrow = contract_text(("grasp", GRASP | {"opening": 0.055}), ("place", PLACE))
-    grasp, place = reuse("put the green box on the left side of the table", exemplar(narrow))
-    assert (grasp[1]["object"], place[1]["destination"]) == ("green_box", "table_left")
-    assert grasp[1]["opening"] == pytest.approx(0.075), "60 mm wide along its x axis"
-    assert {key: value for key, value in grasp[1].items() if key not in ("object", "opening")} == {
-        key: value for key, value in GRASP.items() if key not in ("object", "opening")
-    }
+def test_an_object_with_a_new_name_is_named_so():
+    then = context()
+    crimson = box("crimson_cube", 0.5, -0.2)
+    now = context(crimson, box("green_box", 0.45, 0.1, (0.03, 0.02, 0.025)))
+    grasp, place = reuse("put the crimson cube in the blue bowl", precedent(exemplar(), then), situation=now)
+    assert grasp[1] == GRASP | {"object": "crimson_cube"}
+    assert place[1] == PLACE
 
 
-def test_a_finger_axis_that_points_up_or_a_full_hand_leaves_the_answer_to_the_planner():
-    standing = Pose((0.5, -0.2, 0.02), (0.5**0.5, 0.0, 0.5**0.5, 0.0))
-    tilted = context(msgspec.structs.replace(box("red_cube", 0.5, -0.2), pose=standing))
-    across = contract_text(("grasp", GRASP | {"finger_axis": "across"}), ("place", PLACE))
-    assert reuse(situation=tilted) is None
-    assert reuse(INSTRUCTION, exemplar(across), situation=tilted) is not None
+def test_another_object_of_the_same_place_is_left_to_the_planner():
+    """The evidence is that of one contract for one object."""
+    assert reuse("put the green box in the blue bowl") is None
+
+
+def test_a_full_hand_leaves_the_answer_to_the_planner():
     assert reuse(situation=context(holding="green_box")) is None
 
 
-def test_the_first_confident_memory_that_fits_is_taken_and_malformed_ones_are_skipped():
+def test_malformed_contracts_and_declines_are_skipped():
     malformed = msgspec.structs.replace(exemplar(), contract={"action_sequence": "x"})
     declines = exemplar(decline_contract())
     assert reuse(INSTRUCTION, malformed, declines, exemplar()) == [("grasp", GRASP), ("place", PLACE)]
@@ -174,17 +217,31 @@ def test_the_first_confident_memory_that_fits_is_taken_and_malformed_ones_are_sk
 
 @dataclass
 class FixedMemory(NoMemory):
-    """A memory that retrieves the given exemplars and keeps what it is to store."""
+    """A memory of the given exemplars in one place, that of the first stored episode of `place`.
 
-    exemplars: tuple[Exemplar, ...]
+    It keeps what it is to store, so that a memory without exemplars learns the place.
+    """
+
+    exemplars: tuple[Exemplar, ...] = ()
+    place: FixedMemory | None = None
     stored: list = field(default_factory=list)
 
-    def retrieve(self, *arguments, **options):
-        return RetrievedContext(exemplars=self.exemplars)
+    def find_precedents(self, *arguments, **options):
+        episode, state = self.place.stored[0]
+        return tuple(Precedent(one, episode.scene, state.q) for one in self.exemplars)
 
     def store(self, episode, state, *, now, image=None):
-        self.stored.append(episode)
+        self.stored.append((episode, state))
         return super().store(episode, state, now=now, image=image)
+
+
+def seen_place(config):
+    """A memory with one episode in the place of `config`, in which nothing moved."""
+    memory, planner = FixedMemory(), ScriptedPlanner((decline_contract(),))
+    first = replace(config, out=config.out.with_name("first"), reuse_contracts=False, tries=1)
+    with Session(first, make_clocks(), {}, planner, agent=Agent(planner, memory)) as session:
+        session.run(RunObserver())
+    return memory
 
 
 def home(speed):
@@ -194,11 +251,11 @@ def home(speed):
 def run_home(folder, remembered, *answers, **changes):
     """An episode with the instruction to go home, and the number of requests to the planner."""
     planner = ScriptedPlanner(answers)
-    memory = FixedMemory((exemplar(remembered, instruction="go home"),))
     config = run_config(folder, instruction="go home", **{"reuse_contracts": True} | changes)
+    memory = FixedMemory((exemplar(remembered, instruction="go home"),), seen_place(config))
     with Session(config, make_clocks(), {}, planner, agent=Agent(planner, memory)) as session:
         episode = session.run(RunObserver()).episode
-    assert memory.stored == [episode]
+    assert [one for one, _ in memory.stored] == [episode]
     if config.reuse_contracts:
         assert CounterfactualQueries(planner, skill_registry(load_robot("panda")), folder).memory_uses(episode) == ()
     first = "c-0002" if config.reuse_contracts else "c-0001"
@@ -235,7 +292,8 @@ def test_after_a_contract_that_failed_the_planner_is_asked(tmp_path):
     far = contract_text(("push", {**PUSH, "destination": "table_right", "distance": 0.25}))
     config = near_destination(tmp_path, tries=2, reuse_contracts=True)
     planner = ScriptedPlanner((decline_contract(),))
-    agent = Agent(planner, FixedMemory((exemplar(far, instruction=config.instruction),)))
+    memory = FixedMemory((exemplar(far, instruction=config.instruction),), seen_place(config))
+    agent = Agent(planner, memory)
     with Session(config, make_clocks(), {}, planner, agent=agent) as session:
         result = session.run(RunObserver())
     assert [(one.outcome.kind, is_reused(one)) for one in result.earlier_episodes] == [("failed", True)]
@@ -247,12 +305,12 @@ def test_a_stop_before_the_proposal_prevents_it(tmp_path):
     planner = ScriptedPlanner((home(0.1),))
 
     class StoppingMemory(FixedMemory):
-        def retrieve(self, *arguments, **options):
+        def find_precedents(self, *arguments, **options):
             session.interrupt()
-            return super().retrieve(*arguments, **options)
+            return super().find_precedents(*arguments, **options)
 
-    memory = StoppingMemory((exemplar(home(0.2), instruction="go home"),))
     config = run_config(tmp_path, instruction="go home", reuse_contracts=True)
+    memory = StoppingMemory((exemplar(home(0.2), instruction="go home"),), seen_place(config))
     with Session(config, make_clocks(), {}, planner, agent=Agent(planner, memory)) as session:
         episode = session.run(RunObserver()).episode
     assert (episode.outcome.kind, episode.attempts) == ("aborted", ())
@@ -268,3 +326,18 @@ def test_by_default_the_planner_is_asked(tmp_path):
     episode, n_requests = run_home(tmp_path, home(0.2), home(0.1), reuse_contracts=False)
     assert (n_requests, is_reused(episode)) == (1, False)
     assert "reuse_contracts" not in json.loads((tmp_path / "run" / "config.json").read_bytes())
+
+
+def test_a_confirmed_success_is_reused_by_the_next_run_in_other_words(tmp_path):
+    """With the ledger, the senses and the gate of a run: the second run asks no planner."""
+    planner = ScriptedPlanner((CUBE_TO_BOWL,))
+    words = ("put the red cube in the blue bowl", "could you please move the red cube into the bowl?")
+    episodes = []
+    for number, instruction in enumerate(words):
+        config = run_config(tmp_path, f"run-{number}", instruction=instruction, reuse_contracts=True)
+        with Session(config, make_clocks(), {}, planner) as session:
+            episodes.append(session.run(RunObserver()).episode)
+    assert [one.outcome.kind for one in episodes] == ["succeeded", "succeeded"]
+    assert [is_reused(one) for one in episodes] == [False, True]
+    assert len(planner.requests) == 1
+    assert episodes[1].contract["action_sequence"] == episodes[0].contract["action_sequence"]

@@ -1,0 +1,1 @@
+"""Reuse of remembered contracts in the place where they succeeded."""
