@@ -35,6 +35,7 @@ from experiments.memory.crash_recovery import CrashRecovery
 from experiments.memory.learning import Learning
 from experiments.memory.poisoning import Poisoning
 from experiments.memory.shared_ledger import SharedLedger
+from experiments.planning.documents import Documents
 from experiments.planning.end_to_end import EndToEnd, FilterAblation
 from experiments.planning.family_sweep import FamilySweep
 from experiments.planning.language import Language
@@ -93,6 +94,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         ControlThreadTiming(),
         PreemptRt(),
         Language(),
+        Documents(),
         AblationCurve(),
         Retention(),
         Rounds(),

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import PurePath
 
@@ -22,6 +23,8 @@ from dualbrain.robots.loader import BUILTIN_ROBOTS
 CHARACTERS_PER_TOKEN = 3
 """Lower bound for English text with the tokenizers in use (about 4.3 on average), so that the budget is kept."""
 MAX_CANDIDATES = 12
+OBJECT_MARK = ": object"
+"""Mark of the line of a graspable object in a scene summary."""
 SYMBOL_QUERIES = {
     "person: crossing": "a person is crossing, wait until clear",
     "person: near": "a person is near and rests",
@@ -38,8 +41,9 @@ SYMBOL_QUERIES = {
 class Budget:
     """Limits on the passages in a prompt: their number, their tokens in total, and the least trust of their source.
 
-    A passage is included only if its similarity to the query is at least `min_relevance`, and at most
-    `max_per_document` passages come from one document, so that no source fills the prompt.
+    A passage is included only if its similarity to the query is at least `min_relevance`, or if it contains the name of
+    an object of the instruction: a rule for the glass is about every task with the glass, also if the sentences are
+    not alike. At most `max_per_document` passages come from one document, so that no source fills the prompt.
     """
 
     max_passages: int = 3
@@ -52,7 +56,9 @@ class Budget:
 def retrieve_passages(
     library: Library, instruction: str, summary: str, registry: SkillRegistry, budget: Budget = Budget()
 ) -> tuple[Passage, ...]:
-    """The passages for one planner request, best first; templates only if the gate would accept them for `registry`.
+    """The passages for one planner request; templates only if the gate would accept them for `registry`.
+
+    Those that name an object of the instruction come first, each group in the order of the search.
 
     Maps are not quoted, because the scene contains their places by name. A passage that exceeds the remaining budget is
     skipped in favour of a shorter one; no passage is truncated.
@@ -65,12 +71,14 @@ def retrieve_passages(
         robot=registry.robot,
         per_document=budget.max_per_document,
     )
+    names = tuple(name.replace("_", " ") for name in named_objects(instruction, summary))
     chosen: list[Passage] = []
     left = budget.max_tokens
-    for hit in hits:
+    for hit in sorted(hits, key=lambda one: not _mentions(one.text, names)):
         text = _quoted_text(library, hit, registry)
         cost = -(-(len(text) + len(str(hit.citation))) // CHARACTERS_PER_TOKEN)
-        relevant = hit.likeness is not None and hit.likeness >= budget.min_relevance
+        is_similar = hit.likeness is not None and hit.likeness >= budget.min_relevance
+        relevant = is_similar or _mentions(hit.text, names)
         if text and relevant and cost <= left and len(chosen) < budget.max_passages:
             chosen.append(_make_passage(hit, text, rank=len(chosen) + 1))
             left -= cost
@@ -82,11 +90,27 @@ def build_query(instruction: str, summary: str) -> str:
 
     If the instruction names no object of the scene, the symbols of all objects are used.
     """
-    lines, words = summary.splitlines(), set(re.findall(r"[a-z0-9]+", instruction.lower()))
-    objects = [line for line in lines if ": object" in line]
-    named = [line for line in objects if set(line.partition(":")[0].split("_")) <= words]
-    relevant = "\n".join(line for line in lines if line not in objects or line in (named or objects))
+    lines, named = summary.splitlines(), named_objects(instruction, summary)
+    objects = [line for line in lines if OBJECT_MARK in line]
+    of_named = [line for line in objects if line.partition(":")[0] in named]
+    relevant = "\n".join(line for line in lines if line not in objects or line in (of_named or objects))
     return ". ".join((instruction, *(query for symbol, query in SYMBOL_QUERIES.items() if symbol in relevant)))
+
+
+def named_objects(instruction: str, summary: str) -> tuple[str, ...]:
+    """The objects of the `summary` that the `instruction` names: by all words, or by a last word that only one has."""
+    words = set(re.findall(r"[a-z0-9]+", instruction.lower()))
+    names = [line.partition(":")[0] for line in summary.splitlines() if OBJECT_MARK in line]
+    full = [name for name in names if set(name.split("_")) <= words]
+    nouns = Counter(name.rpartition("_")[2] for name in names)
+    alone = [name for name in names if (noun := name.rpartition("_")[2]) in words and nouns[noun] == 1]
+    return tuple(dict.fromkeys((*full, *alone)))
+
+
+def _mentions(text: str, names: Sequence[str]) -> bool:
+    """Whether `text` contains one of the `names` as whole words."""
+    plain = " ".join(text.lower().split())
+    return any(re.search(rf"\b{re.escape(name)}\b", plain) for name in names)
 
 
 def _make_passage(hit: ChunkHit, text: str, rank: int) -> Passage:
