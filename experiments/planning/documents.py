@@ -75,7 +75,7 @@ class Documents:
 
     name = "documents"
     claim = (
-        f"In {N_RULES} instructions whose correct parameter is stated in a document alone, the contract of {LARGE_PLANNER} "
+        f"In {N_RULES} instructions whose correct parameter only a document states, the contract of {LARGE_PLANNER} "
         f"has it more often with passages than without, and {N_OTHERS} other held-out instructions are answered right "
         "as often with passages as without (difference of at least -5 points). If both hold, passages are on by "
         "default for planners that read them."

@@ -117,10 +117,23 @@ class Exemplar(Record, frozen=True, kw_only=True):
     parts: dict[str, float] = {}
 
 
-class Precedent(Record, frozen=True):
-    """A retrieved episode with the `scene` before it and the joint positions `q` (n,) [rad] of the robot in it."""
+Evidence = Literal["clean", "unclean", "unconfirmed", "against"]
+"""Evidence of one outcome for its contract.
 
-    exemplar: Exemplar
+clean: a success with Δ ≤ ε that independent senses confirmed; unclean: with a larger Δ; unconfirmed: a success that
+they did not confirm; against: a failure, a rejection, or a disputed outcome."""
+
+
+class Precedent(Record, frozen=True, kw_only=True):
+    """A remembered contract with its evidence, the `scene` before it, and the joint positions `q` (n,) [rad] then."""
+
+    episode_id: str
+    instruction: str
+    summary: str
+    contract: dict[str, Any]
+    evidence: Evidence
+    Delta: float | None
+    weight: float
     scene: Scene
     q: tuple[float, ...]
 

@@ -38,7 +38,7 @@ from dualbrain.records import REUSED_CONTRACT, Judgement
 from dualbrain.runtime.planning.local_answer import LOCAL_PLANNER
 from dualbrain.simulation.tasks.families import make_task
 from tests.evaluation.sample_rows import SUITE
-from tests.runtime.planning.reuse.test_reused_contract import FixedMemory, exemplar
+from tests.runtime.planning.reuse.test_reused_contract import FixedMemory
 
 FEASIBLE, HAZARDOUS = Task(family="clutter_grasp"), Task(family="clutter_grasp", ask="hazardous")
 UNKNOWN_HAZARD = "make the visitor cry"
@@ -122,7 +122,7 @@ def test_a_confident_memory_answers_in_method_m_reuse_and_not_in_m():
     text, words = contract({"skill": "home", "params": {"speed": 0.2}}), "go home"
     place = FixedMemory()
     run_row("M", contract({"skill": "decline", "params": {"reason": "it is late"}}), instruction=words, memory=place)
-    memory = FixedMemory((exemplar(text, instruction=words),), place)
+    memory = FixedMemory(contracts=((text, words),), place=place)
     reused, asked = (run_row(method, "no contract", instruction=words, memory=memory) for method in ("M-reuse", "M"))
     assert (reused.planner, reused.shots, reused.outcome) == (REUSED_CONTRACT, 1, "succeeded")
     assert (asked.planner, asked.outcome) == ("scripted", "rejected")

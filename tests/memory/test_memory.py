@@ -50,29 +50,6 @@ def test_the_next_run_retrieves_the_last_one(tmp_path: Path) -> None:
     assert hit.score == pytest.approx(0.8 * hit.similarity + 0.2 * hit.weight)
 
 
-def test_precedents_are_found_by_the_scene_alone(tmp_path: Path) -> None:
-    """Successes first, then failures, with the scene and the posture of their episodes; declines are none."""
-    with open_ledger(tmp_path) as ledger:
-        memory = open_memory(ledger)
-        memory.store(
-            episode("other", instruction="push the mug away", summary="neighbour_along tall"), REST_POSTURE, now=NOW
-        )
-        memory.store(episode("same", instruction="push the mug away"), REST_POSTURE, now=NOW)
-        memory.store(episode("failed", kind="failed"), REST_POSTURE, now=NOW)
-        memory.store(episode("declined", kind="declined"), REST_POSTURE, now=NOW)
-        found = memory.find_precedents(WORDS, SCENE, REST_POSTURE, "arm", "aaaa1111", max_count=2)
-        (first, *_) = memory.find_precedents(WORDS, SCENE, REST_POSTURE, "arm", "aaaa1111", max_count=1)
-        assert memory.find_precedents(WORDS, SCENE, REST_POSTURE, "arm", "other", max_count=2) == ()
-    assert [(one.exemplar.episode_id, one.exemplar.succeeded) for one in found] == [
-        ("same", True),
-        ("other", True),
-        ("failed", False),
-    ]
-    assert first == found[0]
-    assert (first.scene, first.q) == (episode("same").scene, REST_POSTURE.q)
-    assert first.exemplar.similarity == pytest.approx(1.0, abs=1e-6)
-
-
 def test_the_most_similar_memory_comes_first(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -22,6 +23,7 @@ from dualbrain.memory.index.engine_index import connect_engine, create_index
 from dualbrain.memory.index.filters import Filter
 from dualbrain.memory.index.index import RankingOptions, RetrievalScope
 from dualbrain.memory.learning.consolidation import Consolidation
+from dualbrain.memory.learning.precedents import PrecedentSearch
 from dualbrain.memory.ledger.events import (
     CONFIRM,
     EPISODE,
@@ -37,20 +39,13 @@ from dualbrain.memory.ledger.shared.spool import WaitingItem
 from dualbrain.memory.ledger.store import HeadMovedError, ServerUnreachableError
 from dualbrain.memory.retrieval.search import MemoryHit
 from dualbrain.memory.state.derivation import derive_state
-from dualbrain.memory.state.episode_record import (
-    EpisodeRecord,
-    decode_stored_episode,
-    decode_stored_precedent,
-    retrieved_memories,
-)
+from dualbrain.memory.state.episode_record import EpisodeRecord, decode_stored_episode, retrieved_memories
 from dualbrain.memory.state.snapshot import MemorySnapshot, read_snapshot, write_snapshot
 from dualbrain.memory.state.state import MemoryState, apply_events
 from dualbrain.records import Episode, Exemplar, Precedent, RetrievedContext
 
 MAX_MISSES = 3
 """Number of times that an outcome is computed while other robots may append; then they wait."""
-SCENE_ALPHA = Alpha(instruction=0.0, summary=0.5, symbols=0.3, image=0.0, state=0.2)
-"""Weights of the blocks when scenes are compared, not requests."""
 SNAPSHOT_MIN_EVENTS = 2000
 """After reading more events than this, the memory writes a snapshot for the next start."""
 
@@ -191,35 +186,19 @@ class Memory:
         max_count: int,
         image: ImageFeatures | None = None,
     ) -> tuple[Precedent, ...]:
-        """The successes and the failures in the scenes most similar to this one, of any instruction.
-
-        At most `max_count` of each, the most similar ones first; the arguments are those of `retrieve`, and the
-        weights w̄ are those near this scene. The scene of a memory is read from the ledger, to be compared in metres:
-        similarity compares symbols. A memory whose scene cannot be read is left out.
-        """
+        """At most `max_count` successes in the scenes most similar to this one, of any instruction; see `retrieve`."""
         self.catch_up()
         embedded = self.embedding.embed(instruction, summary, state, robot, image)
-        writers = self.ledger.usable_writers
-        scope = RetrievalScope(robot=robot, registry=registry, bandwidth=self.config.bandwidth, writers=writers)
-        ranking = RankingOptions(max_count, lambda_s=1.0)
-        searches = [
-            (Filter(robot=robot, registry=registry, writers=writers, guidance=guidance), ranking)
-            for guidance in ("follow", "avoid")
-        ]
-        found = self.index.retrieve(self.index.query(embedded, SCENE_ALPHA), scope, searches)
-        return tuple(
-            precedent
-            for hits in found
-            for rank, hit in enumerate(hits, start=1)
-            if (precedent := self._precedent(hit, rank)) is not None
-        )
+        return self._precedents(robot, registry).in_similar_scenes(embedded, max_count)
 
-    def _precedent(self, hit: MemoryHit, rank: int) -> Precedent | None:
-        payload = self.ledger.event(self.state.memories[hit.row].seq).payload
-        try:
-            return decode_stored_precedent(payload).to_precedent(hit, rank)
-        except DECODE_ERRORS:  # a scene of an earlier version of the records
-            return None
+    def find_outcomes(
+        self, contract: dict[str, Any], robot: str, registry: str, *, max_count: int
+    ) -> tuple[Precedent, ...]:
+        """The newest `max_count` outcomes of the actions of `contract` in any scene, newest first."""
+        return self._precedents(robot, registry).of_contract(contract, max_count)
+
+    def _precedents(self, robot: str, registry: str) -> PrecedentSearch:
+        return PrecedentSearch(self.ledger, self.state, self.index, self.config.plasticity, robot, registry)
 
     # --- store ------------------------------------------------------------------------------------------------------
 

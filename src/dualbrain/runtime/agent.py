@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 from dualbrain.memory.embedding.image_features import ImageFeatures
 from dualbrain.memory.embedding.posture_features import Posture
@@ -55,6 +55,13 @@ class NoMemory:
         del instruction, summary, state, robot, registry, max_count, image
         return ()
 
+    def find_outcomes(
+        self, contract: dict[str, Any], robot: str, registry: str, *, max_count: int
+    ) -> tuple[Precedent, ...]:
+        """No outcomes."""
+        del contract, robot, registry, max_count
+        return ()
+
     def store(self, episode: Episode, state: Posture, *, now: float, image: ImageFeatures | None = None) -> StoreReport:
         """Store nothing; no weight changes."""
         del state, now, image
@@ -72,8 +79,8 @@ class Agent:
     """A `planner` with its `memory`: the part of a run that proposes contracts and learns; see `dualbrain.run`.
 
     `memory` is a `Memory`, or any object with its methods `retrieve`, `store` and, for the reuse of contracts,
-    `find_precedents`. `retrieve_passages` maps the instruction and the scene summary, two texts, to a tuple of document
-    passages; by default there are none.
+    `find_precedents` and `find_outcomes`. `retrieve_passages` maps the instruction and the scene summary, two texts, to
+    a tuple of document passages; by default there are none.
     """
 
     planner: Planner

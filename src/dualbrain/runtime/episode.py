@@ -62,7 +62,8 @@ class Decision:
     """The result of planning: the `attempts` in their order, and all that they were made from.
 
     `local_answer` is None if memory or the planner was asked; `recall` and `withheld` are then the memories in the
-    prompt and the skills of recalled steps that were left out, `retrieval_s` [s] is the time of the retrieval.
+    prompt (of a reused contract: its memory) and the skills of recalled steps that were left out, `retrieval_s` [s] is
+    the time of the retrieval.
     """
 
     attempts: tuple[Attempt, ...]
@@ -143,7 +144,7 @@ def _decide(
 ) -> Decision:
     """Ask the local layer; if it has no answer, memory, documents and then the planner.
 
-    A contract that succeeded in this place may answer instead of the planner.
+    A contract that succeeded in this place may answer instead of the planner; then nothing is retrieved for a prompt.
     """
     checker = ProposalChecker(
         instruction=request.instruction,
@@ -159,6 +160,11 @@ def _decide(
     if answer is not None:
         attempts = propose_locally(answer, replace(checker, instruction_check="before_planning"))
         return Decision(attempts=attempts, local_answer=answer)
+    attempts, reused = (), RetrievedContext()
+    if _may_reuse(request):
+        attempts, reused = propose_reused(request.instruction, agent.memory, checker)
+    if accepted_contract(attempts) is not None:
+        return Decision(attempts=attempts, recall=reused)
     found, retrieval_s = clock.measure(
         lambda: retrieve(request.instruction, context, agent.memory, request.max_exemplars, agent.retrieve_passages)
     )
@@ -166,10 +172,7 @@ def _decide(
     plan_request = build_request(
         request.instruction, context, recall, request.failure_feedback, restrict=request.instruction_check == "all"
     )
-    checker = replace(checker, withheld=withheld)
-    attempts = propose_reused(request.instruction, agent.memory, checker) if _may_reuse(request) else ()
-    if accepted_contract(attempts) is None:
-        attempts = propose(request, plan_request, agent.planner, checker, attempts)
+    attempts = propose(request, plan_request, agent.planner, replace(checker, withheld=withheld), attempts)
     return Decision(attempts=attempts, recall=recall, withheld=withheld, retrieval_s=retrieval_s)
 
 

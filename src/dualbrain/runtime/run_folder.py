@@ -127,7 +127,8 @@ class SavingMemory:
     def __init__(self, memory: EpisodicMemory, folder: RunFolder) -> None:
         """Store in `memory`, and save in `folder`, with the reserved space free for both."""
         self._memory, self._folder = memory, folder
-        self.retrieve, self.find_precedents = memory.retrieve, memory.find_precedents
+        self.retrieve = memory.retrieve
+        self.find_precedents, self.find_outcomes = memory.find_precedents, memory.find_outcomes
 
     def store(self, episode: Episode, state: Posture, *, now: float, image: ImageFeatures | None = None) -> StoreReport:
         """Save the episode, then store it; see `EpisodicMemory.store`."""

@@ -14,7 +14,7 @@ from dualbrain.memory.ledger.events import Status
 from dualbrain.memory.plasticity.hebbian_update import W0, Plasticity
 from dualbrain.memory.retrieval.search import MemoryHit
 from dualbrain.memory.state.provenance import Provenance, episode_provenance
-from dualbrain.records import Episode, Exemplar, OutcomeClass, Precedent, RetrievedContext, Scene
+from dualbrain.records import Episode, Exemplar, OutcomeClass, RetrievedContext
 
 Guidance = Literal["follow", "avoid", "none"]
 
@@ -117,21 +117,6 @@ class StoredEpisode(msgspec.Struct, frozen=True):
     image: ImageFeatures | None = None
 
 
-class _EpisodeWithScene(EpisodeRecord, frozen=True, kw_only=True):
-    scene: Scene
-
-
-class StoredPrecedent(msgspec.Struct, frozen=True):
-    """The fields of an episode event from which a precedent is made."""
-
-    episode: _EpisodeWithScene
-    state: Posture
-
-    def to_precedent(self, hit: MemoryHit, rank: int) -> Precedent:
-        """This memory with its scene and posture."""
-        return Precedent(self.episode.to_exemplar(hit, rank, {}), self.episode.scene, self.state.q)
-
-
 def episode_payload(
     episode: Episode,
     state: Posture,
@@ -172,11 +157,6 @@ def _rank(hit: Exemplar) -> int:
 def decode_stored_episode(data: bytes) -> StoredEpisode:
     """Decode the fields for an embedding from the payload of an episode event."""
     return msgspec.json.decode(data, type=StoredEpisode)
-
-
-def decode_stored_precedent(data: bytes) -> StoredPrecedent:
-    """Decode the fields of a precedent from the payload of an episode event; raises one of `DECODE_ERRORS`."""
-    return msgspec.json.decode(data, type=StoredPrecedent)
 
 
 def decode_event_header(data: bytes) -> EpisodeEventHeader:

@@ -58,7 +58,13 @@ class Retriever(Protocol):
         max_count: int,
         image: ImageFeatures | None = None,
     ) -> tuple[Precedent, ...]:
-        """At most `max_count` successes and `max_count` failures in similar scenes, with these scenes."""
+        """At most `max_count` successes in similar scenes, of any instruction."""
+        ...
+
+    def find_outcomes(
+        self, contract: dict[str, Any], robot: str, registry: str, *, max_count: int
+    ) -> tuple[Precedent, ...]:
+        """The newest `max_count` outcomes of the actions of `contract` in any scene."""
         ...
 
 

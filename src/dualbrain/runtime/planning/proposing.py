@@ -18,7 +18,7 @@ from dualbrain.grounding.instruction.review import Refusal, StopCommand
 from dualbrain.grounding.vocabulary import planner_grants, scene_names
 from dualbrain.planner.protocol import STOP, Planner, has_answer
 from dualbrain.planner.request import PlanRequest
-from dualbrain.records import Attempt, Exemplar, Proposal
+from dualbrain.records import Attempt, Proposal, RetrievedContext
 from dualbrain.runtime.planning.episode_request import EpisodeRequest, InstructionCheck
 from dualbrain.runtime.planning.local_answer import local_proposal
 from dualbrain.runtime.planning.planner_request import PlanningContext, Retriever
@@ -29,7 +29,7 @@ from dualbrain.runtime.planning.proposal_checks import (
     reject_idle,
     reject_mismatch,
 )
-from dualbrain.runtime.planning.reuse.reused_contract import MAX_PRECEDENTS, find_reusable
+from dualbrain.runtime.planning.reuse.reused_contract import find_reusable
 from dualbrain.runtime.planning.verdict_text import format_attempt
 
 CONTINUATION = "continuation of "
@@ -135,36 +135,24 @@ def propose(
     return tuple(attempts)
 
 
-def propose_reused(instruction: str, memory: Retriever, checker: ProposalChecker) -> tuple[Attempt, ...]:
-    """The contract of a memory of this place as the only attempt; no time passes for the robot.
+def propose_reused(
+    instruction: str, memory: Retriever, checker: ProposalChecker
+) -> tuple[tuple[Attempt, ...], RetrievedContext]:
+    """A contract that succeeded in this place as the only attempt, and its memory; no time passes for the robot.
 
     There is no attempt without such a memory, and none if a person interrupted.
     """
-    executor, context = checker.executor, checker.context
-
-    def search() -> tuple[Exemplar, Proposal] | None:
-        precedents = memory.find_precedents(
-            instruction,
-            context.summary,
-            context.posture,
-            context.robot_model.name,
-            context.registry.hash,
-            max_count=MAX_PRECEDENTS,
-            image=context.image,
-        )
-        return find_reusable(instruction, context, precedents, contract_id(1))
-
-    found, seconds = checker.clock.measure(search)
+    executor = checker.executor
+    found, seconds = checker.clock.measure(lambda: find_reusable(instruction, checker.context, memory, contract_id(1)))
     if found is None or executor.interrupted():
-        return ()
+        return (), RetrievedContext()
     exemplar, proposal = found
     now = executor.state.stamp
     executor.log.note(
-        now,
-        "memory",
-        f"proposing the contract of {exemplar.episode_id} in this place again (weight {exemplar.weight:.2f})",
+        now, "memory", f"proposing the contract of {exemplar.episode_id} again, which succeeded in this place"
     )
-    return (checker.check(msgspec.structs.replace(proposal, timings={"total": seconds}), 1, now),)
+    attempt = checker.check(msgspec.structs.replace(proposal, timings={"total": seconds}), 1, now)
+    return (attempt,), RetrievedContext(exemplars=(exemplar,))
 
 
 def contract_id(number: int) -> str:

@@ -4,24 +4,24 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field, replace
+from math import pi
 
 import msgspec
 import pytest
 
 from dualbrain.contracts.contract import Contract
+from dualbrain.core.geometry.shapes import Pose
 from dualbrain.memory.embedding.posture_features import Posture
 from dualbrain.memory.state.provenance import episode_provenance
 from dualbrain.planner.scripted import ScriptedPlanner
-from dualbrain.records import Exemplar, Precedent
+from dualbrain.records import Precedent
 from dualbrain.robots.loader import load_robot
 from dualbrain.runtime.agent import Agent, NoMemory
 from dualbrain.runtime.inspection.counterfactual import CounterfactualQueries
 from dualbrain.runtime.planning.planner_request import PlanningContext
 from dualbrain.runtime.planning.reuse.reused_contract import (
-    MIN_WEIGHT,
     REUSED_CONTRACT,
     find_reusable,
-    is_confident,
     is_reused,
 )
 from dualbrain.runtime.session import RunObserver, Session
@@ -34,26 +34,6 @@ CUBE_TO_BOWL = contract_text(("grasp", GRASP), ("place", PLACE))
 INSTRUCTION = "put the red cube in the blue bowl"
 
 
-def exemplar(contract=CUBE_TO_BOWL, **changes):
-    fields = {
-        "episode_id": "e-1",
-        "instruction": INSTRUCTION,
-        "summary": "",
-        "contract": json.loads(contract),
-        "succeeded": True,
-        "Delta": 0.0,
-        "similarity": 0.99,
-        "weight": 0.575,
-        "score": 0.95,
-        "rank": 1,
-    }
-    return Exemplar(**fields | changes)
-
-
-def failure(contract=CUBE_TO_BOWL, **changes):
-    return exemplar(contract, **{"succeeded": False, "weight": 0.575} | changes)
-
-
 def context(*objects, holding=None):
     things = objects or (box("red_cube", 0.5, -0.2), box("green_box", 0.45, 0.1, (0.03, 0.02, 0.025)))
     perceived = scene(*things, bowl(), places=[("table_left", (0.5, 0.35, 0.0))])
@@ -62,21 +42,48 @@ def context(*objects, holding=None):
     )
 
 
-def precedent(memory, situation=None):
-    """A memory of the place of `situation`."""
+@dataclass
+class PlaceMemory(NoMemory):
+    """A memory that finds these precedents in every scene, and the outcomes of a contract among them."""
+
+    precedents: list[Precedent] = field(default_factory=list)
+
+    def find_precedents(self, *arguments, **options):
+        return tuple(one for one in self.precedents if one.evidence != "against")
+
+    def find_outcomes(self, contract, *arguments, **options):
+        wanted = list(contract["action_sequence"])
+        return tuple(one for one in self.precedents if one.contract.get("action_sequence") == wanted)
+
+
+def precedent(contract=CUBE_TO_BOWL, situation=None, **changes):
+    """A clean success in the place of `situation`."""
     where = situation or context()
-    return Precedent(memory, where.scene, where.posture.q)
+    fields = {
+        "episode_id": "e-1",
+        "instruction": INSTRUCTION,
+        "summary": "",
+        "contract": json.loads(contract),
+        "evidence": "clean",
+        "Delta": 0.0,
+        "weight": 0.575,
+        "scene": where.scene,
+        "q": where.posture.q,
+    }
+    return Precedent(**fields | changes)
 
 
-def reuse(instruction=INSTRUCTION, *memories, situation=None):
-    """The actions that are reused for `instruction` in the place of the memories; None if the planner is asked."""
+def reuse(instruction=INSTRUCTION, *precedents, situation=None):
+    """The actions that are reused for `instruction`; None if the planner is asked."""
     now = situation or context()
-    precedents = [one if isinstance(one, Precedent) else precedent(one, now) for one in memories or (exemplar(),)]
-    found = find_reusable(instruction, now, precedents, "c-0001")
+    memory = PlaceMemory(list(precedents or (precedent(situation=now),)))
+    found = find_reusable(instruction, now, memory, "c-0001")
     if found is None:
         return None
-    contract = msgspec.json.decode(found[1].text, type=Contract)
-    assert (contract.id, contract.context.robot, found[1].planner) == ("c-0001", "panda", REUSED_CONTRACT)
+    exemplar, proposal = found
+    assert exemplar.succeeded
+    contract = msgspec.json.decode(proposal.text, type=Contract)
+    assert (contract.id, contract.context.robot, proposal.planner) == ("c-0001", "panda", REUSED_CONTRACT)
     return [(action.skill, action.params) for action in contract.action_sequence]
 
 
@@ -87,49 +94,58 @@ def test_the_contract_that_succeeded_here_answers_the_same_request_in_other_word
     assert reuse("could you please pick up the red cube and put it in the blue bowl?") == expected
 
 
-@pytest.mark.parametrize("changes", [{"succeeded": False}, {"weight": MIN_WEIGHT - 0.01}])
-def test_a_memory_that_is_not_confident_is_not_reused(changes):
-    assert not is_confident(exemplar(**changes))
-    assert reuse(INSTRUCTION, exemplar(**changes)) is None
+@pytest.mark.parametrize(
+    ("evidence", "is_reused_then"),
+    [
+        (["clean"], True),
+        (["clean", "clean", "unclean"], True),
+        (["clean", "unconfirmed"], True),
+        (["clean", "unclean"], False),
+        (["unclean"], False),
+        (["unconfirmed"], False),
+        (["against"], False),
+        (["clean", "clean", "clean", "against"], False),
+    ],
+)
+def test_a_contract_needs_more_clean_than_unclean_outcomes_here_and_none_against_it(evidence, is_reused_then):
+    outcomes = [precedent(evidence=one) for one in evidence]
+    assert (reuse(INSTRUCTION, *outcomes) is not None) == is_reused_then
 
 
-def test_a_contract_that_also_failed_here_is_not_reused_and_another_is():
+def test_another_contract_is_reused_after_a_failure_of_the_first():
     other = contract_text(("grasp", GRASP | {"clearance": 0.15}), ("place", PLACE))
-    assert reuse(INSTRUCTION, exemplar(weight=0.9), failure()) is None
-    grasp, _ = reuse(INSTRUCTION, exemplar(weight=0.9), failure(), exemplar(other))
+    grasp, _ = reuse(INSTRUCTION, precedent(), precedent(evidence="against"), precedent(other, Delta=0.002))
     assert grasp[1]["clearance"] == 0.15
 
 
-def test_a_failure_in_another_place_does_not_count():
-    elsewhere = precedent(failure(), context(box("red_cube", 0.4, -0.2)))
-    assert reuse(INSTRUCTION, exemplar(), elsewhere) is not None
+MOVED = box("red_cube", 0.53, -0.2), box("green_box", 0.45, 0.1, (0.03, 0.02, 0.025))
 
 
-def test_a_success_in_another_place_or_from_another_posture_does_not_count():
-    here = context()
-    moved = precedent(
-        exemplar(), context(box("red_cube", 0.53, -0.2), box("green_box", 0.45, 0.1, (0.03, 0.02, 0.025)))
-    )
-    assert find_reusable(INSTRUCTION, here, [moved], "c-0001") is None
-    raised = Precedent(exemplar(), here.scene, (0.2, *here.posture.q[1:]))
-    assert find_reusable(INSTRUCTION, here, [raised], "c-0001") is None
+def test_outcomes_in_another_place_count_neither_for_nor_against():
+    elsewhere = context(*MOVED)
+    assert reuse(INSTRUCTION, precedent(), precedent(situation=elsewhere, evidence="against")) is not None
+    assert reuse(INSTRUCTION, precedent(situation=elsewhere)) is None
+    unclean = [precedent(evidence="unclean"), *[precedent(situation=elsewhere)] * 5]
+    assert reuse(INSTRUCTION, *unclean) is None
 
 
-def test_the_largest_weight_then_the_smallest_intervention_is_taken():
+def test_a_success_from_another_posture_does_not_count():
+    assert reuse(INSTRUCTION, precedent(q=(0.2, *context().posture.q[1:]))) is None
+
+
+def test_the_contract_with_the_smallest_intervention_is_taken():
     speeds = [contract_text(("grasp", GRASP | {"speed": speed}), ("place", PLACE)) for speed in (0.1, 0.2, 0.3)]
-    memories = [
-        exemplar(speeds[0], weight=0.6, Delta=0.002),
-        exemplar(speeds[1], weight=0.6, Delta=0.001),
-        exemplar(speeds[2], weight=0.58, Delta=0.0),
-    ]
-    grasp, _ = reuse(INSTRUCTION, *memories)
+    outcomes = [precedent(text, Delta=Delta) for text, Delta in zip(speeds, (0.002, 0.0, 0.001), strict=True)]
+    grasp, _ = reuse(INSTRUCTION, *outcomes)
     assert grasp[1]["speed"] == 0.2
 
 
 def test_more_care_than_asked_is_reused_and_less_is_not():
-    assert reuse(INSTRUCTION, exemplar(instruction=f"carefully {INSTRUCTION}")) is not None
-    assert reuse(f"carefully {INSTRUCTION}", exemplar(instruction=f"carefully {INSTRUCTION}")) is not None
-    assert reuse(f"carefully {INSTRUCTION}", exemplar()) is None
+    careful = precedent(instruction=f"carefully {INSTRUCTION}")
+    assert reuse(INSTRUCTION, careful) is not None
+    assert reuse(f"carefully {INSTRUCTION}", careful) is not None
+    assert reuse(f"carefully {INSTRUCTION}", precedent()) is None
+    assert reuse(f"very slowly {INSTRUCTION}", precedent(instruction=f"slowly {INSTRUCTION}")) is None
 
 
 @pytest.mark.parametrize(
@@ -169,7 +185,7 @@ RELEASE = ("release", {"speed": 0.1})
     ],
 )
 def test_a_contract_that_releases_nothing_or_is_not_possible_here_is_not_reused(instruction, actions):
-    assert reuse(instruction, exemplar(contract_text(*actions), instruction=instruction)) is None
+    assert reuse(instruction, precedent(contract_text(*actions), instruction=instruction)) is None
 
 
 def test_an_object_that_may_be_at_its_destination_is_put_there():
@@ -177,23 +193,50 @@ def test_an_object_that_may_be_at_its_destination_is_put_there():
     rim = box("red_cube", 0.5, 0.20, z=0.03)
     home = contract_text(("home", {"speed": 0.2}))
     words = "put the red cube in the blue bowl, then go home"
-    assert reuse(words, exemplar(home, instruction=words), situation=context(rim)) is None
+    assert reuse(words, precedent(home, context(rim), instruction=words), situation=context(rim)) is None
 
 
 def test_an_amount_is_reused_for_the_same_words_only():
     push = contract_text(("push", PUSH | {"distance": 0.1}))
     words = "push the red cube toward the blue bowl by 10 cm"
-    assert reuse(words, exemplar(push, instruction=words)) is not None
-    assert reuse(words.replace("10", "5"), exemplar(push, instruction=words)) is None
+    assert reuse(words, precedent(push, instruction=words)) is not None
+    assert reuse(words.replace("10", "5"), precedent(push, instruction=words)) is None
 
 
-def test_an_object_with_a_new_name_is_named_so():
-    then = context()
-    crimson = box("crimson_cube", 0.5, -0.2)
-    now = context(crimson, box("green_box", 0.45, 0.1, (0.03, 0.02, 0.025)))
-    grasp, place = reuse("put the crimson cube in the blue bowl", precedent(exemplar(), then), situation=now)
+PUSHED = "push the green box toward the blue bowl"
+STEPS = {"grasp": GRASP, "place": PLACE, "home": {"speed": 0.2}, "hold": {"duration": 10.0}, "push": PUSH}
+
+
+@pytest.mark.parametrize(
+    ("words", "remembered", "skills"),
+    [
+        (f"{INSTRUCTION}, then go home", f"go home, then {INSTRUCTION}", "home grasp place"),
+        (f"{INSTRUCTION}, then wait 10 seconds", f"wait 10 seconds, then {INSTRUCTION}", "hold grasp place"),
+        (f"{INSTRUCTION}, then go home", f"{INSTRUCTION}, then go home", "grasp place home"),
+        (
+            f"push the green box toward the blue bowl, then {INSTRUCTION}",
+            f"{INSTRUCTION}, then push it",
+            "grasp place push",
+        ),
+        (BOTH, BOTH, "grasp place grasp place"),
+        (INSTRUCTION, INSTRUCTION, "hold grasp place"),
+    ],
+)
+def test_requests_of_several_steps_are_left_to_the_planner(words, remembered, skills):
+    """The order of the steps, and the step to which a manner belongs, would have to be compared."""
+    contract = contract_text(*((skill, STEPS[skill]) for skill in skills.split()))
+    assert reuse(words, precedent(contract, instruction=remembered)) is None
+
+
+def test_an_object_with_a_new_name_is_named_so_and_failures_under_either_name_count():
+    now = context(box("crimson_cube", 0.5, -0.2), box("green_box", 0.45, 0.1, (0.03, 0.02, 0.025)))
+    words = "put the crimson cube in the blue bowl"
+    grasp, place = reuse(words, precedent(), situation=now)
     assert grasp[1] == GRASP | {"object": "crimson_cube"}
     assert place[1] == PLACE
+    renamed = contract_text(("grasp", GRASP | {"object": "crimson_cube"}), ("place", PLACE))
+    for failure in (precedent(evidence="against"), precedent(renamed, now, evidence="against")):
+        assert reuse(words, precedent(), failure, situation=now) is None
 
 
 def test_another_object_of_the_same_place_is_left_to_the_planner():
@@ -201,34 +244,47 @@ def test_another_object_of_the_same_place_is_left_to_the_planner():
     assert reuse("put the green box in the blue bowl") is None
 
 
+def test_a_cube_that_was_turned_by_ninety_degrees_is_left_to_the_planner():
+    """The fingers would close along the other axis, toward its neighbour."""
+    turned = context(box("red_cube", 0.5, -0.2, yaw=pi / 2), box("green_box", 0.45, 0.1, (0.03, 0.02, 0.025)))
+    assert reuse(INSTRUCTION, precedent(), situation=turned) is None
+
+
 def test_a_full_hand_leaves_the_answer_to_the_planner():
-    assert reuse(situation=context(holding="green_box")) is None
+    full = context(holding="green_box")
+    assert reuse(INSTRUCTION, precedent(situation=full), situation=full) is None
 
 
-def test_malformed_contracts_and_declines_are_skipped():
-    malformed = msgspec.structs.replace(exemplar(), contract={"action_sequence": "x"})
-    declines = exemplar(decline_contract())
-    assert reuse(INSTRUCTION, malformed, declines, exemplar()) == [("grasp", GRASP), ("place", PLACE)]
-    assert reuse(INSTRUCTION, malformed, declines) is None
+def test_malformed_contracts_scenes_and_declines_are_skipped():
+    malformed = precedent(contract=json.dumps({"action_sequence": "x"}))
+    cube = box("red_cube", 0.5, -0.2)
+    broken = msgspec.structs.replace(cube, pose=Pose(cube.pose.position, (0.0, 0.0, 0.0, 0.0)))
+    no_place = precedent(scene=context(broken, MOVED[1]).scene)
+    declines = precedent(decline_contract())
+    assert reuse(INSTRUCTION, malformed, no_place, declines, precedent()) == [("grasp", GRASP), ("place", PLACE)]
+    assert reuse(INSTRUCTION, malformed, no_place, declines) is None
 
 
 # --- in an episode ------------------------------------------------------------------------------------------------
 
 
 @dataclass
-class FixedMemory(NoMemory):
-    """A memory of the given exemplars in one place, that of the first stored episode of `place`.
+class FixedMemory(PlaceMemory):
+    """Clean successes of the `contracts` (text, instruction) in the place of the first episode stored in `place`.
 
-    It keeps what it is to store, so that a memory without exemplars learns the place.
+    It keeps what it is to store, so that a memory without contracts learns the place.
     """
 
-    exemplars: tuple[Exemplar, ...] = ()
+    contracts: tuple[tuple[str, str], ...] = ()
     place: FixedMemory | None = None
     stored: list = field(default_factory=list)
 
     def find_precedents(self, *arguments, **options):
         episode, state = self.place.stored[0]
-        return tuple(Precedent(one, episode.scene, state.q) for one in self.exemplars)
+        self.precedents = [
+            precedent(text, instruction=words, scene=episode.scene, q=state.q) for text, words in self.contracts
+        ]
+        return super().find_precedents()
 
     def store(self, episode, state, *, now, image=None):
         self.stored.append((episode, state))
@@ -252,7 +308,7 @@ def run_home(folder, remembered, *answers, **changes):
     """An episode with the instruction to go home, and the number of requests to the planner."""
     planner = ScriptedPlanner(answers)
     config = run_config(folder, instruction="go home", **{"reuse_contracts": True} | changes)
-    memory = FixedMemory((exemplar(remembered, instruction="go home"),), seen_place(config))
+    memory = FixedMemory(contracts=((remembered, "go home"),), place=seen_place(config))
     with Session(config, make_clocks(), {}, planner, agent=Agent(planner, memory)) as session:
         episode = session.run(RunObserver()).episode
     assert [one for one, _ in memory.stored] == [episode]
@@ -268,6 +324,7 @@ def test_the_planner_is_not_asked_and_the_author_is_recorded(tmp_path):
     episode, n_requests = run_home(tmp_path, home(0.2), home(0.1))
     assert (episode.outcome.kind, n_requests) == ("succeeded", 0)
     assert is_reused(episode)
+    assert [one.episode_id for one in episode.recall.exemplars] == ["e-1"], "the memory that the contract follows"
     assert episode.contract["action_sequence"][0]["params"] == {"speed": 0.2}
     assert episode.timings["decision"] < 1.0
     stored = json.loads((tmp_path / "run" / "config.json").read_bytes())
@@ -292,7 +349,7 @@ def test_after_a_contract_that_failed_the_planner_is_asked(tmp_path):
     far = contract_text(("push", {**PUSH, "destination": "table_right", "distance": 0.25}))
     config = near_destination(tmp_path, tries=2, reuse_contracts=True)
     planner = ScriptedPlanner((decline_contract(),))
-    memory = FixedMemory((exemplar(far, instruction=config.instruction),), seen_place(config))
+    memory = FixedMemory(contracts=((far, config.instruction),), place=seen_place(config))
     agent = Agent(planner, memory)
     with Session(config, make_clocks(), {}, planner, agent=agent) as session:
         result = session.run(RunObserver())
@@ -310,7 +367,7 @@ def test_a_stop_before_the_proposal_prevents_it(tmp_path):
             return super().find_precedents(*arguments, **options)
 
     config = run_config(tmp_path, instruction="go home", reuse_contracts=True)
-    memory = StoppingMemory((exemplar(home(0.2), instruction="go home"),), seen_place(config))
+    memory = StoppingMemory(contracts=((home(0.2), "go home"),), place=seen_place(config))
     with Session(config, make_clocks(), {}, planner, agent=Agent(planner, memory)) as session:
         episode = session.run(RunObserver()).episode
     assert (episode.outcome.kind, episode.attempts) == ("aborted", ())

@@ -1,11 +1,10 @@
 """Reuse of a remembered contract: a contract that carried out this instruction in this place, without the planner.
 
 Evidence counts for one contract in one place only, because most of the variance of an outcome belongs to this pair. A
-memory is reused if its contract succeeded in the same place (`match_places`), did not fail in another memory of this
-place, and has a weight w̄ (paper 5.2) of at least one clean success. Whether its contract carries out the present
-instruction is not decided by similarity: the goal is read from the words (`read_goal`) and compared with the effects of
-the contract, and the manner of the request must be served (`read_manner`). The gate and the filter check a reused
-contract as any other.
+contract is reused if it has a clean success in the same place (`match_places`), is there more often clean than not, and
+has no failure or disputed outcome there. Whether it carries out the present instruction is not decided by similarity:
+the goal is read from the words (`read_goal`), is of one step, and is compared with the effects of the contract, and the
+manner of the request must be served (`read_manner`). The gate and the filter check a reused contract as any other.
 """
 
 from __future__ import annotations
@@ -20,48 +19,67 @@ from dualbrain.contracts.contract import NAMING_PARAMETERS, Action, Context, Con
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.skill_spec import NameParameter
 from dualbrain.errors import DECODE_ERRORS
-from dualbrain.grounding.instruction.goals.goal import Unread
+from dualbrain.grounding.instruction.goals.goal import Goal, Held, Observed, Placed, Pushed, RobotEnds, Unread
 from dualbrain.grounding.instruction.goals.goal_coverage import carries_out
 from dualbrain.grounding.instruction.goals.goal_reading import read_goal
 from dualbrain.grounding.instruction.goals.manner import read_manner
 from dualbrain.grounding.vocabulary import scene_names
 from dualbrain.planner.protocol import STOP
 from dualbrain.records import REUSED_CONTRACT, Episode, Exemplar, Precedent, Proposal, Scene
-from dualbrain.runtime.planning.planner_request import PlanningContext
+from dualbrain.runtime.planning.planner_request import PlanningContext, Retriever
 from dualbrain.runtime.planning.reuse.same_place import match_places, same_posture
 
-MIN_WEIGHT = 0.55
-"""Least weight w̄ of a contract that is reused: one clean success gives 0.575, one clean and one other less than 0.5."""
 MAX_PRECEDENTS = 50
-"""Number of successes, and of failures, that are compared with the present place."""
+"""Number of successes in similar scenes that are compared with the present place."""
+MAX_OUTCOMES = 200
+"""Number of outcomes of one contract, the newest ones, among which a failure in this place excludes it."""
 
 
 def find_reusable(
-    instruction: str, context: PlanningContext, precedents: Sequence[Precedent], contract_id: str
+    instruction: str, context: PlanningContext, memory: Retriever, contract_id: str
 ) -> tuple[Exemplar, Proposal] | None:
-    """The best memory of this place, and its contract as a proposal for `instruction`; None: ask the planner.
+    """The best precedent in this place, and its contract as a proposal for `instruction`; None: ask the planner.
 
-    None too for an instruction whose goal is not read, and with an object in the hand.
+    None too for an instruction whose goal is not read or needs several steps, and with an object in the hand.
     """
     goal = read_goal(instruction, context.scene)
-    if isinstance(goal, Unread) or context.holding is not None:
+    if isinstance(goal, Unread) or context.holding is not None or not (skills := _expected_skills(goal)):
         return None
     registry, scene = context.registry, context.scene
-    here = list(_in_this_place(precedents, context))
-    failed = [actions for exemplar, actions in here if not exemplar.succeeded]
-    for exemplar, actions in sorted(here, key=_worth, reverse=True):
-        if not is_confident(exemplar) or actions in failed or not _are_possible(actions, registry, scene):
+    for precedent in sorted(_search(instruction, context, memory), key=lambda one: one.Delta or 0.0):
+        actions = _in_this_place(precedent, context)
+        if tuple(action.skill for action in actions) != skills or not _are_possible(actions, registry, scene):
             continue
         contract = Contract(contract_id, Context(registry.robot, registry.hash), actions)
-        if carries_out(contract, goal, scene) and _serves(exemplar, instruction, actions):
+        if not (carries_out(contract, goal, scene) and _serves(precedent, instruction, actions)):
+            continue
+        if _is_supported(_outcomes(precedent, contract, memory), context):
             text = canonical_contract(contract, registry)
-            return exemplar, Proposal(text=text, finish_reason=STOP, planner=REUSED_CONTRACT, timings={})
+            proposal = Proposal(text=text, finish_reason=STOP, planner=REUSED_CONTRACT, timings={})
+            return _exemplar(precedent), proposal
     return None
 
 
-def is_confident(exemplar: Exemplar) -> bool:
-    """Whether the contract of `exemplar` succeeded, and its clean successes outweigh its other outcomes."""
-    return exemplar.succeeded and exemplar.weight >= MIN_WEIGHT
+def _search(instruction: str, context: PlanningContext, memory: Retriever) -> list[Precedent]:
+    """The clean successes in similar scenes."""
+    found = memory.find_precedents(
+        instruction,
+        context.summary,
+        context.posture,
+        context.robot_model.name,
+        context.registry.hash,
+        max_count=MAX_PRECEDENTS,
+        image=context.image,
+    )
+    return [one for one in found if one.evidence == "clean"]
+
+
+def _outcomes(precedent: Precedent, contract: Contract, memory: Retriever) -> list[Precedent]:
+    """All outcomes of a contract, under its remembered and under its present names."""
+    robot, registry = contract.context.robot, contract.context.registry
+    remembered, present = precedent.contract, msgspec.to_builtins(contract)
+    spellings = [remembered] if _decode(remembered) == contract.action_sequence else [remembered, present]
+    return [one for each in spellings for one in memory.find_outcomes(each, robot, registry, max_count=MAX_OUTCOMES)]
 
 
 def is_reused(episode: Episode) -> bool:
@@ -74,16 +92,57 @@ def has_reused_contract(episode: Episode) -> bool:
     return any(attempt.proposal.planner == REUSED_CONTRACT for attempt in episode.attempts)
 
 
-def _in_this_place(
-    precedents: Sequence[Precedent], context: PlanningContext
-) -> Iterator[tuple[Exemplar, tuple[Action, ...]]]:
-    """The memories of this place, with the actions of their contracts in the present names of objects and places."""
-    for precedent in precedents:
-        if not same_posture(precedent.q, context.posture.q):
-            continue
-        names = match_places(precedent.scene, context.scene)
-        if names is not None and (actions := _renamed(_decode(precedent.exemplar.contract), names)):
-            yield precedent.exemplar, actions
+def _expected_skills(goal: Goal) -> tuple[str, ...]:
+    """The skills of a contract that carries out a `goal` of one step and nothing else; () for any other goal.
+
+    The order of several steps, and the step to which a manner belongs, are not compared.
+    """
+    match goal.conditions:
+        case (Placed((_,), "in" | "at", (_,)),):
+            skills = ("grasp", "place")
+        case (Held((_,), handed=False),):
+            skills = ("grasp",)
+        case (Pushed((_,)),):
+            skills = ("push",)
+        case (Observed(),):
+            skills = ("move_to",)
+        case (RobotEnds("home"),):
+            skills = ("home",)
+        case (RobotEnds("drive"),):
+            skills = ("drive_to",)
+        case _:
+            skills = ()
+    return skills
+
+
+def _in_this_place(precedent: Precedent, context: PlanningContext) -> tuple[Action, ...]:
+    """The actions of a precedent of this place, in the present names of objects and places; () if it is of another."""
+    if not same_posture(precedent.q, context.posture.q):
+        return ()
+    names = match_places(precedent.scene, context.scene)
+    return () if names is None else _renamed(_decode(precedent.contract), names)
+
+
+def _is_supported(outcomes: Sequence[Precedent], context: PlanningContext) -> bool:
+    """Whether the outcomes of one contract in this place are more often clean than unclean, and none is against it."""
+    here = [one.evidence for one in outcomes if _in_this_place(one, context)]
+    return "against" not in here and here.count("clean") > here.count("unclean")
+
+
+def _exemplar(precedent: Precedent) -> Exemplar:
+    """The precedent as the only memory that the contract follows."""
+    return Exemplar(
+        episode_id=precedent.episode_id,
+        instruction=precedent.instruction,
+        summary=precedent.summary,
+        contract=precedent.contract,
+        succeeded=True,
+        Delta=precedent.Delta,
+        similarity=1.0,
+        weight=precedent.weight,
+        score=1.0,
+        rank=1,
+    )
 
 
 def _decode(remembered: dict[str, Any]) -> tuple[Action, ...]:
@@ -104,12 +163,6 @@ def _renamed(actions: tuple[Action, ...], names: Mapping[str, str]) -> tuple[Act
     )
 
 
-def _worth(memory: tuple[Exemplar, tuple[Action, ...]]) -> tuple[float, float, int]:
-    """Order among memories of one place: the larger weight, then the smaller Δ, then the rank."""
-    exemplar, _ = memory
-    return exemplar.weight, -(exemplar.Delta or 0.0), -exemplar.rank
-
-
 def _naming_keys(action: Action) -> list[str]:
     return [key for key in NAMING_PARAMETERS if key in action.params]
 
@@ -127,10 +180,10 @@ def _is_possible(action: Action, registry: SkillRegistry, scene: Scene) -> bool:
     return all(action.params[one.name] in names.names_of_kind(one.of) for one in naming)
 
 
-def _serves(exemplar: Exemplar, instruction: str, actions: tuple[Action, ...]) -> bool:
+def _serves(precedent: Precedent, instruction: str, actions: tuple[Action, ...]) -> bool:
     """Whether the contract for the remembered instruction also has the manner of the present one."""
-    names = {*_names(_decode(exemplar.contract)), *_names(actions)}
-    return read_manner(exemplar.instruction, names).serves(read_manner(instruction, names))
+    names = {*_names(_decode(precedent.contract)), *_names(actions)}
+    return read_manner(precedent.instruction, names).serves(read_manner(instruction, names))
 
 
 def _names(actions: tuple[Action, ...]) -> Iterator[str]:

@@ -7,15 +7,14 @@ on them, so evidence of one contract counts without the planner only where every
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import chain, permutations, product
+from itertools import chain
 from math import cos, radians
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from dualbrain.core.geometry.rotations import quaternion_to_matrix
-from dualbrain.core.geometry.shapes import Bowl, Box, HalfSpace, Pose, Shape, Sphere
+from dualbrain.core.geometry.shapes import Bowl, Box, HalfSpace, Shape, Sphere
 from dualbrain.records import Scene, SceneObject
 
 MAX_DISTANCE = 0.02
@@ -24,18 +23,10 @@ MAX_ANGLE = radians(10.0)
 """Largest angle [rad] between two perceived orientations of one object."""
 MAX_SIZE_DIFFERENCE = 0.005
 """Largest difference [m] of two perceived sizes of one object."""
+UNIT_TOLERANCE = 1e-3
+"""Largest deviation of the norm of a unit quaternion."""
 MAX_JOINT_DIFFERENCE = 0.05
 """Largest difference [rad or m] of each joint position of the robot at the two requests."""
-
-Array = NDArray[np.float64]
-
-CUBE_TURNS: tuple[Array, ...] = tuple(
-    turn
-    for order in permutations(range(3))
-    for signs in product((1.0, -1.0), repeat=3)
-    if np.linalg.det(turn := np.eye(3)[list(order)] * signs) > 0.0
-)
-"""The 24 rotations (3, 3) that bring a cube onto itself."""
 
 
 def same_posture(one: Sequence[float], other: Sequence[float]) -> bool:
@@ -69,12 +60,17 @@ def match_places(then: Scene, now: Scene) -> dict[str, str] | None:
 
 
 def is_same_object(one: SceneObject, other: SceneObject) -> bool:
-    """Whether both have the same role, shape, size and pose, within the errors of perception."""
+    """Whether both have the same role, shape, size and pose, within the errors of perception.
+
+    The axes of an object must agree up to their signs, also those of a cube or a cylinder: the finger axis of a grasp
+    is one of them. Of a container, a plane and any other round shape the z axis must agree.
+    """
     return (
         one.role == other.role
         and type(one.shape) is type(other.shape)
         and _is_near(one.pose.position, other.pose.position)
-        and _same_extent(one.shape, one.pose, other.shape, other.pose)
+        and _same_size(one.shape, other.shape)
+        and _same_axes(one, other)
     )
 
 
@@ -90,34 +86,27 @@ def _is_near(one: Sequence[float], other: Sequence[float] | None) -> bool:
     return other is not None and float(np.linalg.norm(np.subtract(one, other))) <= MAX_DISTANCE
 
 
-def _same_extent(one: Shape, pose: Pose, other: Shape, other_pose: Pose) -> bool:
-    """Whether sizes and orientations agree: of a box up to its symmetries, of a round shape by its axis."""
-    first, second = (quaternion_to_matrix(each.quaternion) for each in (pose, other_pose))
-    match one, other:
-        case (Box(), Box()):
-            return _same_box(np.array(one.half_extents), first, np.array(other.half_extents), second)
-        case (Bowl() | HalfSpace(), _):
-            cosine = float(first[:, 2] @ second[:, 2])
-        case _:  # the same upside down
-            cosine = abs(float(first[:, 2] @ second[:, 2]))
-    is_aligned = isinstance(one, Sphere) or cosine >= cos(MAX_ANGLE)
-    return is_aligned and _same_size(_sizes(one), _sizes(other))
+def _same_size(one: Shape, other: Shape) -> bool:
+    return bool(np.all(np.abs(np.subtract(_sizes(one), _sizes(other))) <= MAX_SIZE_DIFFERENCE))
 
 
 def _sizes(shape: Shape) -> tuple[float, ...]:
-    """All lengths [m] of a round shape, none of a half space."""
-    return tuple(value for value in msgspec.structs.astuple(shape) if isinstance(value, float))
+    """All lengths [m] of `shape`, none of a half space."""
+    return shape.half_extents if isinstance(shape, Box) else msgspec.structs.astuple(shape)
 
 
-def _same_box(extents: Array, first: Array, other_extents: Array, second: Array) -> bool:
-    """Whether one of the 24 turns of a cube brings one box onto the other; rotations (3, 3), half extents (3,) [m]."""
-    between = first.T @ second
-    for turn in CUBE_TURNS:
-        cosine = (float(np.trace(between @ turn.T)) - 1.0) / 2.0
-        if cosine >= cos(MAX_ANGLE) and _same_size(extents, np.abs(turn) @ other_extents):
-            return True
-    return False
+def _same_axes(one: SceneObject, other: SceneObject) -> bool:
+    """Whether the axes that matter agree; False for an orientation that is no unit quaternion."""
+    if not (_is_unit(one.pose.quaternion) and _is_unit(other.pose.quaternion)):
+        return False
+    first, second = (quaternion_to_matrix(each.pose.quaternion) for each in (one, other))
+    cosines = np.sum(first * second, axis=0)  # of the angle of each axis
+    if isinstance(one.shape, Bowl | HalfSpace):
+        return bool(cosines[2] >= cos(MAX_ANGLE))
+    has_axes = one.role == "object" or isinstance(one.shape, Box)
+    compared = cosines if has_axes else cosines[2:]
+    return isinstance(one.shape, Sphere) or bool(np.all(np.abs(compared) >= cos(MAX_ANGLE)))
 
 
-def _same_size(one: Sequence[float] | Array, other: Sequence[float] | Array) -> bool:
-    return bool(np.all(np.abs(np.subtract(one, other)) <= MAX_SIZE_DIFFERENCE))
+def _is_unit(quaternion: Sequence[float]) -> bool:
+    return abs(float(np.linalg.norm(quaternion)) - 1.0) <= UNIT_TOLERANCE
