@@ -25,6 +25,7 @@ PROBE_SIZE, PROBE_S = 1 << 13, 4e-3
 COMPUTED = {
     "dualbrain.grounding.instruction.goals.clause_forms": "prepositions without repetition",
     "dualbrain.grounding.instruction.goals.noun_phrases": "nouns of a scene, against at most 400 characters",
+    "dualbrain.grounding.instruction.goals.manner": "names of a contract, against at most 400 characters",
     "dualbrain.grounding.instruction.recalled_steps": "names of objects in a scene, against an instruction",
     "dualbrain.grounding.instruction.names": "names of places in a scene, bounded alternatives without repetition",
     "dualbrain.adaptation.conversion.peft_lora": "keys of LAYER_NAME_PATTERN, against names of modules",

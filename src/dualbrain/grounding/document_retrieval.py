@@ -109,8 +109,8 @@ def named_objects(instruction: str, summary: str) -> tuple[str, ...]:
 
 def _mentions(text: str, names: Sequence[str]) -> bool:
     """Whether `text` contains one of the `names` as whole words."""
-    plain = " ".join(text.lower().split())
-    return any(re.search(rf"\b{re.escape(name)}\b", plain) for name in names)
+    plain = f" {' '.join(re.findall(r'[a-z0-9]+', text.lower()))} "
+    return any(f" {name} " in plain for name in names)
 
 
 def _make_passage(hit: ChunkHit, text: str, rank: int) -> Passage:

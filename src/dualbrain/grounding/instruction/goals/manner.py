@@ -7,6 +7,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 
 from dualbrain.grounding.instruction.goals import goal_words
+from dualbrain.grounding.instruction.goals.goal_reading import MAX_CHARACTERS
 from dualbrain.grounding.instruction.words import normalise
 
 _CAUTIONS = re.compile(rf"(?<![^\s,])(?:very )*(?:{goal_words.CAUTIONS})(?=$|[\s,])")
@@ -34,8 +35,10 @@ def read_manner(instruction: str, names: Collection[str]) -> Manner:
     """The manner of an `instruction` of a single clause.
 
     Left out are the `names`, words of courtesy, and verbs and prepositions of a placement. A number that is no part of
-    a whole name is kept.
+    a whole name is kept. A text that is too long for the goal parser is one word, unlike any other.
     """
+    if len(instruction) > MAX_CHARACTERS:
+        return Manner(frozenset(), (instruction,))
     text = " ".join(instruction.lower().replace("’", "'").rstrip(" .!").split())
     cautions = frozenset(match.group() for match in _CAUTIONS.finditer(text))
     text = _COURTESIES.sub(" ", _CAUTIONS.sub(" ", text))
