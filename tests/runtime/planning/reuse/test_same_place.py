@@ -77,6 +77,12 @@ def test_two_equal_objects_that_exchanged_their_names_are_identified_by_position
     assert (names["one"], names["other"]) == ("other", "one")
 
 
+def test_two_objects_do_not_match_the_same_one():
+    """Both are within 2 cm of an object between them, and another object is elsewhere."""
+    then = scene(box("one", 0.5, 0.0), box("other", 0.5, 0.03))
+    assert match_places(then, scene(box("one", 0.5, 0.015), box("other", 0.3, 0.3))) is None
+
+
 ROUND = (Cylinder(0.03, 0.05), Capsule(0.03, 0.05), Bowl(0.08, 0.05, 0.004), Sphere(0.03), HalfSpace())
 UPSIDE_DOWN = (0.0, 1.0, 0.0, 0.0)
 TILTED = (float(np.cos(0.2)), float(np.sin(0.2)), 0.0, 0.0)
