@@ -16,13 +16,15 @@ from dualbrain.agent_api.agent_resources import AgentResources, open_agent_resou
 from dualbrain.agent_api.connection import Connection
 from dualbrain.agent_api.event_feed import EventFeed
 from dualbrain.agent_api.retries import RetryLog, contract_identity
+from dualbrain.agent_api.saved_runs import ReportingMemory
 from dualbrain.agent_api.submission import State, Submission, SubmissionReport
 from dualbrain.contracts.gate.strict_json import MAX_BYTES, parse
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.control.gatekeeper.remote_executor import RemoteExecutor
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.trace import Trace
-from dualbrain.core.text import to_printable
+from dualbrain.core.storage.atomic_files import FileWriteError
+from dualbrain.core.text import PrintableValue, to_printable
 from dualbrain.errors import ConfigurationError
 from dualbrain.grounding.instruction.review import refuse_hostile
 from dualbrain.grounding.instruction.stop_commands import is_stop_command
@@ -100,9 +102,13 @@ class Executions:
                 return SubmissionReport(id=name, state="rejected", rejected=refused)
             submission = self._begin(name, "checking", digest)
             if contract_id:
-                self._retries.add(contract_id, submission)
+                self._retries.keep(contract_id, submission)
         agent = Agent(FixedContractPlanner(client, data), self._resources.memory)
-        self._worker.submit(self._run, submission, self._request(instruction, given=True), agent, retried=contract_id)
+        refused = self._record_start(contract_id, submission) or self._start(
+            submission, self._request(instruction, given=True), agent, retried=contract_id
+        )
+        if refused is not None:
+            submission.reject(refused)
         return submission.wait_for_verdict(VERDICT_TIMEOUT)
 
     def plan_and_run(self, instruction: str) -> SubmissionReport:
@@ -118,7 +124,9 @@ class Executions:
                 return SubmissionReport(id=name, state="rejected", rejected=refused)
             submission = self._begin(name, "planning", "")
         agent = Agent(planner, self._resources.memory)
-        self._worker.submit(self._run, submission, self._request(instruction, given=False), agent, retried="")
+        refused = self._start(submission, self._request(instruction, given=False), agent, retried="")
+        if refused is not None:
+            submission.reject(refused)
         return submission.report
 
     def wait(self, submission_id: str, timeout: float | None) -> SubmissionReport | None:
@@ -159,13 +167,37 @@ class Executions:
         """The rejection while a submission is in progress, and after the end has begun; None otherwise."""
         newest = self._submissions.get(self._newest)
         if self._closing:
-            got, allowed, hint = CLOSED, "a contract for a robot that is not being closed", "open the robot again"
-        elif newest is not None and not newest.has_ended:
-            got, allowed = f"{self._newest} is in progress", "one contract at a time"
-            hint = "wait for its outcome, or stop it"
-        else:
+            return _reject(CLOSED, "a contract for a robot that is not being closed", "open the robot again")
+        if newest is not None and not newest.has_ended:
+            return _reject(
+                f"{self._newest} is in progress", "one contract at a time", "wait for its outcome, or stop it"
+            )
+        return None
+
+    def _record_start(self, contract_id: str, submission: Submission) -> Rejected | None:
+        """Write a submission to the file of the contracts before it can move the robot; the rejection if that fails.
+
+        A slow disk delays this call only: no lock is held that a stop, a report or the end of the program needs.
+        """
+        if not contract_id:
             return None
-        return Rejected(stage="authorization", pointer="", got=got, allowed=allowed, hint=hint)
+        try:
+            self._retries.add(contract_id, submission)
+        except FileWriteError as error:
+            return _reject(
+                f"{error.path} was not written: {error.reason}",
+                "a contract that is recorded on disk before the robot moves",
+                f"{error.remedy} Then submit the contract again.",
+            )
+        return None
+
+    def _start(self, submission: Submission, request: EpisodeRequest, agent: Agent, *, retried: str) -> Rejected | None:
+        """Begin the episode of a submission; the rejection if the end of this program has begun."""
+        with self._lock:
+            if self._closing:
+                return self._busy()
+            self._worker.submit(self._run, submission, request, agent, retried=retried)
+        return None
 
     def _begin(self, name: str, state: State, digest: str) -> Submission:
         """A new submission, which is the newest; the oldest one is forgotten."""
@@ -190,8 +222,9 @@ class Executions:
         return dataclasses.replace(request, max_shots=1, max_exemplars=0, instruction_check="given_contract")
 
     def _run(self, submission: Submission, request: EpisodeRequest, agent: Agent, *, retried: str) -> None:
-        """Run one episode to its end; an exception ends the submission as lost."""
+        """Run one episode to its end; an exception before its outcome is known ends the submission as lost."""
         model, before = self._connection.robot_model, self._feed.newest
+        memory = ReportingMemory(agent.memory)
         log = FlightLog(
             Trace(model.n),
             None,
@@ -208,15 +241,24 @@ class Executions:
                 interruption=lambda: submission.interruption,
             )
             clock = PlanningClock(time.monotonic, measured=True)
-            episode, stored = run_episode(request, agent, executor, clock, truth)
+            episode, stored = run_episode(request, dataclasses.replace(agent, memory=memory), executor, clock, truth)
             log_weight_changes(log, executor.state.stamp, stored)
-            submission.finish(episode, self._save_report(episode, before, executor.state.stamp))
+            unsaved = self._save_report(episode, before, executor.state.stamp)
+            if memory.problem:
+                self._feed.add(executor.state.stamp, "memory", memory.problem)
+            submission.finish(episode, " ".join(filter(None, (unsaved, memory.problem))))
         except Exception as error:  # every failure is reported to the client; the robot stays behind its gatekeeper
             submission.lose(f"{type(error).__name__}: {error}")
-        finally:
-            if retried:
-                with self._lock:
-                    self._retries.finish(retried, submission)
+        if retried:
+            self._record_end(retried, submission)
+
+    def _record_end(self, contract_id: str, submission: Submission) -> None:
+        """Write the end of a submission to the file of the contracts; a failure changes no outcome, and is an event."""
+        try:
+            self._retries.finish(contract_id, submission)
+        except FileWriteError as error:
+            problem = f"The end of {contract_id} is not recorded, so it is unknown after a restart: {error}"
+            self._feed.add(self._connection.client.now, "recorder", problem)
 
     def _save_report(self, episode: Episode, before: int, now: float) -> str:
         """Save the report, with the events after the one with the number `before`; a failure is an event, too.
@@ -239,10 +281,9 @@ def _reject_instruction(instruction: str) -> Rejected | None:
         hint = refusal.reason
     else:
         return None
-    return Rejected(
-        stage="authorization",
-        pointer="",
-        got=to_printable(instruction),
-        allowed="an instruction that a contract can fulfil",
-        hint=hint,
-    )
+    return _reject(to_printable(instruction), "an instruction that a contract can fulfil", hint)
+
+
+def _reject(got: PrintableValue, allowed: str, hint: str) -> Rejected:
+    """A rejection of a submission as a whole, before the gate."""
+    return Rejected(stage="authorization", pointer="", got=got, allowed=allowed, hint=hint)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 from pathlib import Path
+from threading import Lock
 from typing import TypeGuard
 
 import msgspec
@@ -18,7 +19,7 @@ import msgspec
 from dualbrain.agent_api.submission import Submission, SubmissionReport
 from dualbrain.contracts.gate.strict_json import parse
 from dualbrain.contracts.verdict import Rejected
-from dualbrain.core.storage.atomic_files import write_atomically
+from dualbrain.core.storage.atomic_files import translated_write_errors, write_atomically
 from dualbrain.core.storage.jsonl_log import JsonlLog
 
 RETRY_WINDOW = 900.0
@@ -38,13 +39,18 @@ class _Line(msgspec.Struct, kw_only=True):
 
 
 class RetryLog:
-    """The submissions of the last `RETRY_WINDOW`, by the id of the contract. `now` is in [s, 1970 UTC]."""
+    """The submissions of the last `RETRY_WINDOW`, by the id of the contract. `now` is in [s, 1970 UTC].
+
+    `add` and `finish` wait for the disk and may be called beside every other method; the others need a lock of the
+    caller, who holds no lock during `add` and `finish` that anything urgent needs.
+    """
 
     def __init__(self, path: Path | None = None, *, now: float = 0.0) -> None:
         """Keep the submissions in memory and, if a `path` is given, in this file."""
         self._submissions: dict[str, Submission] = {}
         self._last_id = 0
         self._log = JsonlLog(path) if path else None
+        self._writing = Lock()  # for the file alone: a slow disk delays nothing else
         if self._log is not None:
             self._read(self._log, now)
 
@@ -77,19 +83,24 @@ class RetryLog:
         """The submission with this id; None if it is not known."""
         return self._submissions.get(contract_id)
 
-    def add(self, contract_id: str, submission: Submission) -> None:
-        """Keep a new submission, before it is sent to the robot."""
+    def keep(self, contract_id: str, submission: Submission) -> None:
+        """Keep a new submission in memory only; `add` follows."""
         self._submissions[contract_id] = submission
+
+    def add(self, contract_id: str, submission: Submission) -> None:
+        """Keep a new submission, before it is sent to the robot; raises `FileWriteError`."""
+        self.keep(contract_id, submission)
         self._append(contract_id, submission, None)
 
     def finish(self, contract_id: str, submission: Submission) -> None:
-        """Note the end of a submission."""
+        """Note the end of a submission; raises `FileWriteError`."""
         self._append(contract_id, submission, submission.report)
 
     def _append(self, contract_id: str, submission: Submission, report: SubmissionReport | None) -> None:
         if self._log is not None:
             line = _Line(key=contract_id, digest=submission.digest, time=submission.submitted_at, report=report)
-            self._log.append(msgspec.to_builtins(line))
+            with self._writing, translated_write_errors(self._log.path):
+                self._log.append(msgspec.to_builtins(line))
 
     def _read(self, log: JsonlLog, now: float) -> None:
         """Read the submissions within the window, and drop the older ones; one without an end was interrupted."""

@@ -281,11 +281,10 @@ class Robot:
 
         Raises `ConnectionLostError` if the stop cannot be sent or is not confirmed.
         """
-        self._executions.interrupt()
-        if not emergency:
-            self._connection.client.operate("abort")
-        elif problem := send_emergency_stop(self._connection.socket):
-            raise ConnectionLostError(problem)
+        try:
+            self._send_stop(emergency=emergency)
+        finally:
+            self._executions.interrupt()  # after the stop, which waits for nothing
         time.sleep(STATUS_DELAY)
         return self.status()
 
@@ -342,6 +341,12 @@ class Robot:
         """Keep an event of the gatekeeper; called by the thread that reads from it."""
         if isinstance(message, EventReport):
             self._feed.add(message.t, message.kind, message.text, message.data)
+
+    def _send_stop(self, *, emergency: bool) -> None:
+        if not emergency:
+            self._connection.client.operate("abort")
+        elif problem := send_emergency_stop(self._connection.socket):
+            raise ConnectionLostError(problem)
 
     def _scene_report(self) -> SceneReport:
         return self._connection.client.request_scene()

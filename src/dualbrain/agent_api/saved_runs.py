@@ -9,11 +9,12 @@ from pathlib import Path
 import msgspec
 
 from dualbrain.control.recording.trace import Event, Trace
-from dualbrain.core.storage.atomic_files import FileWriteError, write_atomically
+from dualbrain.core.storage.atomic_files import FileWriteError, write_atomically, write_remedy
 from dualbrain.core.storage.private_files import create_private_folder
 from dualbrain.errors import DualbrainError
 from dualbrain.memory.embedding.image_features import ImageFeatures
 from dualbrain.memory.embedding.posture_features import Posture
+from dualbrain.memory.ledger.hash_chain import Head
 from dualbrain.memory.memory import StoreReport
 from dualbrain.records import Episode
 from dualbrain.robots.model import RobotModel
@@ -79,3 +80,26 @@ class SavingMemory:
         """Save the episode, then store it; see `EpisodicMemory.store`."""
         self._runs.save_episode(episode)
         return self._memory.store(episode, state, now=now, image=image)
+
+
+class ReportingMemory:
+    """The memory of one episode, in which a failure to store the episode is a `problem` ("" without one) and no error.
+
+    The robot has moved already when its episode is stored, so a failure changes no outcome.
+    """
+
+    def __init__(self, memory: EpisodicMemory) -> None:
+        """Store in `memory`."""
+        self._memory, self.problem = memory, ""
+        self.retrieve, self.find_precedents = memory.retrieve, memory.find_precedents
+
+    def store(self, episode: Episode, state: Posture, *, now: float, image: ImageFeatures | None = None) -> StoreReport:
+        """Store the episode; see `EpisodicMemory.store`. No weight changes after a failure."""
+        try:
+            return self._memory.store(episode, state, now=now, image=image)
+        except Exception as error:  # also a mistake in the memory
+            known = isinstance(error, DualbrainError)
+            reason = str(error) if known else f"{type(error).__name__}: {error}. {write_remedy(error)}"
+            self.problem = f"The episode {episode.id} is not stored in the memory: {reason}"
+            logger.warning("%s", self.problem, exc_info=None if known else error)
+            return StoreReport(episode_id=episode.id, seq=0, head=Head(0, ""), weight_updates=())

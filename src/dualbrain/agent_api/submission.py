@@ -25,7 +25,8 @@ class SubmissionReport(msgspec.Struct, frozen=True, kw_only=True):
     `id` is that of the contract, or of the instruction. `rejected` is the reason of a rejection, `outcome` the robot's
     own verdict after the end, `senses` the check of that verdict by independent senses ("agrees", "disagrees", "none"),
     and `changes` the perceived changes of the scene in words. `contract` is the contract that the gate accepted.
-    `reason` explains a lost submission. `warning`: why the episode of a submission that has an outcome is not saved.
+    `reason` explains a lost submission. `warning`: why the episode of a submission that has an outcome is not saved, or
+    not stored in the memory.
     `repeated`: a contract with this id and these actions was submitted before, and this is its report; the robot did
     not move again.
     """
@@ -98,6 +99,10 @@ class Submission:
             episode=episode.id,
             warning=warning,
         )
+
+    def reject(self, rejected: Rejected) -> None:
+        """End without a motion."""
+        self._update(state="rejected", rejected=rejected)
 
     def lose(self, reason: str) -> None:
         """End without an outcome."""

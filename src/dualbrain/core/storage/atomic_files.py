@@ -29,8 +29,8 @@ class FileWriteError(DualbrainError):
     def __init__(self, path: Path, error: Exception) -> None:
         """Report the path and the reason that `error` gives."""
         reason = getattr(error, "strerror", None) or str(error)
-        self.path, self.reason = path, reason
-        super().__init__(f"{path} was not written: {reason}. The previous content is unchanged. {write_remedy(error)}")
+        self.path, self.reason, self.remedy = path, reason, write_remedy(error)
+        super().__init__(f"{path} was not written: {reason}. The previous content is unchanged. {self.remedy}")
 
 
 def write_remedy(error: Exception) -> str:
