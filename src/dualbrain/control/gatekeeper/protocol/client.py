@@ -9,8 +9,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from queue import Empty, Queue
+from threading import Condition, Lock, Thread
 from threading import Event as Signal
-from threading import Lock, Thread
 from typing import TypeVar
 
 from dualbrain.control.gatekeeper.protocol.authentication import Keys, contract_mac, hello_proof
@@ -89,7 +89,10 @@ class GatekeeperClient:
         self._secret = keys.secrets[principal] if keys and principal else b""
         self._lock, self._sent = Lock(), 0
         self._replies: Queue[Message] = Queue()
-        self._scene_reports: Queue[SceneReport] = Queue()
+        self._proposing, self._verdict_missing = Lock(), False
+        self._scene_order, self._scenes_requested = Lock(), 0
+        self._scene_arrived, self._scenes_received = Condition(), 0
+        self._newest_scene: SceneReport | None = None
         self._check_reports: Queue[CheckReport] = Queue()
         self._check_lock = Lock()
         self.status: StatusReport | None = None
@@ -139,10 +142,46 @@ class GatekeeperClient:
     ) -> VerdictReport | RequestRefused:
         """Submit an authenticated contract; returns the gate's verdict, or the reason why it was not checked.
 
-        The contract expires `lifetime` [s] after its issue. Raises `ConnectionLostError`.
+        The contract expires `lifetime` [s] after its issue. Late replies to earlier contracts are dropped. Raises
+        `ConnectionLostError`, also if no verdict arrives in time; the contract may then still begin.
         """
-        self.submit(contract, scene_version, lifetime=lifetime)
-        return self._receive_any(VerdictReport, RequestRefused)
+        with self._proposing:
+            self._drop_late_replies()
+            self._verdict_missing = True
+            reply = self._wait_for_verdict(self.submit(contract, scene_version, lifetime=lifetime))
+            self._verdict_missing = False
+            return reply
+
+    def _drop_late_replies(self) -> None:
+        """Drop all verdicts and outcomes, which belong to earlier contracts.
+
+        A refusal names no contract. If the reply to the last contract is missing, a scene is requested first: the
+        gatekeeper sends its replies in order, so no refusal of that contract follows the scene.
+        """
+        if self._verdict_missing:
+            self.request_scene(REPLY_TIMEOUT)
+        with suppress(Empty):
+            while True:
+                self._replies.get_nowait()
+
+    def _wait_for_verdict(self, sequence: int) -> VerdictReport | RequestRefused:
+        """The reply to the contract in frame `sequence`; replies to earlier ones are dropped."""
+        deadline = time.monotonic() + REPLY_TIMEOUT
+        while (left := deadline - time.monotonic()) > 0.0 and not (
+            self.disconnected.is_set() and self._replies.empty()
+        ):
+            with suppress(Empty):
+                reply = self._replies.get(timeout=min(left, 0.05))
+                if isinstance(reply, RequestRefused) or (
+                    isinstance(reply, VerdictReport) and reply.sequence == sequence
+                ):
+                    return reply
+        if self.disconnected.is_set():
+            raise ConnectionLostError(self.disconnect_reason or CLOSED_BY_GATEKEEPER)
+        raise ConnectionLostError(
+            f"no verdict on the contract arrived within {REPLY_TIMEOUT} s, and it may still begin; stop the robot, or "
+            "look at the scene before the next contract"
+        )
 
     def submit(self, contract: bytes, scene_version: int, *, lifetime: float = CONTRACT_LIFETIME) -> int:
         """As `propose`, without waiting for the reply; returns the sequence number of the frame."""
@@ -180,10 +219,17 @@ class GatekeeperClient:
         """Send an operator command; `speed` (0, 1] belongs to the action "speed". Raises `ConnectionLostError`."""
         self.send(OperatorCommand(act=act, speed=speed))
 
-    def request_scene(self) -> SceneReport:
-        """The current scene and joint state; other messages remain in their queue. Raises `ConnectionLostError`."""
-        self.send(SceneRequest())
-        return self._wait_for_scene(REPLY_TIMEOUT)
+    def request_scene(self, timeout: float = REPLY_TIMEOUT) -> SceneReport:
+        """The current scene and joint state, within `timeout` [s]; other messages remain in their queue.
+
+        The gatekeeper answers every request, in order, so that a late answer to an earlier request is recognised.
+        Raises `ConnectionLostError`.
+        """
+        with self._scene_order:
+            self._scenes_requested += 1
+            number = self._scenes_requested
+            self.send(SceneRequest())
+        return self._wait_for_scene(number, timeout)
 
     def request_counts(self, timeout: float = REPLY_TIMEOUT) -> TickCounts:
         """The counts of all ticks so far, within `timeout` [s]. Raises `ConnectionLostError`.
@@ -193,13 +239,14 @@ class GatekeeperClient:
         self.send(CountsRequest())
         return self.expect(CountsReport, timeout).counts
 
-    def _wait_for_scene(self, timeout: float) -> SceneReport:
+    def _wait_for_scene(self, number: int, timeout: float) -> SceneReport:
+        """The newest report, once that on request `number` has arrived."""
         deadline = time.monotonic() + timeout
-        while time.monotonic() < deadline:
-            with suppress(Empty):
-                return self._scene_reports.get(timeout=0.05)
-            if self.disconnected.is_set():
-                break
+        with self._scene_arrived:
+            while self._scenes_received < number and time.monotonic() < deadline and not self.disconnected.is_set():
+                self._scene_arrived.wait(0.05)
+            if self._newest_scene is not None and self._scenes_received >= number:
+                return self._newest_scene
         raise ConnectionLostError(self.disconnect_reason or f"no SceneReport within {timeout} s")
 
     def wait_for_outcome(self, timeout: float | None = None) -> OutcomeReport:
@@ -290,7 +337,9 @@ class GatekeeperClient:
                 if self._on_report:
                     self._on_report(message)
             case SceneReport():
-                self._scene_reports.put(message)
+                with self._scene_arrived:
+                    self._scenes_received, self._newest_scene = self._scenes_received + 1, message
+                    self._scene_arrived.notify_all()
             case CheckReport():
                 self._check_reports.put(message)
             case _:
