@@ -45,8 +45,8 @@ class StubClient:
         busy = bool(self.executed) and not self._aborted and time.monotonic() < self._end
         return StatusReport(now=time.monotonic(), action="NONE", cause="", check="", busy=busy, commander=True)
 
-    def confirm_stop(self, timeout):
-        return self.status
+    def end_motion(self):
+        self._end = 0.0
 
     def request_scene(self, timeout=5.0):
         model = self._cell.robot_model

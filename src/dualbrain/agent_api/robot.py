@@ -17,6 +17,7 @@ from dualbrain.agent_api.connection import Connection, SimulationOptions, connec
 from dualbrain.agent_api.event_feed import EventFeed
 from dualbrain.agent_api.executions import DEFAULT_CLIENT, Executions
 from dualbrain.agent_api.retries import RetryLog
+from dualbrain.agent_api.stop_confirmation import confirm_stop, find_emergency_status
 from dualbrain.agent_api.submission import SubmissionReport
 from dualbrain.agent_api.tools import ToolForm, call_tool, export_tools, report_view, robot_tools
 from dualbrain.contracts.contract import Contract
@@ -36,8 +37,6 @@ from dualbrain.grounding.vocabulary import scene_names
 from dualbrain.planner.protocol import Planner
 from dualbrain.skills.registry import skill_registry
 
-STATUS_DELAY = 0.12
-"""Time after a stop until the status report shows it [s]: two periods of the report."""
 RETRY_FOLDER = "submissions"
 """Folder of the data folder with one file per running gatekeeper: the contracts that were submitted to it."""
 Json = bytes | str | dict[str, Any]
@@ -279,14 +278,15 @@ class Robot:
     def stop(self, *, emergency: bool = False) -> StatusReport | None:
         """Brake to rest and end the contract; with `emergency`, switch the drive off. Returns the status afterwards.
 
-        Raises `ConnectionLostError` if the stop cannot be sent or is not confirmed.
+        The status is from after the stop, and shows it; None if only the connection of the emergency stop reports it.
+        Raises `ConnectionLostError` if the stop cannot be sent or is not confirmed within 1 s.
         """
         try:
             self._send_stop(emergency=emergency)
         finally:
             self._executions.interrupt()  # after the stop, which waits for nothing
-        time.sleep(STATUS_DELAY)
-        return self.status()
+        client = self._connection.client
+        return find_emergency_status(client) if emergency else confirm_stop(client)
 
     # --- tools ------------------------------------------------------------------------------------------------------
 

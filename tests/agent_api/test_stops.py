@@ -1,0 +1,87 @@
+"""A stop counts as confirmed only if the gatekeeper reports it after it was sent."""
+
+import time
+
+import pytest
+from starlette.applications import Starlette
+from starlette.testclient import TestClient
+
+from dualbrain.agent_server.console.routes import console_routes
+from dualbrain.control.gatekeeper.protocol.client import ConnectionLostError
+from dualbrain.runtime.assembly import SimulatedCell
+from tests.agent_api.stub_client import StubClient, open_robot
+
+
+@pytest.fixture(scope="module")
+def cell():
+    found = SimulatedCell.make("panda", "bare:0")
+    found.loop.begin()
+    yield found
+    found.close()
+
+
+@pytest.fixture
+def client(cell):
+    found = StubClient(cell)
+    found.motion = 9.0
+    return found
+
+
+@pytest.fixture
+def robot(cell, client, monkeypatch):
+    with open_robot(client, cell, monkeypatch) as opened:
+        contract = opened.contract([{"skill": "hold", "params": {"duration": 9.0}}], "c-0001")
+        assert opened.submit(contract).state == "running"
+        yield opened
+        client.end_motion()
+
+
+def lose_scenes(client, monkeypatch):
+    """From now on the gatekeeper answers nothing at all."""
+
+    def lost(timeout=5.0):
+        raise ConnectionLostError(f"no SceneReport within {timeout} s")
+
+    monkeypatch.setattr(client, "request_scene", lost)
+
+
+def test_a_confirmed_stop_returns_a_status_from_after_it(robot):
+    sent_at = time.monotonic()
+    status = robot.stop()
+    assert (status.busy, status.now > sent_at) == (False, True)
+    assert robot.call("stop")["sent"]
+
+
+@pytest.mark.parametrize("answers_scenes", [True, False])
+def test_a_stop_that_the_gatekeeper_does_not_report_is_an_error(answers_scenes, robot, client, monkeypatch):
+    client.reports = False
+    if not answers_scenes:
+        lose_scenes(client, monkeypatch)
+    started = time.monotonic()
+    with pytest.raises(ConnectionLostError, match="did not confirm"):
+        robot.stop()
+    assert time.monotonic() - started < 3.0
+    assert client.sent[0] == "abort"
+    assert robot._executions._submissions["c-0001"].interrupted
+    assert "emergency stop" in robot.call("stop")["error"]
+
+
+def test_a_contract_that_goes_on_after_a_stop_is_an_error(robot, client, monkeypatch):
+    monkeypatch.setattr(client, "operate", client.sent.append)
+    with pytest.raises(ConnectionLostError, match="did not confirm"):
+        robot.stop()
+
+
+def test_the_console_shows_a_stop_that_is_not_confirmed_as_an_error(robot, client, tmp_path):
+    client.reports = False
+    app = Starlette(routes=console_routes(robot, runs=tmp_path, ledger=None))
+    with TestClient(app) as console:
+        reply = console.post("/console/api/stop", content=b'{"emergency": false}')
+    assert reply.status_code == 503
+    assert "did not confirm" in reply.json()["error"]
+
+
+def test_an_emergency_stop_that_only_its_own_connection_reports_has_no_status(robot, client):
+    client.reports = False
+    assert robot.stop(emergency=True) is None
+    assert robot.call("stop", {"emergency": True}) == {"sent": True, "action": "", "reason": ""}
