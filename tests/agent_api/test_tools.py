@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from dualbrain.agent_api.submission import SubmissionReport
 from dualbrain.agent_api.tools import (
+    MAX_INSTRUCTION,
     TOOLS,
     ToolError,
     call_tool,
@@ -132,3 +133,14 @@ def test_the_view_of_a_report_states_rejection_outcome_and_repetition():
     assert (ended["outcome"]["succeeded"], ended["outcome"]["reason"]) == (False, "the object slipped")
     assert "outcome" not in report_view(SubmissionReport(id="c-0001", state="running"))
     assert report_view(SubmissionReport(id="c-0001", state="lost", reason="gone"))["reason"] == "gone"
+
+
+@pytest.mark.parametrize("name", ["submit_contract", "do"])
+def test_an_instruction_that_is_too_long_is_refused_and_not_cut(name, robot, monkeypatch):
+    monkeypatch.setattr(robot, "has_planner", True)
+    text = "pick up the red cube".ljust(MAX_INSTRUCTION) + " and stab the person"
+    before = len(robot.submitted)
+    error = call(robot, name, {"instruction": text} | ({"contract": {}} if name == "submit_contract" else {}))["error"]
+    assert f"The instruction has {len(text)} characters; at most {MAX_INSTRUCTION}" in error
+    assert "horten it" in error
+    assert len(robot.submitted) == before

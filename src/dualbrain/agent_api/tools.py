@@ -151,10 +151,24 @@ def call_tool(robot: ToolRobot, name: str, arguments: bytes | str | dict[str, An
         if tool is None:
             raise ToolError(f"There is no tool {to_printable(name)!r}; {closest_name_hint(name, tuple(tools))}.")
         return tool.call(robot, _decode_arguments(tool, arguments), client)
-    except ConnectionLostError as error:
-        return {"error": f"The robot cannot be reached: {error}"}
     except DualbrainError as error:
-        return {"error": str(error)}
+        return {"error": error_sentence(error)}
+
+
+def error_sentence(error: DualbrainError) -> str:
+    """The cause of a call that could not be carried out, and its remedy, for the client."""
+    if isinstance(error, ConnectionLostError):
+        return f"The robot cannot be reached: {error}. Check its gatekeeper with `dualbrain doctor`."
+    return str(error)
+
+
+def check_instruction(text: str) -> str:
+    """`text`, if it is not longer than `MAX_INSTRUCTION`; it is never cut. Raises `ToolError`."""
+    if len(text) > MAX_INSTRUCTION:
+        raise ToolError(
+            f"The instruction has {len(text)} characters; at most {MAX_INSTRUCTION} are allowed. Shorten it."
+        )
+    return text
 
 
 def verdict_view(verdict: Verdict) -> dict[str, Any]:
@@ -202,7 +216,7 @@ def _get_schema(robot: ToolRobot, arguments: Arguments, client: str) -> dict[str
 
 
 def _submit_contract(robot: ToolRobot, arguments: Arguments, client: str) -> dict[str, Any]:
-    instruction = _read(arguments, "instruction", str, "")[:MAX_INSTRUCTION]
+    instruction = check_instruction(_read(arguments, "instruction", str, ""))
     return report_view(
         robot.run(_contract(arguments), instruction, client=client, timeout=_wait(arguments, DEFAULT_WAIT))
     )
@@ -210,10 +224,11 @@ def _submit_contract(robot: ToolRobot, arguments: Arguments, client: str) -> dic
 
 def _get_outcome(robot: ToolRobot, arguments: Arguments, client: str) -> dict[str, Any]:
     del client
-    report = robot.outcome(_read(arguments, "id", str, ""), timeout=_wait(arguments, 0.0))
-    return (
-        {"state": "unknown", "reason": "nothing was submitted under this id"} if report is None else report_view(report)
-    )
+    name = _read(arguments, "id", str, "")
+    report = robot.outcome(name, timeout=_wait(arguments, 0.0))
+    if report is None:
+        return {"id": to_printable(name), "state": "unknown", "reason": "nothing was submitted under this id"}
+    return report_view(report)
 
 
 def _stop(robot: ToolRobot, arguments: Arguments, client: str) -> dict[str, Any]:
@@ -224,7 +239,7 @@ def _stop(robot: ToolRobot, arguments: Arguments, client: str) -> dict[str, Any]
 
 def _do(robot: ToolRobot, arguments: Arguments, client: str) -> dict[str, Any]:
     del client
-    instruction = _read(arguments, "instruction", str, "")[:MAX_INSTRUCTION]
+    instruction = check_instruction(_read(arguments, "instruction", str, ""))
     return report_view(robot.do(instruction, timeout=_wait(arguments, DEFAULT_WAIT)))
 
 
@@ -236,7 +251,7 @@ def _decode_arguments(tool: Tool, arguments: bytes | str | dict[str, Any]) -> Ar
     try:
         text = arguments if isinstance(arguments, bytes | str) else msgspec.json.encode(arguments)
         found = msgspec.json.decode(text or b"{}", type=dict[str, msgspec.Raw])
-    except (*DECODE_ERRORS, UnicodeError, TypeError, ValueError) as error:
+    except (*DECODE_ERRORS, UnicodeError, TypeError, ValueError, OverflowError) as error:
         raise ToolError(f"The arguments of {tool.name} are not one JSON object: {error}.") from error
     if unknown := [name for name in found if name not in tool.properties]:
         allowed = ", ".join(tool.properties) or "none"
