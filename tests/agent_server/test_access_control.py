@@ -2,6 +2,7 @@
 
 import pytest
 from starlette.applications import Starlette
+from starlette.datastructures import Headers
 from starlette.responses import PlainTextResponse
 from starlette.routing import Route
 from starlette.testclient import TestClient
@@ -106,3 +107,31 @@ def test_a_contract_in_a_message_of_mcp_is_passed_on_as_text_and_other_bodies_un
     client.post("/mcp", headers=GOOD, content=body)
     client.post("/console/api/check", headers=GOOD, content=body)
     assert received == [b'{"params":{"arguments":{"contract":"{\\"a\\": 1, \\"a\\": 2}"}}}', body]
+
+
+@pytest.mark.parametrize(
+    ("scheme", "port", "host", "authorities"),
+    [
+        ("https", 443, "robot.lab", ["robot.lab", "robot.lab:443"]),
+        ("http", 80, "localhost", ["localhost", "localhost:80"]),
+        ("https", 8765, "2001:db8::7", ["[2001:db8::7]:8765"]),
+        ("https", 443, "2001:db8::7", ["[2001:db8::7]", "[2001:db8::7]:443"]),
+        ("http", PORT, "[::1]", [f"[::1]:{PORT}"]),
+        ("http", 443, "localhost", ["localhost:443"]),
+    ],
+)
+def test_a_host_and_its_pages_have_access_with_and_without_the_default_port(scheme, port, host, authorities):
+    policy = AccessPolicy(token=TOKEN, hosts=(host,), port=port, scheme=scheme)
+    for authority in authorities:
+        headers = {"host": authority, "origin": f"{scheme}://{authority}", "authorization": f"Bearer {TOKEN}"}
+        assert policy.refusal("POST", "/console/api/stop", Headers(headers)) is None
+    others = {host, f"[{host}]", f"{host}:{port}"} - {*authorities}
+    for authority in others:
+        refused = policy.refusal("POST", "/mcp", Headers({"host": authority, "authorization": f"Bearer {TOKEN}"}))
+        assert refused is not None
+        assert refused.status_code == 421
+    other_scheme = {"http": "https", "https": "http"}[scheme]
+    headers = {"host": authorities[0], "origin": f"{other_scheme}://{authorities[0]}"}
+    refused = policy.refusal("POST", "/mcp", Headers(headers))
+    assert refused is not None
+    assert refused.status_code == 403

@@ -18,12 +18,14 @@ from dualbrain.agent_server.contract_text import MAX_MESSAGE_BYTES, contract_as_
 
 MCP_PATH = "/mcp"
 """Path of the Model Context Protocol: in its messages, contracts become text."""
+DEFAULT_PORTS = {"http": 80, "https": 443}
+"""Ports that browsers leave out of Host and Origin, by the scheme."""
 LOOPBACK_HOSTS = ("127.0.0.1", "localhost", "[::1]")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AccessPolicy:
-    """The `token` of clients, the allowed `hosts` (with or without a port), and the `port` of the server.
+    """The `token` of clients, the allowed `hosts` without a port, and the `port` of the server.
 
     `scheme` is http or https. `is_public` decides by the path which files need no token. `overview` is the sentence
     about the server in the refusal of the path /.
@@ -36,10 +38,17 @@ class AccessPolicy:
     is_public: Callable[[str], bool] = lambda path: False
     overview: str = ""
 
+    @property
+    def authorities(self) -> frozenset[str]:
+        """The names of the server in a Host, and after the scheme in an Origin: without the default port, too."""
+        names = {f"[{host}]" if ":" in host and not host.startswith("[") else host for host in self.hosts}
+        with_port = {f"{name}:{self.port}" for name in names}
+        return frozenset(with_port | names if self.port == DEFAULT_PORTS[self.scheme] else with_port)
+
     def refusal(self, method: str, path: str, headers: Headers) -> Response | None:
         """The response to a request that has no access; None for one that has."""
-        allowed = {f"{host}:{self.port}" for host in self.hosts}
-        if headers.get("host", "") not in allowed | ({*self.hosts} if self.port in (80, 443) else set()):
+        allowed = self.authorities
+        if headers.get("host", "") not in allowed:
             return _refused(421, "This server does not answer for this host.")
         origin = headers.get("origin", "")
         if origin and origin not in {f"{self.scheme}://{one}" for one in allowed}:
