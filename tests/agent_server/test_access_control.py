@@ -135,3 +135,11 @@ def test_a_host_and_its_pages_have_access_with_and_without_the_default_port(sche
     refused = policy.refusal("POST", "/mcp", Headers(headers))
     assert refused is not None
     assert refused.status_code == 403
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "utf-32-le", "utf-8-sig", "latin-1"])
+def test_a_message_of_mcp_in_another_encoding_than_utf8_is_refused(encoding, client, received):
+    body = '{"params": {"arguments": {"contract": {"a": "é", "a": 2}}}}'.encode(encoding)
+    reply = client.post("/mcp", headers=GOOD, content=body)
+    assert (reply.status_code, received) == (400, [])
+    assert "UTF-8" in reply.json()["error"]

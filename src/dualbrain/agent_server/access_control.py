@@ -14,7 +14,7 @@ from starlette.datastructures import Headers
 from starlette.responses import JSONResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from dualbrain.agent_server.contract_text import MAX_MESSAGE_BYTES, contract_as_text
+from dualbrain.agent_server.contract_text import MAX_MESSAGE_BYTES, contract_as_text, is_utf8_text
 
 MCP_PATH = "/mcp"
 """Path of the Model Context Protocol: in its messages, contracts become text."""
@@ -85,6 +85,8 @@ class AccessControl:
         body = b"" if reply else await _read_body(receive)
         if reply is None and body is None:
             reply = _refused(413, f"A request has at most {MAX_MESSAGE_BYTES} bytes.")
+        if reply is None and scope["path"] == MCP_PATH and not is_utf8_text(body or b""):
+            reply = _refused(400, "Send the message as JSON in UTF-8, without a byte order mark and null bytes.")
         if reply is not None:
             await reply(scope, receive, send)
             return

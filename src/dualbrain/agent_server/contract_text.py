@@ -7,6 +7,7 @@ the MCP library parses the message; the tool hands this text to the gate unchang
 
 from __future__ import annotations
 
+import codecs
 from typing import Any
 
 import msgspec
@@ -21,6 +22,18 @@ MAX_MESSAGE_BYTES = 4 << 20
 """Longest message [bytes]; a contract has at most 64 KiB."""
 _Object = dict[str, msgspec.Raw]
 _decode_object = msgspec.json.Decoder(_Object).decode
+
+
+def is_utf8_text(message: bytes) -> bool:
+    """Whether `message` can be JSON in UTF-8: JSON parsers also read UTF-16 and UTF-32, in which no contract is found.
+
+    Every JSON text in these encodings has null bytes or is invalid UTF-8, and JSON in UTF-8 has neither.
+    """
+    try:
+        message.decode("utf-8")
+    except UnicodeDecodeError:
+        return False
+    return b"\x00" not in message and not message.startswith(codecs.BOM_UTF8)
 
 
 def contract_as_text(message: bytes) -> bytes:
