@@ -13,6 +13,9 @@ from dualbrain.safety.integration.policy_guard.action_layout import Layout
 
 Array = NDArray[np.float64]
 
+ROUNDING = 1e-6
+"""Share of a velocity limit by which a control at the limit may exceed it by rounding."""
+
 
 @dataclass(slots=True, kw_only=True)
 class GuardedArm:
@@ -20,7 +23,8 @@ class GuardedArm:
 
     `q`, `v` (n,) [rad, rad/s] are the joint state at its beginning, and `start` (n,) is the commanded configuration
     then. The safe control moves the commanded configuration to `target` (n,) within the time `elapsed` [s].
-    `velocity_limits` (n,) [rad/s] are those of the robot model.
+    `velocity_limits` (n,) [rad/s] are those of the robot model. `shortened`: whether a nominal control was slower than
+    the action asks for, because of these limits or of a singularity; the action then never passes unchanged.
     """
 
     safety: SafetyFilter
@@ -30,6 +34,7 @@ class GuardedArm:
     start: Array
     target: Array
     elapsed: float = 0.0
+    shortened: bool = False
 
     @property
     def period(self) -> float:
@@ -88,8 +93,8 @@ class ActionSpace(Protocol):
         """The number of values for an arm with n joints."""
         ...
 
-    def goal(self, values: Array, arm: GuardedArm) -> ActionGoal:
-        """The motion that `values`, in SI units, ask for."""
+    def goal(self, values: Array, arm: GuardedArm) -> ActionGoal | str:
+        """The motion that `values`, in SI units, ask for, or why they ask for none."""
         ...
 
     def rest(self, arm: GuardedArm) -> ActionGoal:
@@ -107,4 +112,5 @@ class ActionSpace(Protocol):
 def limit_speed(u: Array, arm: GuardedArm) -> Array:
     """`u` (n,), scaled so that no joint exceeds its velocity limit: the direction of the motion remains."""
     excess = float(np.max(np.abs(u) / arm.velocity_limits, initial=0.0))
+    arm.shortened = arm.shortened or excess > 1.0 + ROUNDING
     return u / excess if excess > 1.0 else u

@@ -28,6 +28,7 @@ from dualbrain.safety.cbf.result import FilterResult, FilterStatus, LimitKind
 from dualbrain.safety.integration.policy_guard.action_space import ActionGoal, ActionSpace, GuardedArm
 from dualbrain.safety.integration.policy_guard.joint_actions import JointVelocity
 from dualbrain.safety.integration.policy_guard.path_braking import brake_along_path, braking_step
+from dualbrain.safety.integration.policy_guard.tool_actions import ToolPose, ToolTwist
 from dualbrain.safety.integration.shadow_mode import ShadowFilter
 
 Array = NDArray[np.float64]
@@ -229,20 +230,29 @@ class PolicyGuard:
             delta_rows=results.delta_rows / results.count,
             speed_share=self._speed_share,
             h_min=results.h_min,
-            explanation=self._describe_duration() if self._takes_longer else results.largest.explain(),
+            explanation=self._describe_change() if self._is_unfiltered_change else results.largest.explain(),
             limit=self._limit_kind(results.largest),
             problem=self._problem,
         )
 
     @property
-    def _takes_longer(self) -> bool:
-        """Whether the filter changed nothing, but the motion of the action needs more time than one action has."""
+    def _is_unfiltered_change(self) -> bool:
+        """Whether the filter changed nothing, but the motion of the action is another one."""
         results = self._results
         is_unfiltered = results is not None and results.status is FilterStatus.SAFE and results.delta == 0.0
         return self._changed and not self._problem and is_unfiltered and self._speed_share == 1.0
 
-    def _describe_duration(self) -> str:
+    @property
+    def _takes_longer(self) -> bool:
+        """Whether the filter changed nothing, but the motion of the action needs more time than one action has."""
+        is_curved = isinstance(self.space, (ToolPose, ToolTwist)) and self._arm is not None and not self._arm.shortened
+        return self._is_unfiltered_change and not is_curved
+
+    def _describe_change(self) -> str:
+        """Why an action that the filter did not change is replaced."""
         assert self._arm is not None
+        if not self._takes_longer:
+            return "the tool moves on a curve within this action: the action states the motion that the filter checked"
         shares = np.abs(self._arm.velocity) / self._velocity_limits
         fastest = int(np.argmax(shares))
         share, joint = 100.0 * shares[fastest], self._model.joints[fastest]
@@ -404,10 +414,18 @@ class PolicyGuard:
             self._arm = GuardedArm(
                 safety=self.safety, velocity_limits=self._velocity_limits, q=q, v=v, start=start, target=start
             )
-            self._goal = (
-                self.space.rest(self._arm) if self._values is None else self.space.goal(self._values, self._arm)
-            )
+            self._goal = self._read_goal(self._arm)
         return self._arm
+
+    def _read_goal(self, arm: GuardedArm) -> ActionGoal:
+        """The motion of the present action; rest without one, and for one that asks for no motion."""
+        if self._values is None:
+            return self.space.rest(arm)
+        goal = self.space.goal(self._values, arm)
+        if isinstance(goal, str):
+            self._refuse(goal)
+            return self.space.rest(arm)
+        return goal
 
     def _move_target(self, arm: GuardedArm, u: Array) -> None:
         """Integrate the control of one period; the commanded configuration stays within the joint limits."""

@@ -116,7 +116,7 @@ class _PositionGoal:
         return arm.target - self.origin
 
     def is_reached(self, arm: GuardedArm) -> bool:
-        return bool(np.abs(arm.target - self.position).max() <= POSITION_TOLERANCE)
+        return not arm.shortened and bool(np.abs(arm.target - self.position).max() <= POSITION_TOLERANCE)
 
 
 def _stopping_share(way: Array, u: Array, arm: GuardedArm) -> float:

@@ -1,6 +1,8 @@
 """Action spaces of the tool: twists, and poses that are absolute or relative.
 
-A twist V (6,) of the tool becomes the joint velocity u = Jᵀ (J Jᵀ + λ² 1)⁻¹ V with the damping λ = `DAMPING`. The
+A twist V (6,) of the tool becomes the joint velocity u = Σ gᵢ vᵢ uᵢᵀ V with the singular values σᵢ and vectors uᵢ, vᵢ
+of the Jacobian. The gain gᵢ is 1/σᵢ above σ₀ = `SINGULAR`, and σᵢ / (σᵢ² + λ² (1 − σᵢ²/σ₀²)) with the damping λ =
+`DAMPING` below. An action passes unchanged only if neither the damping nor a speed limit made its motion slower. The
 guarantee holds for the joint motion that the guard computes. A robot that resolves the returned pose by itself may move
 its elbow differently; send it `PolicyGuard.target` or the joint velocity instead where its interface takes them.
 """
@@ -14,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.core.geometry.rotations import matrix_to_quaternion, quaternion_to_matrix, rotation_error
+from dualbrain.core.geometry.validation import QUATERNION_TOLERANCE
 from dualbrain.safety.cbf.filter import ToolState
 from dualbrain.safety.integration.policy_guard.action_layout import ActionLayout, Layout
 from dualbrain.safety.integration.policy_guard.action_space import ActionGoal, GuardedArm, limit_speed
@@ -22,10 +25,14 @@ Array = NDArray[np.float64]
 Rotation = Literal["none", "rotation_vector", "quaternion"]
 Frame = Literal["world", "tool"]
 
+SINGULAR = 0.04
+"""Singular value σ₀ of the Jacobian [m, rad] below which its inverse is damped."""
 DAMPING = 0.01
-"""Damping λ [m, rad] of the inverse of the Jacobian."""
-POSE_TOLERANCE = 5e-4
-"""Distance [m] and angle [rad] of the tool from its goal at which the goal is reached."""
+"""Damping λ [m, rad] of the inverse of the Jacobian at a singularity."""
+LOST_TWIST = 1e-6
+"""Part of a twist [m/s, rad/s] that the damping may take away by rounding."""
+TWIST_TOLERANCE = 1e-3
+"""Difference of two twists [m/s, rad/s], from the curved path of the joints, up to which they are the same motion."""
 ROTATION_VALUES = {"none": 0, "rotation_vector": 3, "quaternion": 4}
 
 
@@ -79,8 +86,10 @@ class ToolPose:
         del n
         return 3 + ROTATION_VALUES[self.rotation]
 
-    def goal(self, values: Array, arm: GuardedArm) -> ActionGoal:
-        """A motion to a pose."""
+    def goal(self, values: Array, arm: GuardedArm) -> ActionGoal | str:
+        """A motion to a pose, or why the quaternion is no rotation."""
+        if problem := self._quaternion_problem(values[3:]):
+            return problem
         start = arm.tool_at_start()
         turn = self._turn(values[3:])
         if not self.delta:
@@ -108,9 +117,18 @@ class ToolPose:
         if self.rotation == "none":
             return None
         if self.rotation == "quaternion":
-            usable = float(np.linalg.norm(values)) > 1e-6
-            return quaternion_to_matrix(values.tolist()) if usable else None
+            return quaternion_to_matrix(values.tolist())
         return rotation_matrix(values)
+
+    def _quaternion_problem(self, values: Array) -> str:
+        """Why the last `values` are no rotation, or ""."""
+        length = float(np.linalg.norm(values))
+        if self.rotation != "quaternion" or abs(length - 1.0) <= QUATERNION_TOLERANCE:
+            return ""
+        return (
+            f"the quaternion has the length {length:.3g}, allowed is 1 within {QUATERNION_TOLERANCE:g}; the arm comes "
+            "to rest. Remedy: divide the quaternion (w, x, y, z) of the policy by its length"
+        )
 
     def values(self, tool: ToolState, start: ToolState) -> Array:
         """The values of the pose `tool`, for a relative action of its change since `start`."""
@@ -143,7 +161,7 @@ class _TwistGoal:
         return np.concatenate([linear, axes.T @ rotation_error(start.rotation, tool.rotation) / time])
 
     def is_reached(self, arm: GuardedArm) -> bool:
-        return bool(np.abs(self.command(arm) - self.twist).max() <= POSE_TOLERANCE / max(arm.elapsed, arm.period))
+        return not arm.shortened and bool(np.abs(self.command(arm) - self.twist).max() <= TWIST_TOLERANCE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,8 +177,8 @@ class _PoseGoal:
         return self.space.values(arm.tool(), arm.tool_at_start())
 
     def is_reached(self, arm: GuardedArm) -> bool:
-        error = self._error(arm)
-        return bool(np.linalg.norm(error[:3]) <= POSE_TOLERANCE and np.linalg.norm(error[3:]) <= POSE_TOLERANCE)
+        rates = self._error(arm) / max(arm.elapsed, arm.period)
+        return not arm.shortened and bool(np.abs(rates).max() <= TWIST_TOLERANCE)
 
     def _error(self, arm: GuardedArm) -> Array:
         """The motion (6,) that is left."""
@@ -171,7 +189,10 @@ class _PoseGoal:
 def resolve(twist: Array, arm: GuardedArm) -> Array:
     """The joint velocity (n,) that moves the tool at the commanded configuration with `twist`, (6,) or linear (3,)."""
     J = arm.tool().jacobian[: len(twist)]
-    u = J.T @ np.linalg.solve(J @ J.T + DAMPING**2 * np.eye(len(twist)), twist)
+    left, sigma, right = np.linalg.svd(J, full_matrices=False)
+    damping = DAMPING**2 * np.maximum(0.0, 1.0 - (sigma / SINGULAR) ** 2)
+    u = right.T @ (sigma / (sigma**2 + damping) * (left.T @ twist))
+    arm.shortened = arm.shortened or bool(np.abs(twist - J @ u).max() > LOST_TWIST)
     return limit_speed(u, arm)
 
 
