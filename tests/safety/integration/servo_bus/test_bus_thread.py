@@ -165,3 +165,89 @@ def test_a_thread_that_does_not_run_or_has_ended_is_an_error_with_the_cause():
         bus.send(action(FREE))
     bus.stop()
     assert not bus.is_running
+
+
+@pytest.mark.realtime
+def test_a_new_session_does_not_carry_out_an_action_of_the_one_before():
+    bus, servos = start_thread()
+    bus.send(action(HOME))
+    bus.refuse("the operator left")
+    bus.stop()
+    post(bus, action(FREE))
+    bus._problem = "of the last session"
+    written = len(servos.written)
+    bus.start(servos.read())
+    time.sleep(0.3)
+    assert (bus.state.problem, bus.state.written) == ("", {})
+    assert len(servos.written) == written
+    assert bus.timing.late == 0
+    bus.stop()
+
+
+@pytest.mark.realtime
+def test_stop_forgets_an_action_that_no_period_has_taken():
+    bus, servos = start_thread()
+    bus.send(action(HOME))
+    bus.stop()
+    post(bus, action(FREE))
+    bus.stop()
+    written = len(servos.written)
+    bus.run_period()
+    assert len(servos.written) == written + 1
+    assert servos.goal[:5] == pytest.approx(np.degrees(HOME), abs=0.05)
+
+
+@pytest.mark.realtime
+def test_an_action_that_the_bus_does_not_answer_is_withdrawn_and_reported(caplog):
+    bus, servos = start_thread()
+    bus.send(action(HOME))
+    free, good = threading.Event(), servos.read
+
+    def hang():
+        free.wait(5.0)
+        return good()
+
+    bus._read = hang
+    time.sleep(3 * PERIOD)
+    state = bus.send(action(FREE))
+    assert "The bus has not answered for 0.5 s" in state.problem
+    assert "Remedy: check cable and port" in state.problem
+    assert "The bus has not answered" in caplog.text
+    free.set()
+    time.sleep(0.5)
+    assert servos.goal[:5] == pytest.approx(np.degrees(HOME), abs=0.1)
+    assert not bus.send(action(FREE)).problem
+    bus.stop()
+
+
+def send_from(bus, sender, given):
+    """Send as the thread `sender`, without a thread that answers."""
+    return bus._post(given, sender)
+
+
+def test_every_action_is_refused_while_two_senders_are_active():
+    """The second sender is three times as fast: its second action in a row must not move the arm either."""
+    bus, servos, clock = make_bus()
+    run(bus, clock, 70, action(HOME))
+    clock.now += 1.0
+    run(bus, clock, 1)
+    for cycle in range(60):
+        send_from(bus, 1 if cycle % 3 == 0 else 2, action(HOME if cycle % 3 == 0 else FREE))
+        run(bus, clock, 2)
+        assert cycle == 0 or "Two threads send actions" in bus.state.problem
+    moved = np.array([[values[key] for key in KEYS[:5]] for values in servos.written])
+    assert np.abs(moved - np.degrees(HOME)).max() < 0.1
+    clock.now += SENDER_MEMORY
+    send_from(bus, 2, action(FREE))
+    run(bus, clock, 1)
+    assert not bus.state.problem
+
+
+def test_a_slow_policy_is_still_a_sender_after_two_of_its_periods():
+    servos, clock = IdealServos(), Clock()
+    bus = BusThread(make_servos(action_rate=1.0), servos.read, servos.write, clock=clock)
+    send_from(bus, 1, action(HOME))
+    clock.now += 1.5
+    send_from(bus, 2, action(FREE))
+    run(bus, clock, 1)
+    assert "Two threads send actions" in bus.state.problem

@@ -11,7 +11,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from dualbrain.errors import ConfigurationError
@@ -22,13 +22,17 @@ logger = logging.getLogger(__name__)
 ANSWER_TIMEOUT = 0.5
 """Longest time [s] that `send` waits for the first period of its action."""
 SENDER_MEMORY = 0.5
-"""Time [s] since the last action of one sender within which another sender is refused."""
+"""Time [s] since the last action of one sender within which all actions of another are refused; two actions at least."""
 LATE_PERIODS = 2
 """A period that begins later than this many periods counts as late."""
 LATE_SHARE = 0.05
 """Share of late periods above which `stop` logs a warning."""
 TWO_SENDERS = (
     "Two threads send actions; the arm comes to rest. Remedy: let one policy or one operator command the arm at a time"
+)
+NO_ANSWER = (
+    f"The bus has not answered for {ANSWER_TIMEOUT:g} s: the action is withdrawn, and the arm comes to rest. Remedy: "
+    "check cable and port"
 )
 
 Reader = Callable[[], Mapping[str, Any]]
@@ -63,12 +67,16 @@ class BusThread:
         self._read, self._write, self._clock = read, write, clock
         self._changed = threading.Condition()
         self._thread: threading.Thread | None = None
+        self._sent = self._done = 0
+        self._sender_memory = max(SENDER_MEMORY, 2.0 * servos.action_period)
+        self._clear()
+
+    def _clear(self) -> None:
+        """Forget everything of the session before."""
         self._stopping = False
         self._failure: BaseException | None = None
-        self._action: Any = None
-        self._waiting = False
-        self._sent = self._done = 0
-        self._sender, self._sender_time = 0, float("-inf")
+        self._withdraw()
+        self._senders: dict[int, float] = {}
         self._problem = self._logged = ""
         self._reading: Mapping[str, Any] = {}
         self._state = ServoState(written={}, intervened=False, intervening=False, problem="")
@@ -82,15 +90,17 @@ class BusThread:
         if self._thread is not None:
             raise ConfigurationError.stating("The bus thread runs already.", fix="Call `stop` first.")
         self.servos.reset(commanded)
-        self._stopping, self._failure = False, None
+        with self._changed:
+            self._clear()
         self._thread = threading.Thread(target=self._run, name="dualbrain-servo-bus", daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
-        """End the thread; the servos hold the last commanded position."""
+        """End the thread, and forget an action that waits; the servos hold the last commanded position."""
         thread, self._thread = self._thread, None
         with self._changed:
             self._stopping = True
+            self._withdraw()
             self._changed.notify_all()
         if thread is not None and thread is not threading.current_thread():
             thread.join()
@@ -131,18 +141,43 @@ class BusThread:
     def send(self, action: Any) -> ServoState:
         """Make `action` the newest one, wait for its first period, and return the state after that.
 
+        If the bus does not answer within `ANSWER_TIMEOUT`, the action is withdrawn and the state has the problem.
+
         Raises:
             ConfigurationError: the thread does not run; the message states why.
         """
-        self._check_sender()
         with self._changed:
             self._require_running()
-            self._action, self._waiting, self._sent = action, True, self._sent + 1
-            number = self._sent
-            self._changed.notify_all()
-            self._changed.wait_for(lambda: self._done >= number or self._stopping, ANSWER_TIMEOUT)
+            number = self._post(action, threading.get_ident())
+            answered = self._changed.wait_for(lambda: self._done >= number or self._stopping, ANSWER_TIMEOUT)
             self._require_running()
-            return self._state
+            return self._state if answered else self._give_up()
+
+    def _post(self, action: Any, sender: int) -> int:
+        """Let `action` wait for the next period, or a problem while there is another sender; gives its number."""
+        now = self._clock()
+        with self._changed:
+            recent = {one: time for one, time in self._senders.items() if now - time < self._sender_memory}
+            self._senders = recent | {sender: now}
+            if len(self._senders) > 1:
+                self._withdraw()
+                self._problem = TWO_SENDERS
+            else:
+                self._action, self._waiting = action, True
+            self._sent += 1
+            self._changed.notify_all()
+            return self._sent
+
+    def _withdraw(self) -> None:
+        self._action: Any = None
+        self._waiting = False
+
+    def _give_up(self) -> ServoState:
+        """Withdraw the action that the bus has not taken; one that it has taken ends in the next period."""
+        self._withdraw()
+        self._problem = NO_ANSWER
+        self._log_problem(NO_ANSWER)
+        return replace(self._state, intervened=True, intervening=True, problem=NO_ANSWER)
 
     def take_intervention(self) -> bool:
         """Whether barriers or a problem changed the motion since the last call."""
@@ -154,12 +189,6 @@ class BusThread:
         """Bring the arm to rest with the `problem` from the next period on, until the next action."""
         with self._changed:
             self._problem = problem
-
-    def _check_sender(self) -> None:
-        now, sender = self._clock(), threading.get_ident()
-        if sender != self._sender and now - self._sender_time < SENDER_MEMORY:
-            self.refuse(TWO_SENDERS)
-        self._sender, self._sender_time = sender, now
 
     def _require_running(self) -> None:
         if self._failure is not None:
@@ -180,7 +209,8 @@ class BusThread:
         with self._changed:
             action, waiting, number = self._action, self._waiting, self._sent
             problem = self._problem or problem
-            self._waiting, self._problem, self._reading = False, "", reading or self._reading
+            self._withdraw()
+            self._problem, self._reading = "", reading or self._reading
         if problem:
             self.servos.rest(problem, now)
         elif waiting:
@@ -192,7 +222,7 @@ class BusThread:
             self._state, self._done = self.servos.state, number
             self._intervened = self._intervened or self._state.intervening
             self._changed.notify_all()
-        self._log_problem()
+        self._log_problem(self._state.problem)
 
     def _run(self) -> None:
         period, due = self.servos.period, self._clock()
@@ -228,8 +258,7 @@ class BusThread:
             self._late += gap > LATE_PERIODS * self.servos.period
         self._periods, self._last = self._periods + 1, now
 
-    def _log_problem(self) -> None:
-        problem = self._state.problem
+    def _log_problem(self, problem: str) -> None:
         if problem and problem != self._logged:
             logger.warning("%s.", problem.rstrip("."))
         self._logged = problem

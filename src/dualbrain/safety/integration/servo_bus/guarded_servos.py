@@ -67,10 +67,11 @@ class GuardedServos:
         self.safety, self.servos = safety, servos
         self.period = safety.robot_model.period
         steps = max(1, round(action_period / self.period))
+        self.action_period = steps * self.period
         self.guard = PolicyGuard(
             safety,
             JointPosition(layout=servos, stops=True),
-            period=steps * self.period,
+            period=self.action_period,
             deviation=deviation,
             limits=limits or GuardLimits(),
         )
