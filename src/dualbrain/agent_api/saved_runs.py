@@ -91,7 +91,8 @@ class ReportingMemory:
     def __init__(self, memory: EpisodicMemory) -> None:
         """Store in `memory`."""
         self._memory, self.problem = memory, ""
-        self.retrieve, self.find_precedents = memory.retrieve, memory.find_precedents
+        self.retrieve = memory.retrieve
+        self.find_precedents, self.find_outcomes = memory.find_precedents, memory.find_outcomes
 
     def store(self, episode: Episode, state: Posture, *, now: float, image: ImageFeatures | None = None) -> StoreReport:
         """Store the episode; see `EpisodicMemory.store`. No weight changes after a failure."""
