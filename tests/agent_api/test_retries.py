@@ -11,6 +11,9 @@ from dualbrain.contracts.verdict import Rejected
 NOW = 1_000_000.0
 CONTRACT = {"id": "c-0001", "context": {"robot": "panda"}, "action_sequence": [{"skill": "hold"}]}
 
+OTHER_IDS = [json.dumps({"id": one}).encode() for one in ("x" * 60_000, "c-0001\n")]
+"""Contracts with ids that are too long, which the gate rejects."""
+
 
 def submission(state="checking", digest="d", at=NOW):
     return Submission(SubmissionReport(id="c-0001", state=state), digest, at)
@@ -92,6 +95,6 @@ def test_the_identity_does_not_depend_on_form():
     assert contract_identity(changed)[1] != contract_identity(compact)[1]
 
 
-@pytest.mark.parametrize("data", [b"", b"{", b"[]", b'{"id": 3}', b"\xff", b'{"id":"a","id":"a"}', b"{}"])
+@pytest.mark.parametrize("data", [b"", b"{", b"[]", b'{"id": 3}', b"\xff", b'{"id":"a","id":"a"}', b"{}", *OTHER_IDS])
 def test_a_text_that_is_no_contract_has_no_identity(data):
     assert contract_identity(data) == ("", "")

@@ -18,6 +18,7 @@ import msgspec
 
 from dualbrain.agent_api.submission import Submission, SubmissionReport
 from dualbrain.contracts.gate.strict_json import parse
+from dualbrain.contracts.schema import ID_LENGTH
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.core.storage.atomic_files import translated_write_errors, write_atomically
 from dualbrain.core.storage.jsonl_log import JsonlLog
@@ -126,12 +127,15 @@ def _is_recent(line: object, now: float) -> bool:
 
 
 def contract_identity(data: bytes) -> tuple[str, str]:
-    """The id and the digest of the contract in `data`, ("", "") if it has none, so that the gate rejects it.
+    """The id and the digest of the contract in `data`, ("", "") if it has no valid id, so that the gate rejects it.
 
-    The digest does not depend on white space and the order of keys.
+    An id that is longer than a valid one counts as none, so that ids that are kept are bounded. The digest does not
+    depend on white space and the order of keys.
     """
     document = parse(data)
     if not isinstance(document, dict) or not isinstance(document.get("id"), str):
+        return "", ""
+    if len(document["id"]) > ID_LENGTH:
         return "", ""
     content = json.dumps(document, sort_keys=True, separators=(",", ":")).encode()
     return document["id"], hashlib.sha256(content).hexdigest()
