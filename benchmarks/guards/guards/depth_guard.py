@@ -116,7 +116,7 @@ class DepthGuard:
         self._last_frame = now
         for view in VIEWS:
             depth, camera, pose = self._cameras.capture(view)
-            report = self._source.observe_depth(depth, camera, pose, now, q, opening=self._opening)
+            report = self._source.observe_depth(depth, camera, pose, now, q, opening=self._opening, sensor=view)
             if report.problem:
                 raise ValueError(f"{view}: {report.problem}")
             self.reports.append(report)

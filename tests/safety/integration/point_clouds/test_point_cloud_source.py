@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dualbrain.core.geometry.shapes import HalfSpace, Pose
-from dualbrain.errors import ConfigurationError, GeometryError
+from dualbrain.errors import ConfigurationError, GeometryError, UnknownNameError
 from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import FilterStatus, SafetyFilter
 from dualbrain.safety.cbf.obstacles import Obstacle
@@ -236,3 +236,95 @@ def test_input_that_is_not_usable_is_an_error(source, home, changed):
 def test_a_configuration_that_is_not_usable_is_an_error(field):
     with pytest.raises(GeometryError):
         PointCloudConfig(lower=LOWER, upper=UPPER, **field)
+
+
+# --- several sensors, and things on known obstacles -----------------------------------------------------------------
+
+SIDE = Pose((-0.6, 0.0, 0.6), (0.5, -0.5, 0.5, -0.5))
+ON_TABLE = PointCloudConfig(lower=(-0.3, -0.8, -0.1), upper=UPPER)
+PLATE = ((0.55, -0.35, -0.1), (0.75, -0.15, -0.088))
+"""A plate of 12 mm on the table: lower than a voxel."""
+
+
+def look(source, home, stamp, boxes=(FLOOR, CRATE), pose=ABOVE, sensor="left", seed=None):
+    depth = noisy(render_depth(boxes, pose), round(1e3 * stamp) if seed is None else seed)
+    return source.observe_depth(depth, CAMERA, pose, stamp, home, sensor=sensor)
+
+
+def test_a_frozen_camera_beside_one_that_works_is_noticed(source, home):
+    problems = []
+    for k in range(8):
+        look(source, home, 0.1 * k)
+        problems.append(look(source, home, 0.1 * k, pose=SIDE, sensor="right", seed=7).problem)
+    assert not any(problems[:3])
+    assert all("'right'" in problem and "frozen" in problem for problem in problems[3:])
+
+
+def test_a_camera_that_is_delivered_later_is_used(source, home):
+    for k in range(4):
+        assert not look(source, home, 1.0 + 0.1 * k).problem
+        assert not look(source, home, 0.95 + 0.1 * k, pose=SIDE, sensor="right").problem
+
+
+def test_an_older_frame_of_another_camera_does_not_free_what_a_later_one_saw(source, home):
+    look(source, home, 1.0)
+    after = look(source, home, 0.9, boxes=[FLOOR], sensor="right")
+    assert not after.problem
+    assert is_covered(after, np.array([[0.65, -0.25, 0.3]])).all()
+    assert look(source, home, 1.1, boxes=[FLOOR], sensor="right").shapes == ()
+
+
+def test_a_silent_camera_is_reported_although_another_one_works(source, home):
+    look(source, home, 0.0, pose=SIDE, sensor="right")
+    reports = [look(source, home, 0.1 * k) for k in range(12)]
+    assert not reports[3].problem
+    assert "'right'" in reports[11].problem
+    assert "check its driver" in reports[11].problem
+    assert reports[11].shapes == ()
+    assert not look(source, home, 1.15, pose=SIDE, sensor="right").problem
+
+
+def test_a_declared_camera_that_has_never_delivered_is_reported(safety, home):
+    source = PointCloudSource("cameras", safety, CONFIG, [TABLE], sensors=("left", "right"))
+    assert "'right' has delivered no frame" in look(source, home, 0.0).problem
+    assert not look(source, home, 0.0, pose=SIDE, sensor="right").problem
+    with pytest.raises(UnknownNameError, match="middle"):
+        look(source, home, 0.1, sensor="middle")
+
+
+def test_a_source_that_was_reset_accepts_the_new_clock_and_keeps_what_it_saw(source, home):
+    look(source, home, 1000.0)
+    refused = look(source, home, 1.0)
+    assert "out of order" in refused.problem
+    assert "call `reset`" in refused.problem
+    source.reset()
+    lid = ((0.4, -0.5, 0.8), (0.9, 0.0, 0.85))
+    accepted = look(source, home, 1.0, boxes=[FLOOR, CRATE, lid])
+    assert not accepted.problem
+    assert is_covered(accepted, np.array([[0.65, -0.25, 0.3]])).all()
+    assert look(source, home, 1.1, boxes=[FLOOR]).shapes == ()
+
+
+@pytest.mark.parametrize("pose", [ABOVE, Pose((0.65, -0.25, 0.9), (0.0, 1.0, 0.0, 0.0))], ids=["far", "near"])
+def test_a_thing_on_the_table_that_is_lower_than_a_voxel_is_an_obstacle_until_it_is_removed(safety, home, pose):
+    source = PointCloudSource("camera", safety, ON_TABLE, [TABLE])
+    top = np.column_stack(
+        [np.random.default_rng(1).uniform((0.56, -0.34), (0.74, -0.16), (200, 2)), np.full(200, -0.088)]
+    )
+    for k in range(4):
+        seen = look(source, home, 0.1 * k, boxes=[FLOOR, PLATE], pose=pose)
+    assert is_covered(seen, top).all()
+    assert look(source, home, 0.5, boxes=[FLOOR], pose=pose).shapes == ()
+
+
+def test_a_thing_on_the_table_in_a_cloud_is_an_obstacle_until_it_is_removed(safety, home):
+    source, rng, origin = (
+        PointCloudSource("lidar", safety, ON_TABLE, [TABLE]),
+        np.random.default_rng(1),
+        (0.4, 0.0, 1.6),
+    )
+    table = np.column_stack([rng.uniform((0.4, -0.5), (0.8, 0.0), (9000, 2)), np.full(9000, -0.1)])
+    plate = np.column_stack([rng.uniform(PLATE[0][:2], PLATE[1][:2], (400, 2)), np.full(400, PLATE[1][2])])
+    report = source.observe_points(np.concatenate([table, plate]), origin, 0.0, home)
+    assert is_covered(report, plate).all()
+    assert source.observe_points(table + 1e-4, origin, 0.1, home).shapes == ()

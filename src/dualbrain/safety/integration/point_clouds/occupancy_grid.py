@@ -55,6 +55,7 @@ class OccupancyGrid:
         self.centres = np.asarray(low + self.voxel * (cells + 0.5), np.float64)
         self.state = np.zeros(len(self.centres), np.uint8)
         self._seen_free = np.full(len(self.centres), -inf)
+        self._seen_occupied = np.full(len(self.centres), -inf)
 
     @property
     def half_diagonal(self) -> float:
@@ -83,14 +84,27 @@ class OccupancyGrid:
         return np.unique(np.concatenate(found))
 
     def mark_free(self, voxels: Mask | NDArray[np.intp], stamp: float) -> None:
-        """A sensor has seen through `voxels`, or the robot itself is there, at `stamp` [s]."""
-        self.state[voxels] = VoxelState.FREE
-        self._seen_free[voxels] = stamp
+        """A sensor has seen through `voxels`, or the robot itself is there, at `stamp` [s].
 
-    def mark_occupied(self, points: Array, min_points: int = 1) -> None:
-        """Voxels with at least `min_points` of the measured `points` (n, 3) [m] are occupied."""
+        Voxels that were seen as occupied after `stamp` stay occupied.
+        """
+        chosen = np.flatnonzero(voxels) if voxels.dtype == np.bool_ else voxels
+        freed = chosen[(self.state[chosen] != VoxelState.OCCUPIED) | (self._seen_occupied[chosen] <= stamp)]
+        self.state[freed] = VoxelState.FREE
+        self._seen_free[freed] = np.maximum(self._seen_free[freed], stamp)
+
+    def mark_occupied(self, points: Array, min_points: int = 1, *, stamp: float = -inf) -> None:
+        """Voxels with at least `min_points` of the `points` (n, 3) [m], measured at `stamp` [s], are occupied."""
         found, counts = np.unique(self.index(points[self.contains(points)]), return_counts=True)
-        self.state[found[counts >= min_points]] = VoxelState.OCCUPIED
+        occupied = found[counts >= min_points]
+        self.state[occupied] = VoxelState.OCCUPIED
+        self._seen_occupied[occupied] = np.maximum(self._seen_occupied[occupied], stamp)
+
+    def forget_times(self) -> None:
+        """Stamps belong to another clock from now on: with a memory, free voxels become unknown; occupied ones stay."""
+        self._seen_free[:], self._seen_occupied[:] = -inf, -inf
+        if self._memory < inf:
+            self.state[self.state == VoxelState.FREE] = VoxelState.UNKNOWN
 
     def see_through_rays(self, origin: Array, points: Array, stamp: float) -> None:
         """Voxels on the rays from `origin` (3,) [m] to `points` (n, 3) [m] are free, except for their last voxels.

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import inf
 from time import perf_counter
 
@@ -22,7 +22,7 @@ from dualbrain.core.geometry import validation
 from dualbrain.core.geometry.distance import signed_distance
 from dualbrain.core.geometry.rotations import quaternion_to_matrix
 from dualbrain.core.geometry.shapes import Box, Pose, Vector
-from dualbrain.errors import GeometryError
+from dualbrain.errors import GeometryError, UnknownNameError
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.obstacles import Obstacle
 from dualbrain.safety.integration.point_clouds.box_cover import BoxCover, cover_voxels
@@ -35,6 +35,8 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 MAX_POINTS = 2_000_000
 """Largest number of points of one cloud."""
+ONLY_SENSOR = "camera"
+"""Name of the sensor of a source with one."""
 
 
 class PointCloudConfig(msgspec.Struct, frozen=True, kw_only=True):
@@ -53,6 +55,7 @@ class PointCloudConfig(msgspec.Struct, frozen=True, kw_only=True):
     - `min_points`: measured points that make a voxel occupied; more than 1 ignores single outliers, and small things.
     - `min_valid_share`: share of the pixels of a depth image that must hold a measurement.
     - `max_repeats`: number of equal depth images in a row that is still accepted; a measurement is never equal.
+    - `max_lag` [s]: time by which the last frame of one sensor may be older than that of another one.
     """
 
     lower: Vector
@@ -70,6 +73,7 @@ class PointCloudConfig(msgspec.Struct, frozen=True, kw_only=True):
     min_points: int = 1
     min_valid_share: float = 0.3
     max_repeats: int = 3
+    max_lag: float = 0.5
 
     def __post_init__(self) -> None:
         """Check the values; raises `GeometryError`."""
@@ -82,6 +86,7 @@ class PointCloudConfig(msgspec.Struct, frozen=True, kw_only=True):
             if type(value) is not int or not 0 < value <= MAX_POINTS:
                 raise GeometryError(f"PointCloudConfig.{name}", got=value, allowed="a whole number of 1 or more")
         validation.check_number("PointCloudConfig.min_valid_share", self.min_valid_share, 0.0, 1.0)
+        validation.check_positive("PointCloudConfig.max_lag [s]", self.max_lag)
         validation.check_flag("PointCloudConfig.unknown_is_occupied", self.unknown_is_occupied)
         if not validation.check_real("PointCloudConfig.memory [s]", self.memory) >= 0.0:
             raise GeometryError("PointCloudConfig.memory [s]", got=self.memory, allowed="0 or more")
@@ -116,19 +121,43 @@ class _OwnBody:
     radii: Array
 
 
+@dataclass(slots=True)
+class _Sensor:
+    """One sensor: the stamp [s] of its last accepted frame, and the detector of repeated frames."""
+
+    name: str
+    last_stamp: float = -inf
+    frozen: FrozenSensorDetector = field(default_factory=FrozenSensorDetector)
+
+
 class PointCloudSource:
     """Obstacles from the depth images or point clouds of one or several sensors of a cell."""
 
     def __init__(
-        self, name: str, safety: SafetyFilter, config: PointCloudConfig, known: Sequence[Obstacle] = ()
+        self,
+        name: str,
+        safety: SafetyFilter,
+        config: PointCloudConfig,
+        known: Sequence[Obstacle] = (),
+        *,
+        sensors: Sequence[str] = (),
     ) -> None:
         """Observe for the robot of `safety`. Points at `known` obstacles, such as the table, are left to these.
 
-        Raises `GeometryError` for a grid that is empty or too large.
+        `sensors` are the names of all sensors: every report has a problem until each of them has delivered a frame. By
+        default a sensor counts from its first frame on. Raises `GeometryError` for a grid that is empty or too large.
         """
         self._name, self._safety, self._config, self._known = name, safety, config, tuple(known)
         self._grid = OccupancyGrid(config.lower, config.upper, config.voxel, config.memory)
-        self._frozen, self._last_stamp = FrozenSensorDetector(), -inf
+        self._declared = tuple(validation.check_name("sensor", sensor) for sensor in sensors)
+        self._has_begun = False
+        self._near_known = self._at_known(self._grid.centres, self._grid.half_diagonal + config.error)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the stamps of all frames, for example after a jump of the clock; occupied voxels stay occupied."""
+        self._sensors = {name: _Sensor(name) for name in self._declared}
+        self._grid.forget_times()
 
     def scene_source(self, max_age: float, *, required: bool = True) -> SceneSource:
         """The entry of this source in `SceneFusion`; `max_age` [s] as there. The errors are those of the shapes."""
@@ -144,24 +173,27 @@ class PointCloudSource:
         *,
         opening: float | None = None,
         people: ArrayLike | None = None,
+        sensor: str = ONLY_SENSOR,
     ) -> CloudReport:
         """Add a depth image (height, width) [m] taken at `stamp` [s] with the optical frame at `pose` in the world.
 
         `q` (n,) [rad] and `opening` [m] are those of the robot at this time. `people` (height, width) marks the pixels
-        of people. Raises `GeometryError` for an image of another size, and for a pose or q that is not usable.
+        of people, and `sensor` is the name of the camera if there are several. Raises `GeometryError` for an image of
+        another size, and for a pose or q that is not usable, and `UnknownNameError` for a sensor that is not declared.
         """
-        begin = perf_counter()
+        begin, device = perf_counter(), self._sensor(sensor)
         size = (camera.height, camera.width)
         image = validation.as_real_array("depth image [m]", depth, size)
         marked = _as_mask("mask of people", people, size)
         body, turn, origin = self._body(q, opening), *_frame(pose)
         valid = camera.valid_pixels(image)
-        if problem := self._order_problem(stamp) or self._image_problem(image, valid, stamp):
+        if problem := _order_problem(device, stamp) or self._image_problem(device, image, valid, stamp):
             return CloudReport(problem=problem, seconds=perf_counter() - begin)
-        self._begin_frame(body, stamp)
-        self._see_through_image(image, valid, camera, turn, origin, stamp)
+        self._begin_frame(device, body, stamp)
         points = camera.back_project(image, valid) @ turn.T + origin
-        return self._report(points, marked[valid], body, stamp, begin)
+        known = self._at_known(points, self._config.error)
+        self._see_through_image(image, valid, known, camera, turn, origin, stamp)
+        return self._report(points, known, marked[valid], body, stamp, begin)
 
     def observe_points(
         self,
@@ -172,12 +204,13 @@ class PointCloudSource:
         *,
         opening: float | None = None,
         people: ArrayLike | None = None,
+        sensor: str = ONLY_SENSOR,
     ) -> CloudReport:
         """Add points (n, 3) [m] in the world, measured at `stamp` [s] by a sensor at `origin` [m].
 
         Points that are not finite are left out; the others as for `observe_depth`.
         """
-        begin = perf_counter()
+        begin, device = perf_counter(), self._sensor(sensor)
         cloud = validation.as_real_array("points [m]", points, (-1, 3))
         if len(cloud) > MAX_POINTS:
             raise GeometryError("points", got=len(cloud), allowed=f"at most {MAX_POINTS}")
@@ -187,11 +220,13 @@ class PointCloudSource:
         if not finite.any():
             problem = "The cloud has no finite point. Is the sensor covered, or out of its range?"
             return CloudReport(problem=problem, seconds=perf_counter() - begin)
-        if problem := self._order_problem(stamp) or self._frozen_problem(cloud, stamp):
+        if problem := _order_problem(device, stamp) or self._frozen_problem(device, cloud, stamp):
             return CloudReport(problem=problem, seconds=perf_counter() - begin)
-        self._begin_frame(body, stamp)
-        self._grid.see_through_rays(start, cloud[finite], stamp)
-        return self._report(cloud[finite], marked[finite], body, stamp, begin)
+        self._begin_frame(device, body, stamp)
+        cloud, marked = cloud[finite], marked[finite]
+        known = self._at_known(cloud, self._config.error)
+        self._see_through_rays(start, cloud, known, stamp)
+        return self._report(cloud, known, marked, body, stamp, begin)
 
     # --- one frame ----------------------------------------------------------------------------------------------
 
@@ -201,54 +236,88 @@ class PointCloudSource:
             raise GeometryError("configuration q", got=q, allowed="finite numbers")
         return _OwnBody(centres, radii)
 
-    def _begin_frame(self, body: _OwnBody, stamp: float) -> None:
+    def _sensor(self, name: str) -> _Sensor:
+        if self._declared and name not in self._declared:
+            raise UnknownNameError("sensor", validation.check_name("sensor", name), self._declared)
+        return self._sensors.setdefault(name, _Sensor(validation.check_name("sensor", name)))
+
+    def _begin_frame(self, device: _Sensor, body: _OwnBody, stamp: float) -> None:
         """Free space of the first frame, and forgotten space of every one."""
-        if self._last_stamp == -inf:
+        if not self._has_begun:
             near = self._grid.within_spheres(body.centres, body.radii + self._config.free_at_start)
             self._grid.mark_free(near, stamp)
-        self._last_stamp = stamp
-        self._grid.forget(stamp)
+        self._has_begun, device.last_stamp = True, stamp
+        self._grid.forget(max(one.last_stamp for one in self._sensors.values()))
 
-    def _order_problem(self, stamp: float) -> str:
-        """Why a frame is too old, or "": an old frame must not free voxels that a later one has seen as occupied."""
-        if validation.check_stamp("stamp of the frame [s]", stamp) >= self._last_stamp:
-            return ""
-        return f"The stamp {stamp} s is before the last one, {self._last_stamp} s: frames are out of order."
+    def _silence_problem(self) -> str:
+        """Which sensor has delivered no frame for too long, or ""."""
+        newest = max(one.last_stamp for one in self._sensors.values())
+        for one in self._sensors.values():
+            lag = newest - one.last_stamp
+            if lag > self._config.max_lag:
+                text = "has delivered no frame" if lag == inf else f"is {lag:.2f} s behind the others"
+                return f"The sensor {one.name!r} {text}: check its driver and its cable."
+        return ""
 
-    def _image_problem(self, image: Array, valid: Mask, stamp: float) -> str:
+    def _image_problem(self, device: _Sensor, image: Array, valid: Mask, stamp: float) -> str:
         """Why an image is refused, or ""."""
         if (share := float(valid.mean())) < self._config.min_valid_share:
             least = f"at least {100 * self._config.min_valid_share:.0f} % are needed"
             remedy = "Is the camera covered or too close, or are the depths not in metres?"
             return f"Only {100 * share:.0f} % of the pixels hold a depth; {least}. {remedy}"
-        return self._frozen_problem(image, stamp)
+        return self._frozen_problem(device, image, stamp)
 
-    def _frozen_problem(self, values: Array, stamp: float) -> str:
+    def _frozen_problem(self, device: _Sensor, values: Array, stamp: float) -> str:
         digest = hashlib.blake2b(values.tobytes(), digest_size=16).hexdigest()
-        repeats = self._frozen.update([SensorReading(self._name, stamp, digest, noise_free=False)])
+        repeats = device.frozen.update([SensorReading(device.name, stamp, digest, noise_free=False)])
         if repeats < self._config.max_repeats:
             return ""
-        return f"{repeats} frames in a row are equal bit for bit: the sensor is frozen. Start its driver again."
+        return (
+            f"{repeats} frames of the sensor {device.name!r} in a row are equal bit for bit: it is frozen. "
+            "Start its driver again."
+        )
 
     def _see_through_image(
-        self, image: Array, valid: Mask, camera: PinholeCamera, turn: Array, origin: Array, stamp: float
+        self, image: Array, valid: Mask, known: Mask, camera: PinholeCamera, turn: Array, origin: Array, stamp: float
     ) -> None:
-        """Voxels that lie completely before the surface in their pixel are free."""
+        """Voxels that lie completely before the surface in their pixel are free.
+
+        So are voxels at a known obstacle if the pixel of their centre shows this obstacle behind or in them.
+        """
         local = (self._grid.centres - origin) @ turn
         rows, columns, inside = camera.project(local)
-        behind = local[:, 2] + self._grid.half_diagonal + self._config.error
-        self._grid.mark_free(inside & valid[rows, columns] & (behind < image[rows, columns]), stamp)
+        seen, size = inside & valid[rows, columns], self._grid.half_diagonal + self._config.error
+        shows_known = np.zeros(image.shape, bool)
+        shows_known[valid] = known
+        surface = image[rows, columns]
+        cleared = self._near_known & shows_known[rows, columns] & (local[:, 2] - size <= surface)
+        self._grid.mark_free(seen & ((local[:, 2] + size < surface) | cleared), stamp)
 
-    def _report(self, points: Array, people: Mask, body: _OwnBody, stamp: float, begin: float) -> CloudReport:
-        """Occupied voxels and people of a frame as boxes; `begin` is the time at which its processing began."""
+    def _see_through_rays(self, origin: Array, points: Array, known: Mask, stamp: float) -> None:
+        """Voxels on the rays to `points` (n, 3) [m] are free, those to `known` obstacles up to the obstacle."""
+        ways = points - origin
+        lengths = np.maximum(np.linalg.norm(ways, axis=1), 1e-9)[:, None]
+        farther = np.where(known[:, None], 2.0 * self._grid.half_diagonal / lengths, 0.0)
+        self._grid.see_through_rays(origin, points + farther * ways, stamp)
+        before = (points - self._config.error / lengths * ways)[known]
+        self._grid.mark_free(np.unique(self._grid.index(before[self._grid.contains(before)])), stamp)
+
+    def _report(
+        self, points: Array, known: Mask, people: Mask, body: _OwnBody, stamp: float, begin: float
+    ) -> CloudReport:
+        """Occupied voxels and people of a frame as boxes; `begin` is the time at which its processing began.
+
+        Points at `known` obstacles mark no voxel.
+        """
         inside = self._grid.contains(points)
-        points, people = points[inside], people[inside]
+        points, known, people = points[inside], known[inside], people[inside]
         foreign = ~self._on_robot(points, body)
-        points, people = points[foreign], people[foreign]
+        points, known, people = points[foreign], known[foreign], people[foreign]
         self._grid.mark_free(self._grid.within_spheres(body.centres, body.radii), stamp)
-        self._grid.mark_occupied(points[~people], self._config.min_points)
-        unknown = self._grid.unknown_frontier() if self._config.unknown_is_occupied else np.zeros((0, 3))
-        centres = self._without_known(np.concatenate([self._grid.occupied(), unknown]))
+        self._grid.mark_occupied(points[~people & ~known], self._config.min_points, stamp=stamp)
+        if problem := self._silence_problem():
+            return CloudReport(problem=problem, seconds=perf_counter() - begin)
+        centres = np.concatenate([self._grid.occupied(), self._unknown()])
         cover = cover_voxels(centres, self._config.voxel, body.centres, body.radii, limit=self._config.max_boxes)
         persons = self._cover_people(points[people], body)
         return CloudReport(
@@ -274,12 +343,19 @@ class PointCloudSource:
         on_robot[on_robot] = gaps.min(axis=1, initial=inf) <= 0.0
         return on_robot
 
-    def _without_known(self, centres: Array) -> Array:
-        """The voxels that do not belong to a known obstacle."""
-        margin = self._grid.half_diagonal + self._config.error
+    def _unknown(self) -> Array:
+        """Centres (n, 3) [m] of the unknown voxels that count as occupied: those that are at no known obstacle."""
+        if not self._config.unknown_is_occupied:
+            return np.zeros((0, 3))
+        centres = self._grid.unknown_frontier()
+        return centres[~self._near_known[self._grid.index(centres)]]
+
+    def _at_known(self, points: Array, distance: float) -> Mask:
+        """Which of `points` (n, 3) [m] are within `distance` [m] of a known obstacle."""
+        found = np.zeros(len(points), bool)
         for one in self._known:
-            centres = centres[signed_distance(one.shape, one.pose, centres) > margin]
-        return centres
+            found |= signed_distance(one.shape, one.pose, points) <= distance
+        return found
 
     def _cover_people(self, points: Array, body: _OwnBody) -> BoxCover:
         """Boxes of the people of this frame; they move, so nothing of earlier frames is kept."""
@@ -299,6 +375,16 @@ class PointCloudSource:
             )
             for k, (low, high) in enumerate(zip(cover.low, cover.high, strict=True), 1)
         ]
+
+
+def _order_problem(device: _Sensor, stamp: float) -> str:
+    """Why a frame is older than the last one of its sensor, or ""."""
+    if validation.check_stamp("stamp of the frame [s]", stamp) >= device.last_stamp:
+        return ""
+    return (
+        f"The stamp {stamp} s of the sensor {device.name!r} is before its last one, {device.last_stamp} s: frames are "
+        "out of order. Pass frames in the order of their stamps, and call `reset` after a jump of the clock."
+    )
 
 
 def _frame(pose: Pose) -> tuple[Array, Array]:

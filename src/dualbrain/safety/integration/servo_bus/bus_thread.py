@@ -22,7 +22,7 @@ logger = logging.getLogger(__name__)
 ANSWER_TIMEOUT = 0.5
 """Longest time [s] that `send` waits for the first period of its action."""
 SENDER_MEMORY = 0.5
-"""Time [s] since the last action of one sender in which all actions of another are refused; two actions at least."""
+"""Time [s] since the last action of a sender within which all actions of another are refused; at least two actions."""
 LATE_PERIODS = 2
 """A period that begins later than this many periods counts as late."""
 LATE_SHARE = 0.05
