@@ -363,3 +363,9 @@ def test_an_action_space_replaces_the_functions_for_velocities():
         FilteredEnv(ServoEnv(), make_filter(), action_space=JointPosition(), **SPEEDS)
     with pytest.raises(ConfigurationError, match="multiple"):
         FilteredEnv(ServoEnv(), SafetyFilter(derate(PANDA, period=0.006)), action_space=JointPosition())
+
+
+@pytest.mark.parametrize("repeat", [0, -1, 1.5])
+def test_an_action_must_be_repeated_at_least_once(repeat):
+    with pytest.raises(ConfigurationError, match="action_repeat"):
+        velocity_env(action_repeat=repeat)

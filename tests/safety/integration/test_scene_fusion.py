@@ -149,3 +149,13 @@ def test_a_map_may_repeat_itself():
     assert all(
         isinstance(scene.update("map", "world", float(k), [BALL], now=float(k)), SourceAccepted) for k in range(9)
     )
+
+
+def test_a_person_of_a_camera_that_stays_silent_is_widened_up_to_the_largest_age():
+    scene, safety = SceneFusion({"camera": SceneSource(0.0, 0.2)}), SafetyFilter(load_robot("panda"))
+    person = msgspec.structs.replace(BALL, velocity=(1.0, 0.0, 0.0), velocity_error=1.6, person=True)
+    scene.update("camera", "world", 0.0, [person], now=0.0)
+    assert scene.apply_to(safety, 5000.0) == ("camera",)
+    (seen,) = scene.obstacles(5000.0)
+    assert seen.margin == pytest.approx(0.2 * 1.6)
+    assert seen.pose.position[0] == pytest.approx(0.3 + 0.2)

@@ -240,7 +240,7 @@ def as_real_array(name: str, values: object, shape: tuple[int, ...] | None = Non
     allowed = f"an array{'' if shape is None else f' {shape}'.replace('-1', 'k')} of numbers"
     try:
         array = np.asarray(cast("Any", values))
-    except (TypeError, ValueError, OverflowError, RecursionError):
+    except (TypeError, ValueError, OverflowError, RuntimeError):  # also RecursionError, and a tensor with a gradient
         raise GeometryError(name, got=values, allowed=allowed) from None
     if array.dtype.kind not in "iuf":
         raise GeometryError(name, got=values, allowed=allowed)

@@ -87,8 +87,8 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
 
         Raises:
             ConfigurationError: the `dt` of the environment is not the period of the robot model (with `action_space`:
-                no multiple of it), the action space is narrower than its velocity limits, or `action_space` is given
-                beside the functions that it replaces.
+                no multiple of it), `action_repeat` is below 1, the action space is narrower than its velocity limits,
+                or `action_space` is given beside the functions that it replaces.
         """
         super().__init__(env)
         self.shadow = safety if isinstance(safety, ShadowFilter) else None
@@ -96,6 +96,8 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         self._n = self.safety.robot_model.n
         self._state = state or self._default_state
         self._scene, self._opening, self._action_repeat = scene, opening, action_repeat
+        if type(action_repeat) is not int or action_repeat < 1:
+            raise ConfigurationError("action_repeat", got=action_repeat, allowed="a whole number of 1 or more")
         if action_space is not None and any((decode_action, encode_action, torque)):
             raise ConfigurationError.stating(
                 "FilteredEnv has an `action_space` beside `decode_action`, `encode_action` or `torque`.",

@@ -156,15 +156,16 @@ class SceneFusion:
         )
 
     def obstacles(self, now: float) -> tuple[Obstacle, ...]:
-        """All obstacles at `now` [s], extrapolated along their velocity.
+        """All obstacles at `now` [s], extrapolated along their velocity, at most by the `max_age` of their source.
 
         Raises `GeometryError` if `now` is not finite.
         """
         validation.check_stamp("now of the scene fusion", now)
         current: list[Obstacle] = []
         for name, report in self._reports.items():
-            age = max(0.0, now - report.stamp)
-            if self._sources[name].required or age <= self._sources[name].max_age:
+            source, age = self._sources[name], max(0.0, now - report.stamp)
+            if source.required or age <= source.max_age:
+                age = min(age, source.max_age)  # a silent source stops the robot
                 current += [_extrapolate(obstacle, age) for obstacle in report.obstacles]
         return tuple(current)
 

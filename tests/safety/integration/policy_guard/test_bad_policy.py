@@ -9,6 +9,8 @@ from dualbrain.errors import ConfigurationError
 from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.integration.policy_guard.guard import GuardLimits, PolicyGuard
+from dualbrain.safety.integration.policy_guard.joint_actions import JointPosition
+from dualbrain.safety.integration.policy_guard.tool_actions import ToolPose, ToolTwist
 from dualbrain.safety.integration.policy_guard.torque_actions import JointTorque
 from tests.safety.integration.gym_environments import DERATED_PANDA, PERIOD, V_MAX, TorqueEnv
 from tests.safety.integration.policy_guard.kinematic_arm import GRIPPER, HOME, SPACES, make_guard, random_action
@@ -125,3 +127,61 @@ def test_no_torque_stops_an_arm_whose_state_is_unknown():
     guard(np.zeros(7), HOME, np.zeros(7))
     with pytest.raises(ConfigurationError, match="Stop its drives"):
         guard(np.zeros(7), np.full(7, nan), np.zeros(7))
+
+
+@pytest.mark.parametrize("space", ["joint velocity", "joint position", "tool pose"])
+def test_a_policy_that_stalled_between_two_calls_is_reported_and_braked(space):
+    guard, action = make_guard(space, obstacles=()), random_action(space, np.random.default_rng(3), HOME, speed=0.1)
+    guard.reset(HOME)
+    guard(action, HOME, np.zeros(7), 0.0)
+    guard(action, guard.target, guard.control, 5.0)
+    assert "The last action ended 4.98 s ago" in guard.report.problem
+    guard(action, guard.target, guard.control, 5.02)
+    assert not guard.report.problem
+
+
+class Unconvertible:
+    """A value whose conversion to an array fails as that of a tensor with a gradient."""
+
+    def __init__(self, error):
+        self.error = error
+
+    def __len__(self):
+        return 8
+
+    def __array__(self, dtype=None, copy=None):
+        raise self.error
+
+
+@pytest.mark.parametrize("error", [RuntimeError("requires grad"), OverflowError("too large")], ids=["grad", "overflow"])
+def test_a_value_that_no_array_can_hold_brings_the_arm_to_rest(error):
+    guard, q, v = moving_guard("joint velocity")
+    guard(Unconvertible(error), q, v)
+    assert "the arm comes to rest" in guard.report.problem
+    guard(np.append(V_MAX, GRIPPER), Unconvertible(error), v)
+    assert guard.report.problem
+
+
+def test_an_unknown_configuration_at_the_reset_is_that_of_the_first_step():
+    guard = make_guard("joint position", obstacles=())
+    guard.reset(np.full(7, nan))
+    guard(np.append(HOME, GRIPPER), HOME, np.zeros(7))
+    assert not guard.report.problem
+    np.testing.assert_allclose(guard.target, HOME, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: ToolTwist(frame="base"),
+        lambda: ToolPose(frame="hand"),
+        lambda: ToolPose(rotation="euler"),
+        lambda: JointPosition(reference="desired"),
+        lambda: GuardLimits(following_error=nan),
+        lambda: GuardLimits(action_timeout=nan),
+        lambda: GuardLimits(action_timeout=-1.0),
+    ],
+)
+def test_an_option_without_a_meaning_is_an_error(make):
+    with pytest.raises(ConfigurationError, match="allowed"):
+        make()

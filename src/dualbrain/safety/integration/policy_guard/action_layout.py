@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -96,12 +96,18 @@ class FunctionLayout:
         return self.encode(values, action)
 
 
+def check_option(name: str, value: str, allowed: Collection[str]) -> None:
+    """Raise `ConfigurationError` unless `value` is one of the `allowed` words."""
+    if value not in tuple(allowed):
+        raise ConfigurationError(name, got=value, allowed=" or ".join(allowed))
+
+
 def as_numbers(action: Any, size: int | None) -> Array | str:
     """`action` as a vector of numbers, or the reason why it is none; `size` is the number of entries if it is known."""
     try:
         given = np.asarray(action)
         values = np.asarray(given, dtype=np.float64) if not np.iscomplexobj(given) else None
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError, RuntimeError):  # RuntimeError: a tensor that requires a gradient
         values = None
     if values is None:
         return f"the action is no vector of numbers but {type(action).__name__}"

@@ -21,7 +21,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dualbrain.core.geometry.validation import as_real_array
+from dualbrain.core.geometry.validation import as_real_array, check_positive
 from dualbrain.errors import ConfigurationError
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.result import FilterResult, FilterStatus, LimitKind
@@ -49,6 +49,11 @@ class GuardLimits:
 
     following_error: float = 0.35
     action_timeout: float = 0.2
+
+    def __post_init__(self) -> None:
+        """Check the limits; raises `ConfigurationError`."""
+        check_positive("GuardLimits.following_error [rad]", self.following_error)
+        check_positive("GuardLimits.action_timeout [s]", self.action_timeout)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -184,8 +189,9 @@ class PolicyGuard:
         return steps
 
     def reset(self, q: ArrayLike | None = None, v: ArrayLike = 0.0) -> None:
-        """Begin an episode at `q` (n,) [rad] with the joint velocity `v`; without `q` at that of the first step."""
-        self._target = None if q is None else as_real_array("q", q, (self._model.nq,)).copy()
+        """Begin at `q` (n,) [rad] with the joint velocity `v`; without a finite `q` at that of the first step."""
+        start = None if q is None else as_real_array("q", q, (self._model.nq,)).copy()
+        self._target = start if start is not None and np.isfinite(start).all() else None
         self.safety.reset(v)
         if self.shadow:
             self.shadow.reset()
@@ -194,6 +200,7 @@ class PolicyGuard:
         self._arm: GuardedArm | None = None
         self._now, self._until, self._problem = -inf, 0.0, ""
         self._results: StepResults | None = None
+        self._has_begun = False
         self._speed_share, self._u_prev = 1.0, self._start_velocity(v)
         self._last_command: Array | None = None
         self._changed = False
@@ -282,8 +289,9 @@ class PolicyGuard:
             ConfigurationError: the first action or joint state of all is not usable, or a joint state while torques are
                 commanded, so that no action can stop the arm.
         """
-        start = self._next_start(now)
+        start, late = self._next_start(now), self._late_problem(now) if self._has_begun else ""
         self.begin(action, start)
+        self._refuse(late)
         self._run_periods(q, v, start, opening)
         return self.command()
 
@@ -327,7 +335,7 @@ class PolicyGuard:
         """Begin no motion at `now` [s]: the arm comes to rest, and the report states the `problem`."""
         self._problem, self._results, self._goal, self._arm = problem, None, None, None
         self._speed_share, self._original, self._values = 1.0, None, None
-        self._until = now + self.steps_per_action * self._dt
+        self._until, self._has_begun = now + self.steps_per_action * self._dt, True
 
     def step(self, q: ArrayLike, v: ArrayLike, now: float, opening: float | None = None) -> FilterResult:
         """Filter one period at the measured joint state; `target` and the `u` of the result command the robot."""
@@ -384,9 +392,13 @@ class PolicyGuard:
         if not (isfinite(now) and now > self._now):
             text = f"The time {now:g} s is not after that of the last step, {self._now:g} s; the arm comes to rest"
             self._refuse(f"{text}. Remedy: use one monotonic clock for states and actions")
-        elif now > self._until + self.limits.action_timeout:
-            late = now - self._until
-            self._refuse(f"The last action ended {late:.2f} s ago; the arm comes to rest. Remedy: check the policy")
+        self._refuse(self._late_problem(now))
+
+    def _late_problem(self, now: float | None) -> str:
+        """Why there was no action for too long before `now` [s], or ""."""
+        if now is None or not isfinite(now) or now <= self._until + self.limits.action_timeout:
+            return ""
+        return f"The last action ended {now - self._until:.2f} s ago; the arm comes to rest. Remedy: check the policy"
 
     def _end_hold(self, now: float) -> None:
         """After a time without steps, a robot that follows positions has come to rest: the last control was zero."""

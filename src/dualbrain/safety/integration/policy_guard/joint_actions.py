@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.safety.integration.policy_guard.action_layout import ActionLayout, Layout
+from dualbrain.safety.integration.policy_guard.action_layout import ActionLayout, Layout, check_option
 from dualbrain.safety.integration.policy_guard.action_space import ActionGoal, GuardedArm, limit_speed
 
 Array = NDArray[np.float64]
@@ -62,6 +62,10 @@ class JointPosition:
     stops: bool = False
     commands_velocity: bool = field(default=True, init=False)
     follows_position: bool = field(default=True, init=False)
+
+    def __post_init__(self) -> None:
+        """Check the options; raises `ConfigurationError`."""
+        check_option("JointPosition.reference", self.reference, ("commanded", "measured"))
 
     def count(self, n: int) -> int:
         """One position per joint."""

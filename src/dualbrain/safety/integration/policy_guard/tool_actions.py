@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from dualbrain.core.geometry.rotations import matrix_to_quaternion, quaternion_to_matrix, rotation_error
 from dualbrain.core.geometry.validation import QUATERNION_TOLERANCE
 from dualbrain.safety.cbf.filter import ToolState
-from dualbrain.safety.integration.policy_guard.action_layout import ActionLayout, Layout
+from dualbrain.safety.integration.policy_guard.action_layout import ActionLayout, Layout, check_option
 from dualbrain.safety.integration.policy_guard.action_space import ActionGoal, GuardedArm, limit_speed
 
 Array = NDArray[np.float64]
@@ -33,6 +33,7 @@ LOST_TWIST = 1e-6
 """Part of a twist [m/s, rad/s] that the damping may take away by rounding."""
 TWIST_TOLERANCE = 1e-3
 """Difference of two twists [m/s, rad/s], from the curved path of the joints, up to which they are the same motion."""
+FRAMES: tuple[Frame, ...] = ("world", "tool")
 ROTATION_VALUES = {"none": 0, "rotation_vector": 3, "quaternion": 4}
 
 
@@ -45,6 +46,10 @@ class ToolTwist:
     frame: Frame = "world"
     commands_velocity: bool = field(default=True, init=False)
     follows_position: bool = field(default=False, init=False)
+
+    def __post_init__(self) -> None:
+        """Check the options; raises `ConfigurationError`."""
+        check_option("ToolTwist.frame", self.frame, FRAMES)
 
     def count(self, n: int) -> int:
         """Three linear velocities, and three angular ones."""
@@ -80,6 +85,11 @@ class ToolPose:
     frame: Frame = "world"
     commands_velocity: bool = field(default=True, init=False)
     follows_position: bool = field(default=True, init=False)
+
+    def __post_init__(self) -> None:
+        """Check the options; raises `ConfigurationError`."""
+        check_option("ToolPose.frame", self.frame, FRAMES)
+        check_option("ToolPose.rotation", self.rotation, ROTATION_VALUES)
 
     def count(self, n: int) -> int:
         """Three coordinates and the numbers of the rotation."""
