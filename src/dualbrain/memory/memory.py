@@ -176,19 +176,14 @@ class Memory:
         )
 
     def find_precedents(
-        self,
-        instruction: str,
-        summary: str,
-        state: Posture | None,
-        robot: str,
-        registry: str,
-        *,
-        max_count: int,
-        image: ImageFeatures | None = None,
+        self, summary: str, state: Posture | None, robot: str, registry: str, *, max_count: int
     ) -> tuple[Precedent, ...]:
-        """At most `max_count` successes in the scenes most similar to this one, of any instruction; see `retrieve`."""
+        """At most `max_count` successes in the scenes most similar to this one, of any instruction.
+
+        The arguments are those of `retrieve`.
+        """
         self.catch_up()
-        embedded = self.embedding.embed(instruction, summary, state, robot, image)
+        embedded = self.embedding.embed("", summary, state, robot)
         return self._precedents(robot, registry).in_similar_scenes(embedded, max_count)
 
     def find_outcomes(

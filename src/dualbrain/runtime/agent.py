@@ -41,18 +41,10 @@ class NoMemory:
         return RetrievedContext()
 
     def find_precedents(
-        self,
-        instruction: str,
-        summary: str,
-        state: Posture | None,
-        robot: str,
-        registry: str,
-        *,
-        max_count: int,
-        image: ImageFeatures | None = None,
+        self, summary: str, state: Posture | None, robot: str, registry: str, *, max_count: int
     ) -> tuple[Precedent, ...]:
         """No precedents."""
-        del instruction, summary, state, robot, registry, max_count, image
+        del summary, state, robot, registry, max_count
         return ()
 
     def find_outcomes(

@@ -16,7 +16,7 @@ SCOPE = ("arm", "aaaa1111")
 
 
 def similar(memory: Memory, max_count: int = 5) -> list[str]:
-    found = memory.find_precedents(WORDS, SCENE, REST_POSTURE, *SCOPE, max_count=max_count)
+    found = memory.find_precedents(SCENE, REST_POSTURE, *SCOPE, max_count=max_count)
     return [one.episode_id for one in found]
 
 
@@ -38,7 +38,7 @@ def test_successes_are_found_by_the_scene_and_for_any_instruction(tmp_path: Path
         ):
             memory.store(one, REST_POSTURE, now=NOW)
         assert similar(memory) == ["same"]
-        (found,) = memory.find_precedents(WORDS, SCENE, REST_POSTURE, *SCOPE, max_count=1)
+        (found,) = memory.find_precedents(SCENE, REST_POSTURE, *SCOPE, max_count=1)
     assert (found.scene, found.q) == (episode("same").scene, REST_POSTURE.q)
     assert (found.instruction, found.contract) == ("push the mug away", grasp_contract())
 

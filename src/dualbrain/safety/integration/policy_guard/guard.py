@@ -28,7 +28,6 @@ from dualbrain.safety.cbf.result import FilterResult, FilterStatus, LimitKind
 from dualbrain.safety.integration.policy_guard.action_space import ActionGoal, ActionSpace, GuardedArm
 from dualbrain.safety.integration.policy_guard.joint_actions import JointVelocity
 from dualbrain.safety.integration.policy_guard.path_braking import brake_along_path, braking_step
-from dualbrain.safety.integration.policy_guard.tool_actions import ToolPose, ToolTwist
 from dualbrain.safety.integration.shadow_mode import ShadowFilter
 
 Array = NDArray[np.float64]
@@ -252,7 +251,7 @@ class PolicyGuard:
     @property
     def _takes_longer(self) -> bool:
         """Whether the filter changed nothing, but the motion of the action needs more time than one action has."""
-        is_curved = isinstance(self.space, (ToolPose, ToolTwist)) and self._arm is not None and not self._arm.shortened
+        is_curved = self.space.curves and self._arm is not None and not self._arm.shortened
         return self._is_unfiltered_change and not is_curved
 
     def _describe_change(self) -> str:

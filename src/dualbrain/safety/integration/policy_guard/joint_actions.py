@@ -24,6 +24,7 @@ class JointVelocity:
     layout: Layout = field(default_factory=ActionLayout)
     commands_velocity: bool = field(default=True, init=False)
     follows_position: bool = field(default=False, init=False)
+    curves: bool = field(default=False, init=False)
 
     def count(self, n: int) -> int:
         """One velocity per joint."""
@@ -62,6 +63,7 @@ class JointPosition:
     stops: bool = False
     commands_velocity: bool = field(default=True, init=False)
     follows_position: bool = field(default=True, init=False)
+    curves: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:
         """Check the options; raises `ConfigurationError`."""

@@ -46,6 +46,7 @@ class ToolTwist:
     frame: Frame = "world"
     commands_velocity: bool = field(default=True, init=False)
     follows_position: bool = field(default=False, init=False)
+    curves: bool = field(default=True, init=False)
 
     def __post_init__(self) -> None:
         """Check the options; raises `ConfigurationError`."""
@@ -85,6 +86,7 @@ class ToolPose:
     frame: Frame = "world"
     commands_velocity: bool = field(default=True, init=False)
     follows_position: bool = field(default=True, init=False)
+    curves: bool = field(default=True, init=False)
 
     def __post_init__(self) -> None:
         """Check the options; raises `ConfigurationError`."""

@@ -41,6 +41,7 @@ class JointTorque:
     layout: Layout = field(default_factory=ActionLayout)
     commands_velocity: bool = field(default=False, init=False)
     follows_position: bool = field(default=False, init=False)
+    curves: bool = field(default=False, init=False)
 
     def count(self, n: int) -> int:
         """One torque per joint."""
