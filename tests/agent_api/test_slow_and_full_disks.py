@@ -10,16 +10,7 @@ import pytest
 from dualbrain.agent_api.tools import report_view
 from dualbrain.core.storage import jsonl_log
 from dualbrain.runtime.agent import NoMemory
-from dualbrain.runtime.assembly import SimulatedCell
 from tests.agent_api.stub_client import StubClient, open_robot
-
-
-@pytest.fixture(scope="module")
-def cell():
-    found = SimulatedCell.make("panda", "bare:0")
-    found.loop.begin()
-    yield found
-    found.close()
 
 
 @pytest.fixture

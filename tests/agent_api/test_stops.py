@@ -8,16 +8,7 @@ from starlette.testclient import TestClient
 
 from dualbrain.agent_server.console.routes import console_routes
 from dualbrain.control.gatekeeper.protocol.client import ConnectionLostError
-from dualbrain.runtime.assembly import SimulatedCell
 from tests.agent_api.stub_client import StubClient, open_robot
-
-
-@pytest.fixture(scope="module")
-def cell():
-    found = SimulatedCell.make("panda", "bare:0")
-    found.loop.begin()
-    yield found
-    found.close()
 
 
 @pytest.fixture

@@ -42,5 +42,8 @@ def test_one_line_for_people_names_every_part_that_took_time():
     line = format_timings(decision_timings(TWICE, 0.25))
     assert line.startswith("decided in 10.00 s: retrieval 0.25 s, load of the model 1.00 s, prefill 2.50 s")
     assert line.endswith("validation 2.0 ms")
-    assert [label for label, _ in latency_breakdown(decision_timings(TWICE, 0.25))] == list(LATENCY_PARTS.values())
+    reused = attempt(total=0.04, reuse=0.04)
+    parts = latency_breakdown(decision_timings((reused, *TWICE), 0.25))
+    assert [label for label, _ in parts] == list(LATENCY_PARTS.values())
+    assert dict(parts)["search for a contract of this place"] == 0.04
     assert format_timings({}) == ""

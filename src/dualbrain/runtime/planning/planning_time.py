@@ -72,6 +72,7 @@ LATENCY_PARTS = {
     "planner_load": "load of the model",
     "planner_prefill": "prefill",
     "planner_decode": "decoding",
+    "planner_reuse": "search for a contract of this place",
     "planner_rest": "rest of the planner",
     "gate": "validation",
 }

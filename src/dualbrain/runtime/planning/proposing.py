@@ -151,7 +151,7 @@ def propose_reused(
     executor.log.note(
         now, "memory", f"proposing the contract of {exemplar.episode_id} again, which succeeded in this place"
     )
-    attempt = checker.check(msgspec.structs.replace(proposal, timings={"total": seconds}), 1, now)
+    attempt = checker.check(msgspec.structs.replace(proposal, timings={"total": seconds, "reuse": seconds}), 1, now)
     return (attempt,), RetrievedContext(exemplars=(exemplar,))
 
 

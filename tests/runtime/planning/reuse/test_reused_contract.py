@@ -19,6 +19,7 @@ from dualbrain.robots.loader import load_robot
 from dualbrain.runtime.agent import Agent, NoMemory
 from dualbrain.runtime.inspection.counterfactual import CounterfactualQueries
 from dualbrain.runtime.planning.planner_request import PlanningContext
+from dualbrain.runtime.planning.planning_time import format_timings
 from dualbrain.runtime.planning.reuse.reused_contract import (
     REUSED_CONTRACT,
     find_reusable,
@@ -335,6 +336,8 @@ def test_the_planner_is_not_asked_and_the_author_is_recorded(tmp_path):
     assert [one.episode_id for one in episode.recall.exemplars] == ["e-1"], "the memory that the contract follows"
     assert episode.contract["action_sequence"][0]["params"] == {"speed": 0.2}
     assert episode.timings["decision"] < 1.0
+    assert "search for a contract of this place" in format_timings(episode.timings)
+    assert "planner" not in format_timings(episode.timings)
     stored = json.loads((tmp_path / "run" / "config.json").read_bytes())
     assert stored["reuse_contracts"] is True
 
