@@ -34,14 +34,14 @@ def test_objects_are_named_by_all_words_or_by_a_noun_that_only_one_has(instructi
 
 
 class Unlike(HashingEncoder):
-    """An encoder to which every text is unlike every other."""
+    """An encoder to which every text is unlike every other, except that all texts about lamps are alike."""
 
     id = "unlike"
 
     def encode(self, texts):
         rows = np.zeros((len(texts), self.dim), np.float32)
         for row, text in zip(rows, texts, strict=True):
-            row[crc32(text.encode()) % self.dim] = 1.0
+            row[0 if "lamp" in text.lower() else 1 + crc32(text.encode()) % (self.dim - 1)] = 1.0
         return rows
 
 
@@ -73,12 +73,13 @@ def test_a_rule_that_names_the_object_is_shown_though_its_sentence_is_unlike_the
 
 
 def test_it_precedes_passages_that_are_only_similar(library):
-    """The others contain more words of the instruction, so the search ranks them higher."""
+    """The search ranks the others higher."""
     instruction = "put the glass in the blue bowl beside the lamp near the window"
     for number in range(3):
         add(library, f"lamp-{number}", f"# Lamps\n\nLamp {number}: put bowl beside blue lamp near window.\n")
     add(library, "glass", f"# Rules\n\n{GLASS}\n")
-    shown = passages(library, instruction, min_relevance=-1.0)
+    assert "Lamp" in library.search(instruction, 1)[0].text
+    shown = passages(library, instruction)
     assert shown[0] == GLASS
     assert len(shown) == 3
 
