@@ -22,6 +22,11 @@ def manner(words):
         "pick up the red cube and put it in the blue bowl",
         "the red cube should be in the blue bowl",
         "just drop the red cube, robot, into the blue bowl, thank you",
+        "could you put the red cube into the blue bowl, please?",
+        "would you mind moving that red cube over into the blue bowl?",
+        "I would like to see the red cube in the blue bowl",
+        "I need the red cube in the blue bowl, please.",
+        "red cube: into the blue bowl with it",
     ],
 )
 def test_courtesy_and_verbs_of_a_placement_are_no_manner(words):
@@ -50,6 +55,9 @@ def test_care_is_read_apart_from_other_words(words, cautions):
         ("put the red cube in the blue bowl at 0.1 m/s", ("0.1", "m", "s")),
         ("put the red cube in the blue bowl from the side of the wall", ("from", "wall")),
         ("do not put the red cube in the blue bowl", ("do", "not")),
+        ("I would like you to see the red cube in the blue bowl", ("see",)),
+        ("I do not want the red cube in the blue bowl", ("i", "do", "not", "want")),
+        ("put the red cube in the blue bowl with it upside down", ("with", "upside")),
     ],
 )
 def test_every_other_word_is_kept(words, left):

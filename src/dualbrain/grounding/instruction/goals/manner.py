@@ -13,7 +13,8 @@ from dualbrain.grounding.instruction.words import normalise
 _CAUTIONS = re.compile(rf"(?<![^\s,])(?:very )*(?:{goal_words.CAUTIONS})(?=$|[\s,])")
 _COURTESIES = re.compile(rf"(?<![^\s,])(?:{goal_words.REQUESTS}|{goal_words.COURTESIES})(?=$|[\s,])")
 _VERBS = frozenset(f"{goal_words.PLACING_VERBS}|{goal_words.LIFTING_VERBS}".replace("|", " ").split())
-_UNIMPORTANT = _VERBS | goal_words.STRUCTURE_WORDS
+_GERUNDS = frozenset(gerund for gerund, verb in goal_words.GERUNDS.items() if verb in _VERBS)
+_UNIMPORTANT = _VERBS | _GERUNDS | goal_words.STRUCTURE_WORDS
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,12 +35,12 @@ class Manner:
 def read_manner(instruction: str, names: Collection[str]) -> Manner:
     """The manner of an `instruction` of a single clause.
 
-    Left out are the `names`, words of courtesy, and verbs and prepositions of a placement. A number that is no part of
-    a whole name is kept. A text that is too long for the goal parser is one word, unlike any other.
+    Left out are the `names`, words of courtesy and of a wish, and verbs and prepositions of a placement. A number that
+    is no part of a whole name is kept. A text that is too long for the goal parser is one word, unlike any other.
     """
     if len(instruction) > MAX_CHARACTERS:
         return Manner(frozenset(), (instruction,))
-    text = " ".join(instruction.lower().replace("’", "'").rstrip(" .!").split())
+    text = " ".join(instruction.lower().replace("’", "'").rstrip(" .!?").split())
     cautions = frozenset(match.group() for match in _CAUTIONS.finditer(text))
     text = _COURTESIES.sub(" ", _CAUTIONS.sub(" ", text))
     for name in sorted(names, key=len, reverse=True):
