@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from secrets import token_hex
+from typing import Literal
 
 import msgspec
 
@@ -19,6 +20,9 @@ from dualbrain.planner.registry import DEFAULT_PLANNER
 from dualbrain.records import Attempt, Episode
 from dualbrain.runtime.planning.planning_time import Clock
 
+DocumentUse = Literal["auto", "on", "off"]
+"""Whether passages of documents enter the prompt. "auto": if the planner reads them; "on" also reports if it does not.
+"""
 STORED_NAMES = {"image_memory": "eyes"}
 """Names in `config.json` of the fields of a configuration, where they differ."""
 
@@ -41,7 +45,7 @@ class RunConfig:
     tries: int = 1
     """Maximum number of executed contracts; another one is planned after one that failed or was taken over."""
     knowledge: Path | None = None
-    consult: bool = False
+    consult: DocumentUse = "off"
     map: str = ""
     site: Path | None = None
     goal: str = ""
@@ -103,6 +107,7 @@ def default_config(instruction: str, *, out: Path | None = None, ledger: Path | 
         ledger=ledger or dualbrain_home() / "ledger.sqlite",
         cache=cache_folder(),
         knowledge=dualbrain_home() / "knowledge.sqlite",
+        consult="auto",
         adapters=dualbrain_home() / "adapters",
     )
 

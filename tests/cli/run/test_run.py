@@ -98,16 +98,44 @@ def test_the_ledger_remembers_the_run_and_not_the_truth(completed_run):
     assert "judgement" not in remembered["episode"]
 
 
-def test_documents_that_a_planner_cannot_read_are_reported_once(run_command, monkeypatch):
-    class Short(ScriptedPlanner):
-        template = short_template_hash()
+class Short(ScriptedPlanner):
+    """Reads what an adapted planner reads."""
 
-    for kind, times in ((Short, 1), (ScriptedPlanner, 0)):
+    template = short_template_hash()
+
+
+def test_documents_that_a_planner_cannot_read_are_reported_once(run_command, monkeypatch):
+    for kind, option, times in ((Short, "on", 1), (Short, "auto", 0), (ScriptedPlanner, "on", 0)):
         monkeypatch.setattr(run_resources, "open_planner", lambda *_, kind=kind, **__: kind([hold_contract()]))
         _, _, err = run_command(
-            "run", "rest", "--scene", "bare:0", "--headless", "--knowledge", "on", "--out", kind.__name__
+            "run",
+            "rest",
+            "--scene",
+            "bare:0",
+            "--headless",
+            "--knowledge",
+            option,
+            "--out",
+            f"{kind.__name__}-{option}",
         )
         assert err.count("documents are not shown to scripted") == times
+
+
+def test_documents_are_read_by_default_by_a_planner_that_reads_them(run_command, monkeypatch):
+    planner = ScriptedPlanner([hold_contract(), hold_contract()])
+    monkeypatch.setattr(run_resources, "open_planner", lambda *_, **__: planner)
+    words = "put the red cube in the blue bowl and rest"
+    run_command("run", words, "--scene", "bare:0", "--headless", "--out", "default")
+    run_command("run", words, "--scene", "bare:0", "--headless", "--knowledge", "off", "--out", "off")
+    default, *_, off = planner.requests
+    assert default.recall.passages
+    assert not off.recall.passages
+
+
+def test_no_document_is_opened_for_a_planner_that_reads_none(run_command, monkeypatch):
+    monkeypatch.setattr(run_resources, "open_planner", lambda *_, **__: Short([hold_contract()]))
+    monkeypatch.setattr(run_resources, "open_library", lambda *_, **__: pytest.fail("documents were opened"))
+    run_command("run", "rest", "--scene", "bare:0", "--headless", "--out", "short")
 
 
 # --- exit codes ---------------------------------------------------------------------------------------------------

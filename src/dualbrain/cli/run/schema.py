@@ -49,7 +49,7 @@ def schema(
 
 def _decoding_schema(registry: SkillRegistry, spec: SceneSpec) -> Schema:
     """The schema for constrained decoders in the scene `spec`."""
-    from dualbrain.grounding.grasp_fit import parameter_domains
+    from dualbrain.grounding.envelope.grasp_fit import parameter_domains
     from dualbrain.grounding.offline_gate import scene_from_spec
     from dualbrain.grounding.vocabulary import scene_names
 

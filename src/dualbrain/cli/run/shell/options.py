@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from dualbrain.runtime.config import DocumentUse
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,7 +26,7 @@ class ShellOptions:
     ledger: Path | None = None
     seed: int = 0
     tries: int = 2
-    consult: bool = False
+    consult: DocumentUse = "auto"
     reuse_contracts: bool = False
     live_view: bool = True
     port: int = 8080
