@@ -3,6 +3,9 @@
 A site document states one rule for each of three objects of a scene, with values that no planner chooses by itself; the
 rule of one of them counts. The same instruction is asked with and without passages. Other instructions, to which no
 document contributes anything, are asked with and without the passages that search finds in the packaged documents.
+
+The same rules as limits of the site file are asked, too, of this planner and of a packaged one, which reads no
+documents.
 """
 
 from __future__ import annotations
@@ -23,13 +26,16 @@ from dualbrain.core import paths
 from dualbrain.errors import DECODE_ERRORS
 from dualbrain.evaluation.analysis.statistics import compare, difference
 from dualbrain.grounding.document_retrieval import retrieve_passages
+from dualbrain.grounding.envelope.object_limits import with_object_limits
 from dualbrain.knowledge.builtin_documents import add_builtin_documents
 from dualbrain.knowledge.library import Library, Submission
 from dualbrain.memory.embedding.text_encoder import MiniLmEncoder
 from dualbrain.planner.protocol import has_answer
-from dualbrain.records import Passage, RetrievedContext
+from dualbrain.planner.registry import PACKAGED_PLANNER
+from dualbrain.records import ObjectLimits, Passage, RetrievedContext
 from dualbrain.runtime.data_collection.rollouts import build_request, instruction_of
 from dualbrain.runtime.data_collection.synthetic_scenes import generate_examples, scene_context_by_name
+from dualbrain.runtime.planning.planner_request import answer_schema
 from experiments.adaptation.no_answer import NoAnswerError
 from experiments.adaptation.starter import LARGE_PLANNER, cached_planner
 from experiments.engine.experiment import Options, Row, WorkUnit
@@ -70,8 +76,13 @@ RULES: Mapping[str, RuleKind] = {
 """The first of the three values is that of the object of the instruction."""
 
 
+SITE_FILE = "site file"
+READINGS = {LARGE_PLANNER: ("without", "with", SITE_FILE), PACKAGED_PLANNER: ("without", SITE_FILE)}
+"""How each planner is asked for a rule: without it, with it in a passage, or with it as a limit of the site file."""
+
+
 class Documents:
-    """The large planner with and without passages of documents."""
+    """The large planner with and without passages of documents, and with the rules as limits of the site file."""
 
     name = "documents"
     claim = (
@@ -86,11 +97,22 @@ class Documents:
         del options
         parts = {"rule": N_RULES, "other": N_OTHERS}
         asked = [(part, number) for number in range(max(parts.values())) for part in parts if number < parts[part]]
-        return [
+        passages = [
             WorkUnit(f"{part} {number}, {reading}", {"part": part, "number": number, "reading": reading})
             for part, number in asked
             for reading in ("without", "with")
         ]
+        limits = [
+            WorkUnit(
+                f"rule {number}, {reading}, {planner}",
+                {"part": "rule", "number": number, "reading": reading, "planner": planner},
+            )
+            for number in range(N_RULES)
+            for planner, readings in READINGS.items()
+            for reading in readings
+            if planner != LARGE_PLANNER or reading == SITE_FILE
+        ]
+        return [*passages, *limits]
 
     def run(self, parameters: dict[str, Any]) -> Row:
         """Ask the planner once; score the contract, and the rule of the document."""
@@ -99,7 +121,9 @@ class Documents:
         document = rule_document(number, question) if part == "rule" else ""
         passages = find_passages(question, document) if parameters["reading"] == "with" else ()
         request = build_request(question, RetrievedContext(passages=passages))
-        proposal = cached_planner(LARGE_PLANNER).propose(request)
+        if parameters["reading"] == SITE_FILE:
+            request = msgspec.structs.replace(request, schema=limited_schema(number, question))
+        proposal = cached_planner(parameters.get("planner", LARGE_PLANNER)).propose(request)
         if not has_answer(proposal):
             raise NoAnswerError(proposal.finish_reason)
         row = {
@@ -126,9 +150,10 @@ class Documents:
             ("rule", "right and as the document states", lambda row: is_right(row["answer"]) and row["follows"]),
             ("other", "right", lambda row: is_right(row["answer"])),
         ):
-            some = [row for row in rows if row["part"] == part]
+            some = [row for row in rows if row["part"] == part and row["reading"] != SITE_FILE and "planner" not in row]
             lines += [f"Part *{part}*:", "", *part_table(some, title, score), paired_difference(some, title, score), ""]
-        return [*lines, *kind_table([row for row in rows if row["part"] == "rule"])]
+        rules = [row for row in rows if row["part"] == "rule"]
+        return [*lines, *kind_table([row for row in rules if "planner" not in row]), "", *site_table(rules)]
 
 
 Score = Callable[[Row], bool]
@@ -178,6 +203,36 @@ def kind_table(rows: Sequence[Row]) -> list[str]:
     return ["Rules by kind:", "", *markdown_table(("rule", "passages", "in the prompt", "followed"), lines)]
 
 
+def site_table(rows: Sequence[Row]) -> list[str]:
+    """Rules kept by planner and reading, and the difference that the site file makes."""
+    lines: list[tuple[str, ...]] = []
+    for planner, readings in READINGS.items():
+        own = [row for row in rows if row.get("planner", LARGE_PLANNER) == planner]
+        for reading in readings:
+            some = [row for row in own if row["reading"] == reading]
+            if some:
+                kept = sum(is_right(row["answer"]) and row["follows"] for row in some)
+                lines.append(
+                    (
+                        planner,
+                        reading,
+                        format_proportion(sum(row["follows"] for row in some), len(some)),
+                        format_proportion(sum(is_right(row["answer"]) for row in some), len(some)),
+                        format_proportion(kept, len(some)),
+                        f"{median(row['decision_s'] for row in some):.1f}",
+                    )
+                )
+    head = (
+        "planner",
+        "rule",
+        "followed",
+        "right skills and names",
+        "right and as the rule states",
+        "median decision [s]",
+    )
+    return ["The same rules as limits of the site file:", "", *markdown_table(head, lines)]
+
+
 @cache
 def rule_questions() -> tuple[Sample, ...]:
     """Held-out instructions that put one object somewhere, without exemplars."""
@@ -225,6 +280,17 @@ def rule_document(number: int, question: Sample) -> str:
         for name, value in ((second, kind.values[1]), (first, kind.values[0]), (third, kind.values[2]))
     )
     return "\n".join(("# Handling rules of this table\n", *sections))
+
+
+def limited_schema(number: int, question: Sample) -> dict[str, Any]:
+    """The decoding schema of a question at a site whose file limits the three objects as the document does."""
+    name, kind = rule_of(number)
+    limits = {
+        obj: ObjectLimits(**{name: value}) for obj, value in zip(scene_objects(question)[:3], kind.values, strict=True)
+    }
+    context = scene_context_by_name(question.scene)
+    limited = with_object_limits(context.perceived, limits)
+    return answer_schema(instruction_of(question), limited, context.registry, None)
 
 
 def words(name: str) -> str:

@@ -32,12 +32,27 @@ object: may be grasped; container: may receive objects; support: carries objects
 """
 
 
+class ObjectLimits(Record, frozen=True, kw_only=True):
+    """Limits of the site for the parameters of actions that move an object.
+
+    Largest grip `force` [N] on each finger, largest tool `speed` [m/s], least `clearance` [m]; None: no limit. `source`
+    is file and line.
+    """
+
+    force: float | None = None
+    speed: float | None = None
+    clearance: float | None = None
+    source: str = ""
+
+
 class SceneObject(Record, frozen=True, kw_only=True):
     """One object of the scene, as perceived.
 
     `error` bounds the norm of the position error [m] and `velocity_error` the norm of the velocity error [m/s]; both
     enter the filter's margins. An object with an error is a noisy measurement, which must differ from one stamp to the
     next: a repeated value means that the sensor is stuck. `stamp` [s] is the time of the last measurement.
+    `fragile_limit` [N] is the force on each finger that breaks it. `limits` are those of the site, which the control
+    loop adds to the scene.
     """
 
     name: str
@@ -51,6 +66,7 @@ class SceneObject(Record, frozen=True, kw_only=True):
     category: str = ""
     colour: str = ""
     fragile_limit: float | None = None
+    limits: ObjectLimits | None = None
 
 
 class Place(Record, frozen=True):

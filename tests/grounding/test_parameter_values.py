@@ -7,7 +7,7 @@ from dualbrain.contracts.canonical_form import canonical_contract
 from dualbrain.contracts.contract import Context, Contract
 from dualbrain.contracts.skill_spec import NumberParameter
 from dualbrain.grounding.alternatives import CHANGED_LEVELS, COMMON_LEVELS, DEFAULT_ALTERNATIVE, alternatives
-from dualbrain.grounding.grasp_fit import FINGER_MARGIN
+from dualbrain.grounding.envelope.grasp_fit import FINGER_MARGIN
 from dualbrain.grounding.parameter_values import (
     MAX_FITTED_CLEARANCE,
     OPENING_MARGIN,

@@ -8,7 +8,7 @@ import pytest
 
 from dualbrain.contracts.contract import Action, Context, Contract
 from dualbrain.core.geometry.shapes import Box, Pose
-from dualbrain.grounding.scene_rules import scene_rules
+from dualbrain.grounding.envelope.scene_rules import scene_rules
 from dualbrain.robots.interface import Command
 from dualbrain.safety.cbf.obstacles import Obstacle
 from dualbrain.simulation.scenes.scene_spec import ObjectSpec

@@ -9,8 +9,8 @@ from dualbrain.control.control_loop import ControlLoop, ControlLoopConfig, LoopO
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.trace import Trace
 from dualbrain.core.geometry.shapes import IDENTITY_QUATERNION
+from dualbrain.grounding.envelope.scene_rules import scene_rules
 from dualbrain.grounding.offline_gate import controller_at_home, scene_from_spec
-from dualbrain.grounding.scene_rules import scene_rules
 from dualbrain.robots.differential_drive import control_displacement
 from dualbrain.robots.interface import Command
 from dualbrain.robots.loader import load_robot

@@ -18,8 +18,8 @@ def make_gate_judge(registry: SkillRegistry) -> AnswerJudge:
 
     The robot executed the contract of every sample, so declining is wrong; otherwise a planner would comply by never
     acting. The gate's rules on geometry and robot (order of grasp and place, opening, reach, free floor:
-    `grounding/scene_rules.py`) are not checked, because a sample contains neither; they are checked at execution and in
-    the experiments `language` and `rounds`.
+    `grounding/envelope/scene_rules.py`) are not checked, because a sample contains neither; they are checked at
+    execution and in the experiments `language` and `rounds`.
     """
     gate = Gate(registry, {"planner": frozenset(registry.by_name)})
 

@@ -30,8 +30,8 @@ from dualbrain.control.gatekeeper.protocol.emergency_stop import send_emergency_
 from dualbrain.control.gatekeeper.protocol.messages import EventReport, Message, SceneReport, StatusReport
 from dualbrain.core.paths import dualbrain_home
 from dualbrain.errors import ConfigurationError
-from dualbrain.grounding.grasp_fit import parameter_domains
-from dualbrain.grounding.scene_rules import skill_order
+from dualbrain.grounding.envelope.grasp_fit import parameter_domains
+from dualbrain.grounding.envelope.scene_rules import skill_order
 from dualbrain.grounding.scene_summary import summarise_scene
 from dualbrain.grounding.vocabulary import scene_names
 from dualbrain.planner.protocol import Planner
@@ -195,7 +195,7 @@ class Robot:
                 return decoding_schema(registry, names)
             case "decoding":
                 order = skill_order([skill.name for skill in registry.skills], report.holding)
-                domains = parameter_domains(report.scene, registry)
+                domains = parameter_domains(report.scene, registry, report.holding)
                 schema = decoding_schema(registry, names, order=order, domains=domains)
                 del schema["properties"]["action_sequence"][ORDER_KEYWORD]  # frameworks refuse unknown keywords
                 return schema

@@ -10,12 +10,13 @@ from dataclasses import dataclass, field
 class ParameterDomain:
     """A part of the parameter domain of one skill; a parameter without an entry keeps its whole domain.
 
-    `admitted` contains the admitted names or choices of a parameter, and `least` the lower bound of a number in the
-    unit of the parameter.
+    `admitted` contains the admitted names or choices of a parameter, and `least` and `most` the lower and the upper
+    bound of a number in the unit of the parameter.
     """
 
     admitted: Mapping[str, Sequence[str]] = field(default_factory=dict[str, Sequence[str]])
     least: Mapping[str, float] = field(default_factory=dict[str, float])
+    most: Mapping[str, float] = field(default_factory=dict[str, float])
 
 
 ParameterDomains = Mapping[str, Sequence[ParameterDomain]]

@@ -251,8 +251,10 @@ def _decoding_domain_schema(parameter: Parameter, names: SceneNames, part: Param
     """The domain of a parameter in a part of the whole domain, in keywords that decoders enforce."""
     match parameter:
         case NumberParameter():
-            number = _bounded_number(parameter)
-            return number | {"minimum": max(parameter.lower, part.least.get(parameter.name, parameter.lower))}
+            return _bounded_number(parameter) | {
+                "minimum": max(parameter.lower, part.least.get(parameter.name, parameter.lower)),
+                "maximum": min(parameter.upper, part.most.get(parameter.name, parameter.upper)),
+            }
         case ChoiceParameter():
             return {"enum": _admitted(parameter.choices, part.admitted.get(parameter.name))}
         case NameParameter():

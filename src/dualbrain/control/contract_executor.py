@@ -18,7 +18,7 @@ from dualbrain.control.control_loop import IDLE_ACTION, ControlLoop
 from dualbrain.control.executor import Grants
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.grip_profile import grip_profiles
-from dualbrain.grounding.scene_rules import scene_rules
+from dualbrain.grounding.envelope.scene_rules import scene_rules
 from dualbrain.records import ActionResult, FailureCause, MarginShortfall, Outcome, OutcomeClass, Scene
 from dualbrain.robots.interface import RobotState
 from dualbrain.robots.model import RobotModel

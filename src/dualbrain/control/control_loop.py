@@ -6,8 +6,8 @@ hazard becomes a condition, and the supervisor decides how the robot reacts to i
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from math import inf
 from typing import Protocol
 
@@ -17,7 +17,8 @@ from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.residual_contacts import ResidualContacts
 from dualbrain.control.scene_monitor import SceneMonitor, effective_stamp
 from dualbrain.control.scene_smoothing import SceneSmoother
-from dualbrain.records import MARGIN_CAUSE_TEXTS, MarginCause, MarginShortfall, Scene
+from dualbrain.grounding.envelope.object_limits import limits_in_words, with_object_limits
+from dualbrain.records import MARGIN_CAUSE_TEXTS, MarginCause, MarginShortfall, ObjectLimits, Scene
 from dualbrain.robots.interface import Array, Command, RobotInterface, RobotState
 from dualbrain.robots.model import RobotModel
 from dualbrain.safety.barriers.traversable_region import traversable_region
@@ -82,7 +83,7 @@ class ControlLoopConfig:
     rest after a contract. `timing` holds the limits on delays of the robot's interface. `unrecorded`: the arm may move
     on if its recording cannot be written. `keep_margins`: observations and ends of permits do not make a margin short
     without need (`ObstacleEstimates`, `ResidualContacts.keep_until_clear`); False is for comparisons. `persons`: speed
-    limits near persons, from the site file.
+    limits near persons, `object_limits`: limits of objects by name or category, both from the site file.
     """
 
     guard: bool = True
@@ -93,6 +94,7 @@ class ControlLoopConfig:
     unrecorded: bool = False
     keep_margins: bool = True
     persons: PersonLimits | None = None
+    object_limits: Mapping[str, ObjectLimits] = field(default_factory=dict[str, ObjectLimits])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -162,6 +164,7 @@ class ControlLoop:
         self._contacts: tuple[PermittedContact, ...] = ()
         self._residual_contacts = ResidualContacts(safety)
         self._contact_speed_scale, self._force_is_measured = 1.0, True
+        self._object_limits_noted = False
         self._holding: HeldObject | None = None
         self._ticks = 0
         self.state = robot.read()
@@ -170,7 +173,7 @@ class ControlLoop:
         self._estimates, self._robot_spheres = ObstacleEstimates(), RobotSpheres(safety)
         self._last_h_min = -inf
         self._released: tuple[str, float] = ("", -RELEASE_SETTLING_TIME)
-        self.scene = self._scene_smoother.update(check_scene(world.perceive()))
+        self.scene = self._with_limits(self._scene_smoother.update(check_scene(world.perceive())))
         self._scene_monitor.update(self.scene)
         self.update_obstacles()
         self._read_sensors()
@@ -196,6 +199,7 @@ class ControlLoop:
         """Forget which checks tripped, and which margins were short, during the contract before."""
         self.checks_during_contract.clear()
         self.margin_monitor.clear()
+        self._note_object_limits()
 
     def resume_grasp(self, held: str, opening: float, force: float) -> None:
         """Continue the grip of an earlier run before the first tick: fingers at `opening` [m] with `force` [N].
@@ -409,12 +413,23 @@ class ControlLoop:
         if conditions := self._scene_monitor.update(scene):
             self.safety_controller.report(conditions)
             return
-        self.scene = self._scene_smoother.update(scene, self._moving_objects())
+        self.scene = self._with_limits(self._scene_smoother.update(scene, self._moving_objects()))
         self.log.scene(self.scene)
         if self._residual_contacts.update(self.state, self.scene):
             self._update_permits()
         self._register_late_grasp()
         self.update_obstacles()
+
+    def _with_limits(self, scene: Scene) -> Scene:
+        return with_object_limits(scene, self.config.object_limits)
+
+    def _note_object_limits(self) -> None:
+        """Log once which objects the site limits, and which of its entries match no object."""
+        if self._object_limits_noted:
+            return
+        self._object_limits_noted = True
+        for text in limits_in_words(self.scene, self.config.object_limits):
+            self.log.note(self.state.stamp, "site", text)
 
     def _register_late_grasp(self) -> None:
         """Detect a grasp that completes after the skill was stopped: both fingers press on the object."""

@@ -7,11 +7,11 @@ from dualbrain.contracts.gate.gate import Gate
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
 from dualbrain.core.geometry.shapes import HalfSpace, Pose
+from dualbrain.grounding.envelope.scene_rules import scene_rules
 from dualbrain.grounding.instruction.correspondence import INSTRUCTION_POINTER, SceneVocabulary, find_mismatch
 from dualbrain.grounding.instruction.goals.goal_coverage import find_uncovered
 from dualbrain.grounding.instruction.goals.goal_reading import read_goal
 from dualbrain.grounding.instruction.review import Refusal, review_instruction
-from dualbrain.grounding.scene_rules import scene_rules
 from dualbrain.grounding.vocabulary import load_skill_registry, planner_grants, scene_names
 from dualbrain.records import Scene, SceneObject
 from dualbrain.robots.interface import home_state

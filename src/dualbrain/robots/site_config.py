@@ -136,10 +136,25 @@ class PersonEntry(SiteEntry, frozen=True, kw_only=True):
     area: Positive | None = None
 
 
+class ObjectEntry(SiteEntry, frozen=True, kw_only=True):
+    """[object.NAME], for objects by name or category or for all `others`: limits of contracts that move the object.
+
+    Largest grip `force` [N] on each finger, largest tool `speed` [m/s], least `clearance` [m].
+    """
+
+    force: Positive | None = None
+    speed: Positive | None = None
+    clearance: Positive | None = None
+
+
 class Commander(SiteEntry, frozen=True):
     """[commander.NAME]: the skills that this principal may call."""
 
     skills: tuple[str, ...]
+
+
+NAMED_TABLES = {"joint": JointCaps, "object": ObjectEntry, "commander": Commander}
+"""Tables with names of their own, which are checked one by one because msgspec omits these names from its paths."""
 
 
 class Site(SiteEntry, frozen=True, kw_only=True):
@@ -153,6 +168,7 @@ class Site(SiteEntry, frozen=True, kw_only=True):
     plane: tuple[PlaneEntry, ...] = ()
     keep_out: tuple[KeepOut, ...] = ()
     person: dict[str, PersonEntry] = {}
+    object: dict[str, ObjectEntry] = {}
     commander: dict[str, Commander] = {}
 
 
@@ -210,7 +226,7 @@ def read_site(path: Path | str) -> SiteFile:
     locations = _entry_locations(text)
     if (entry := _find_non_finite(data, "")) is not None:
         raise SiteError(path.name, find_location(entry, locations), entry, got="not finite", allowed="finite numbers")
-    for table, kind in (("joint", JointCaps), ("commander", Commander)):  # msgspec omits these names from its paths
+    for table, kind in NAMED_TABLES.items():
         entries = data.get(table)
         if isinstance(entries, dict):
             for name, value in cast("dict[str, Any]", entries).items():

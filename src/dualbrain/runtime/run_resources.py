@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from dualbrain.adaptation.serving.open_planner import open_planner
 from dualbrain.contracts.gate.strict_json import MAX_CONTRACT_FILE_BYTES
@@ -14,6 +14,7 @@ from dualbrain.core import weights
 from dualbrain.core.storage.private_files import open_private_folder
 from dualbrain.core.untrusted.bounded_file import read_bounded_file
 from dualbrain.grounding.document_retrieval import retrieve_passages
+from dualbrain.grounding.envelope.object_limits import site_object_limits
 from dualbrain.grounding.instruction.stop_commands import is_stop_command
 from dualbrain.grounding.map_overlay import apply_map
 from dualbrain.grounding.outcome.instruction_truth import make_instruction_judge
@@ -28,10 +29,10 @@ from dualbrain.memory.ledger.ledger import Ledger
 from dualbrain.memory.memory import Memory
 from dualbrain.memory.plasticity.hebbian_update import Plasticity
 from dualbrain.planner.camera_image import CameraImage
-from dualbrain.planner.introspection import require_image_input
+from dualbrain.planner.introspection import no_documents_reason, require_image_input
 from dualbrain.planner.protocol import Planner
 from dualbrain.planner.scripted import FixedContractPlanner
-from dualbrain.records import Passage
+from dualbrain.records import ObjectLimits, Passage
 from dualbrain.robots.loader import load_robot
 from dualbrain.robots.model import RobotModel
 from dualbrain.robots.site_config import read_site
@@ -51,11 +52,12 @@ from dualbrain.skills.registry import skill_registry
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RobotAtSite:
-    """The robot with the limits of its site, and the fixed obstacles, person limits and skill grants of the site."""
+    """The robot with the limits of its site, and obstacles, limits of persons and objects, and grants of the site."""
 
     robot_model: RobotModel
     fixed_obstacles: tuple[Obstacle, ...] = ()
     persons: PersonLimits | None = None
+    object_limits: Mapping[str, ObjectLimits] = field(default_factory=dict[str, ObjectLimits])
     grants: Grants | None = None
 
 
@@ -113,14 +115,15 @@ def open_resources(
     site = open_site(config)
     spec, start = open_beginning(config)
     encoder = MiniLmEncoder.from_cache(config.cache)
-    library = _open_library(config, clocks, encoder, stack)
+    if planner is None:
+        planner = open_configured_planner(config, site.robot_model, environ)
+        stack.callback(planner.close)
+    consults = _reads_documents(config, planner)
+    library = _open_library(config, clocks, encoder, stack) if consults or config.map else None
     if library is not None and config.map:
         spec = apply_map(spec, site.robot_model, library, config.map)
     goal = parse_goals(config.goal, spec) if config.goal else None
     image_encoder = _open_image_encoder(config)
-    if planner is None:
-        planner = open_configured_planner(config, site.robot_model, environ)
-        stack.callback(planner.close)
     sends_image = config.image and not is_stop_command(config.instruction)
     if sends_image:
         require_image_input(planner)
@@ -142,7 +145,7 @@ def open_resources(
         site=site,
         spec=spec,
         start=start,
-        library=library if config.consult else None,
+        library=library if consults else None,
         image_encoder=image_encoder,
         planner=planner,
         folder=folder,
@@ -167,18 +170,24 @@ def open_site(config: RunConfig) -> RobotAtSite:
         return RobotAtSite(robot_model=load_robot(config.robot))
     site = read_site(config.site)
     robot_model = site_robot(load_robot(config.robot), site)
+    registry = skill_registry(robot_model)
     return RobotAtSite(
         robot_model=robot_model,
         fixed_obstacles=site_obstacles(robot_model, site),
         persons=site_persons(site),
-        grants=site_skill_grants(site, frozenset(skill_registry(robot_model).by_name)),
+        object_limits=site_object_limits(site, registry),
+        grants=site_skill_grants(site, frozenset(registry.by_name)),
     )
 
 
+def _reads_documents(config: RunConfig, planner: Planner) -> bool:
+    """Whether passages of documents are put into the prompt of `planner`."""
+    return config.consult != "off" and config.contract is None and not no_documents_reason(planner)
+
+
 def _open_library(config: RunConfig, clocks: Clocks, encoder: MiniLmEncoder, stack: ExitStack) -> Library | None:
-    """The documents, if passages or a map are requested."""
-    requested = config.consult and config.contract is None
-    if config.knowledge is None or not (requested or config.map):
+    """The documents, if there is a store for them."""
+    if config.knowledge is None:
         return None
     library = open_library(config.knowledge, encoder, now=clocks.now())
     stack.callback(library.close)

@@ -153,6 +153,7 @@ class Session:
             world=self.world,
             fixed_obstacles=self._resources.site.fixed_obstacles,
             persons=self._resources.site.persons,
+            object_limits=self._resources.site.object_limits,
             start=self._resources.start,
             versions=self._versions(),
             image_features=self._resources.image_features,

@@ -56,11 +56,21 @@ class LockstepCell:
             time.sleep(0.005)
 
 
-def make_cell(folder, scene="bare:0", *, gate=None, on_period=lambda now: None, robot_time=False, **options):
+def make_cell(
+    folder,
+    scene="bare:0",
+    *,
+    gate=None,
+    on_period=lambda now: None,
+    robot_time=False,
+    settings=None,
+    **options,
+):
     """A gatekeeper that does not run yet.
 
     `on_period(now)` is called after every period of the robot, `gate` replaces the gate, `robot_time` times connections
-    by the robot's clock, and `options` are further arguments of the gatekeeper.
+    by the robot's clock, `settings` replaces those of a simulated robot, and `options` are further arguments of the
+    gatekeeper.
     """
     robot_model, spec = load_robot("panda"), open_scene(scene)
     plant = Plant(spec, robot_model)
@@ -83,7 +93,7 @@ def make_cell(folder, scene="bare:0", *, gate=None, on_period=lambda now: None, 
         gate or InlineGate(GateSetup(robot_model=robot_model, capabilities=capabilities)),
         keys,
         capabilities,
-        settings=GatekeeperSettings(timing=SIMULATED),
+        settings=settings or GatekeeperSettings(timing=SIMULATED),
         monotonic=(lambda: plant.now) if robot_time else time.monotonic,
         **options,
     )

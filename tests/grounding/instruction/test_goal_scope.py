@@ -7,9 +7,9 @@ import pytest
 
 from dualbrain.contracts.schema import DECLINE, decoding_schema, first_skills, step_schemas
 from dualbrain.evaluation.planners.random_contract import sample_params
+from dualbrain.grounding.envelope.scene_rules import skill_order
 from dualbrain.grounding.instruction.goals.goal_reading import read_goal
 from dualbrain.grounding.instruction.goals.goal_scope import goal_scope
-from dualbrain.grounding.scene_rules import skill_order
 from dualbrain.grounding.vocabulary import load_skill_registry, scene_names
 from dualbrain.records import Scene
 from tests.grounding.outcome.tabletop_cases import BEFORE

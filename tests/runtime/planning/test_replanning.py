@@ -7,7 +7,7 @@ import pytest
 
 from dualbrain.contracts.schema import first_skills
 from dualbrain.contracts.verdict import Rejected
-from dualbrain.grounding.scene_rules import FULL_HAND_HINT
+from dualbrain.grounding.envelope.scene_rules import FULL_HAND_HINT
 from dualbrain.memory.state.episode_record import GUIDANCE_BY_OUTCOME
 from dualbrain.planner.prompt.full_prompt import render
 from dualbrain.planner.prompt.prompt_format import SHORT_PROMPT

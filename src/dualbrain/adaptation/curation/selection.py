@@ -52,10 +52,10 @@ def select(
     """The episodes of D_clean in their order, and the ids of all others by the reason that excludes them.
 
     Every contract is checked again by the present gate: syntax, authorization, bounds and names. The rules on scene
-    geometry and robot (`grounding/scene_rules.py`) are not checked again: the complete gate accepted the contract
-    before its execution, and r is the robot's own measurement. Simulator ground truth is not in the ledger. A decline
-    has no r: those in `declines` are selected on the caller's authority. With `site`, which only narrows `registry`,
-    episodes of either vocabulary are selected if the site's gate accepts them.
+    geometry and robot (`grounding/envelope/scene_rules.py`) are not checked again: the complete gate accepted the
+    contract before its execution, and r is the robot's own measurement. Simulator ground truth is not in the ledger. A
+    decline has no r: those in `declines` are selected on the caller's authority. With `site`, which only narrows
+    `registry`, episodes of either vocabulary are selected if the site's gate accepts them.
     """
     here = site or registry
     gate, known = Gate(here, {PRINCIPAL: frozenset(here.by_name)}), (registry.hash, here.hash)

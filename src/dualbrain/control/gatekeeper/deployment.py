@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,8 @@ from dualbrain.control.gatekeeper.robot_link.driver_process import DriverSetting
 from dualbrain.control.gatekeeper.robot_link.simulated_robot import SimulatedRobotSettings
 from dualbrain.drivers.catalogue import DriverKind, find_driver_kind
 from dualbrain.drivers.commissioning.record import require_record
+from dualbrain.grounding.envelope.object_limits import site_object_limits
+from dualbrain.records import ObjectLimits
 from dualbrain.robots.loader import BUILTIN_ROBOTS, load_robot
 from dualbrain.robots.model import RobotModel
 from dualbrain.robots.site_config import read_site
@@ -32,6 +35,7 @@ class Deployment:
     capability: Capability
     driver: DriverKind | None
     persons: PersonLimits | None = None
+    object_limits: Mapping[str, ObjectLimits] = field(default_factory=dict[str, ObjectLimits])
 
     @classmethod
     def from_config(cls, config: GatekeeperConfig) -> Deployment:
@@ -67,6 +71,7 @@ class Deployment:
             capability=capability,
             driver=kind,
             persons=persons,
+            object_limits=site_object_limits(site, skill_registry(robot_model)) if site else {},
         )
 
     @property

@@ -10,7 +10,7 @@ from __future__ import annotations
 import gc
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import isnan
 
 from msgspec.structs import replace
@@ -50,7 +50,7 @@ from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.recorder import Recorder
 from dualbrain.control.recording.recording_pause import UNATTENDED_TIME, RecordingPause
 from dualbrain.control.recording.trace import Event, Trace
-from dualbrain.records import Outcome
+from dualbrain.records import ObjectLimits, Outcome
 from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.config import FilterConfig
 from dualbrain.safety.cbf.filter import SafetyFilter
@@ -82,7 +82,7 @@ class GatekeeperSettings:
     `timing`: limits on delays of the robot's interface. `speed_scale`: initial speed scale, (0, 1]. `fixed_obstacles`:
     obstacles of the site. `filter_config`: settings of the filter for this robot. `drive_initially_off`: the drive has
     to be switched on first. `unrecorded`: the arm may move on if the recording cannot be written. `persons`: speed
-    limits near persons.
+    limits near persons. `object_limits`: limits of objects by name or category.
     """
 
     timing: Timing
@@ -90,6 +90,7 @@ class GatekeeperSettings:
     fixed_obstacles: tuple[Obstacle, ...] = ()
     filter_config: FilterConfig | None = None
     persons: PersonLimits | None = None
+    object_limits: Mapping[str, ObjectLimits] = field(default_factory=dict[str, ObjectLimits])
     drive_initially_off: bool = False
     unrecorded: bool = False
 
@@ -153,6 +154,7 @@ class Gatekeeper:
                 timing=settings.timing,
                 unrecorded=settings.unrecorded,
                 persons=settings.persons,
+                object_limits=settings.object_limits,
             ),
             LoopObserver(
                 on_tick=self._broadcast_tick,

@@ -130,6 +130,7 @@ def _assemble(
             fixed_obstacles=deployment.fixed_obstacles,
             filter_config=deployment.filter_config,
             persons=deployment.persons,
+            object_limits=deployment.object_limits,
             drive_initially_off=deployment.driver is not None,
             unrecorded=config.unrecorded,
         ),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Protocol
@@ -11,6 +11,7 @@ from dualbrain.control.executor import Executor
 from dualbrain.control.recording.trace import Trace
 from dualbrain.memory.embedding.image_features import ImageFeatures
 from dualbrain.planner.camera_image import CameraImage
+from dualbrain.records import ObjectLimits
 from dualbrain.robots.model import RobotModel
 from dualbrain.runtime.config import Clocks, RunConfig, RunObserver
 from dualbrain.runtime.episode import GroundTruth
@@ -37,6 +38,7 @@ class RunContext:
     world: SimulatedWorld
     fixed_obstacles: tuple[Obstacle, ...]
     persons: PersonLimits | None
+    object_limits: Mapping[str, ObjectLimits]
     start: EndState | None
     versions: dict[str, str]
     image_features: Callable[[], ImageFeatures | None]

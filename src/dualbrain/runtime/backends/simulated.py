@@ -48,7 +48,12 @@ class SimulatedBackend:
                 world,
                 safety=safety,
                 log=log,
-                config=ControlLoopConfig(guard=config.guard, unrecorded=config.unrecorded, persons=context.persons),
+                config=ControlLoopConfig(
+                    guard=config.guard,
+                    unrecorded=config.unrecorded,
+                    persons=context.persons,
+                    object_limits=context.object_limits,
+                ),
                 observer=LoopObserver(on_tick=observer.on_tick, on_phase=lambda phase, roles: observer.on_phase(phase)),
                 inputs=LoopInputs(interrupted=context.interrupted, clock=lambda: world.plant.now),
             )

@@ -25,8 +25,8 @@ from dualbrain.contracts.gate.authorization import PLANNER
 from dualbrain.contracts.gate.gate import Gate
 from dualbrain.contracts.verdict import Accepted
 from dualbrain.errors import ChecksumError
+from dualbrain.grounding.envelope.scene_rules import scene_rules
 from dualbrain.grounding.offline_gate import controller_at_home
-from dualbrain.grounding.scene_rules import scene_rules
 from dualbrain.grounding.scene_summary import summarise_scene
 from dualbrain.grounding.vocabulary import load_skill_registry, planner_grants, scene_names
 from dualbrain.records import Scene

@@ -16,10 +16,10 @@ from dualbrain.contracts.gate.authorization import PLANNER
 from dualbrain.contracts.gate.gate import Gate
 from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
 from dualbrain.core.text import storable_text
+from dualbrain.grounding.envelope.scene_rules import scene_rules
 from dualbrain.grounding.instruction.recalled_steps import fit_recall
 from dualbrain.grounding.instruction.review import Refusal
 from dualbrain.grounding.offline_gate import controller_at_home
-from dualbrain.grounding.scene_rules import scene_rules
 from dualbrain.grounding.vocabulary import planner_grants, scene_names
 from dualbrain.memory.embedding.posture_features import Posture
 from dualbrain.planner.introspection import planner_messages, planner_template, unsupported_fields

@@ -11,11 +11,11 @@ import msgspec
 from dualbrain.contracts.canonical_form import reorder_contract
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.schema import DECLINE, decoding_schema, describe_skills
-from dualbrain.grounding.grasp_fit import parameter_domains, ungraspable
+from dualbrain.grounding.envelope.grasp_fit import parameter_domains, ungraspable
+from dualbrain.grounding.envelope.scene_rules import skill_order
 from dualbrain.grounding.instruction.goals.goal import Goal, Unread
 from dualbrain.grounding.instruction.goals.goal_reading import corrected_instruction, read_goal
 from dualbrain.grounding.instruction.goals.goal_scope import goal_scope
-from dualbrain.grounding.scene_rules import skill_order
 from dualbrain.grounding.scene_summary import summarise_scene
 from dualbrain.grounding.vocabulary import scene_names
 from dualbrain.memory.embedding.image_features import ImageFeatures
@@ -149,7 +149,8 @@ def answer_schema(
     A goal whose objects do not fit the hand leaves the decline alone.
     """
     goal = read_goal(instruction, scene) if restrict else Unread("")
-    scope, domains = goal_scope(goal, scene, holding), parameter_domains(scene, registry)
+    scope = goal_scope(goal, scene, holding)
+    domains = parameter_domains(scene, registry, holding, scope.names.graspable)
     order = skill_order([skill.name for skill in registry.skills], holding)
     if isinstance(goal, Goal) and ungraspable(goal, scene, domains, holding):
         return decoding_schema(registry, scope.names, order=order, skills=(DECLINE,))

@@ -11,7 +11,7 @@ from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.gate.strict_json import MAX_BYTES
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.errors import DECODE_ERRORS
-from dualbrain.grounding.grasp_fit import parameter_domains, ungraspable
+from dualbrain.grounding.envelope.grasp_fit import parameter_domains, ungraspable
 from dualbrain.grounding.instruction.correspondence import SceneVocabulary, find_mismatch
 from dualbrain.grounding.instruction.goals.goal import Goal, Unread
 from dualbrain.grounding.instruction.goals.goal_coverage import find_uncovered, find_unfounded_decline

@@ -7,7 +7,7 @@ from dualbrain.contracts.gate.gate import Gate
 from dualbrain.contracts.verdict import Rejected, Verdict
 from dualbrain.control.gatekeeper.capability import skill_grants
 from dualbrain.control.gatekeeper.gate.exchange import GateRequest, GateSetup, gate_failure
-from dualbrain.grounding.scene_rules import scene_rules
+from dualbrain.grounding.envelope.scene_rules import scene_rules
 from dualbrain.grounding.vocabulary import scene_names
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.skills.registry import make_controller, skill_registry

@@ -13,7 +13,8 @@ from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.schema import DECLINE
 from dualbrain.contracts.skill_order import SkillOrder
 from dualbrain.contracts.verdict import Rejected
-from dualbrain.grounding.grasp_fit import bears_force, is_level, least_opening
+from dualbrain.grounding.envelope.grasp_fit import bears_force, is_level, least_opening
+from dualbrain.grounding.envelope.object_limits import check_object_limits
 from dualbrain.records import Scene, SceneObject
 from dualbrain.robots.model import RobotModel
 from dualbrain.skills.arm.controller import ArmController
@@ -48,6 +49,7 @@ def scene_rules(
             _check_decline,
             lambda contract: _check_drive_targets(contract, scene, controller.base),
             lambda contract: _check_gripper_sequence(contract, controller.arm),
+            lambda contract: check_object_limits(contract, scene, _held_name(controller.arm)),
             lambda contract: _check_fits(contract, scene, controller.arm.robot_model),
             lambda contract: _check_grasps_before_driving(contract, scene, controller),
             lambda contract: _check_reach_after_driving(contract, scene, controller),
@@ -57,8 +59,13 @@ def scene_rules(
     return (
         _check_decline,
         lambda contract: _check_gripper_sequence(contract, controller),
+        lambda contract: check_object_limits(contract, scene, _held_name(controller)),
         lambda contract: _check_grasps(contract, scene, controller),
     )
+
+
+def _held_name(arm: ArmController) -> str | None:
+    return arm.holding.name if arm.holding else None
 
 
 def hand_after(skill: str, *, full: bool) -> bool | None:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from dualbrain.contracts.contract import Action, Context, Contract
 from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.schema import decoding_schema, first_skills
-from dualbrain.grounding.scene_rules import scene_rules, skill_order
+from dualbrain.grounding.envelope.scene_rules import scene_rules, skill_order
 from dualbrain.planner.decoding.llguidance_grammar import actions_grammar
 from dualbrain.records import Scene
 from dualbrain.robots.loader import load_robot
@@ -39,7 +39,7 @@ ACTION = {
 def hand_and_decline_rules(held):
     arm = ArmController(PANDA, SafetyFilter(PANDA))
     arm.holding = HeldObject(held, 0.05) if held else None
-    decline, hand, _ = scene_rules(Scene(robot="panda", stamp=0.0, version=1, objects=()), arm)
+    decline, hand, *_ = scene_rules(Scene(robot="panda", stamp=0.0, version=1, objects=()), arm)
     return decline, hand
 
 

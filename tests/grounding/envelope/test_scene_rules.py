@@ -4,9 +4,9 @@ import msgspec
 import pytest
 
 from dualbrain.contracts.contract import Action, Context, Contract
-from dualbrain.grounding.grasp_fit import FINGER_MARGIN
+from dualbrain.grounding.envelope.grasp_fit import FINGER_MARGIN
+from dualbrain.grounding.envelope.scene_rules import scene_rules
 from dualbrain.grounding.offline_gate import check_contract, controller_at_home
-from dualbrain.grounding.scene_rules import scene_rules
 from dualbrain.robots.loader import load_robot
 from dualbrain.skills.skill import HeldObject
 from tests.grounding.perceived_scenes import bowl, box, scene

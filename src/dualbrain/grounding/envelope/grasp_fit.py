@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
+from collections.abc import Collection, Iterable
 
 from dualbrain.contracts.parameter_domains import ParameterDomain, ParameterDomains
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.skill_spec import ChoiceParameter, NumberParameter, SkillSpec
+from dualbrain.grounding.envelope.object_limits import NumberBounds, common_bounds, number_bounds
 from dualbrain.grounding.instruction.goals.action_bounds import is_there
 from dualbrain.grounding.instruction.goals.goal import Condition, Goal, Held, Placed
 from dualbrain.records import Scene, SceneObject
@@ -41,10 +43,26 @@ def bears_force(obj: SceneObject, force: float) -> bool:
     return obj.fragile_limit is None or force <= FRAGILE_FRACTION * obj.fragile_limit
 
 
-def parameter_domains(scene: Scene, registry: SkillRegistry) -> ParameterDomains:
-    """The domain of the skill `grasp` in `scene`; no entry if the robot has no such skill."""
-    grasp = registry.by_name.get("grasp")
-    return {} if grasp is None else {grasp.name: _grasp_domains(scene, grasp)}
+def parameter_domains(
+    scene: Scene, registry: SkillRegistry, holding: str | None = None, graspable: Collection[str] | None = None
+) -> ParameterDomains:
+    """The domains of the skills that move objects in `scene`: objects that fit, within the limits of the site.
+
+    A placed object is the one in the hand (`holding`) or one of `graspable` (all objects if None): where it is not
+    known which, the loosest limit bounds the domain. Without limits only the skill `grasp` has an entry, and a robot
+    without it has none.
+    """
+    skills = registry.by_name
+    if "grasp" not in skills:
+        return {}
+    objects = [scene.find(name) for name in scene.graspable]
+    carried = [obj for obj in objects if obj.name == holding or graspable is None or obj.name in graspable]
+    domains = {"grasp": _grasp_domains(objects, skills["grasp"])}
+    if "push" in skills and any(obj.limits for obj in objects):
+        domains["push"] = _push_domains(objects, skills["push"])
+    if "place" in skills and (bounds := common_bounds(skills["place"], carried)) != NumberBounds():
+        domains["place"] = (ParameterDomain(least=dict(bounds.least), most=dict(bounds.most)),)
+    return domains
 
 
 def ungraspable(goal: Goal, scene: Scene, domains: ParameterDomains, holding: str | None = None) -> tuple[str, ...]:
@@ -70,26 +88,37 @@ def _grasped(condition: Condition, scene: Scene, holding: str | None) -> tuple[s
             return ()
 
 
-def _grasp_domains(scene: Scene, grasp: SkillSpec) -> tuple[ParameterDomain, ...]:
-    """The parts of the parameter domain of the skill `grasp` in which the objects of `scene` fit into the hand.
+def _grasp_domains(objects: Iterable[SceneObject], grasp: SkillSpec) -> tuple[ParameterDomain, ...]:
+    """The parts of the parameter domain of the skill `grasp` in which `objects` fit into the hand.
 
-    One part for objects and finger axes with the same least opening; an object that does not fit is in none.
+    One part for objects and finger axes with the same bounds; an object that does not fit is in none.
     """
     by_name = {parameter.name: parameter for parameter in grasp.parameters}
     axes, opening, force = by_name["finger_axis"], by_name["opening"], by_name["force"]
     assert isinstance(axes, ChoiceParameter)
     assert isinstance(opening, NumberParameter)
     assert isinstance(force, NumberParameter)
-    objects = [obj for obj in map(scene.find, scene.graspable) if bears_force(obj, force.lower)]
-    names = defaultdict[tuple[tuple[str, ...], float], list[str]](list)
-    for obj in objects:
+    names = defaultdict[tuple[tuple[str, ...], float, NumberBounds], list[str]](list)
+    for obj in (obj for obj in objects if bears_force(obj, force.lower)):
         by_opening = defaultdict[float, list[str]](list)
         for axis in (axis for axis in axes.choices if is_level(obj, axis)):
             by_opening[least_opening(obj, axis)].append(axis)
         for least, fitting in by_opening.items():
             if least <= opening.upper:
-                names[tuple(fitting), least].append(obj.name)
+                names[tuple(fitting), least, number_bounds(grasp, obj.limits)].append(obj.name)
     return tuple(
-        ParameterDomain({"object": objects, "finger_axis": fitting}, {"opening": least})
-        for (fitting, least), objects in names.items()
+        ParameterDomain(
+            {"object": objects, "finger_axis": fitting}, {"opening": least, **dict(bounds.least)}, dict(bounds.most)
+        )
+        for (fitting, least, bounds), objects in names.items()
+    )
+
+
+def _push_domains(objects: Iterable[SceneObject], push: SkillSpec) -> tuple[ParameterDomain, ...]:
+    """The parts of the parameter domain of the skill `push`: one for objects with the same bounds."""
+    names = defaultdict[NumberBounds, list[str]](list)
+    for obj in objects:
+        names[number_bounds(push, obj.limits)].append(obj.name)
+    return tuple(
+        ParameterDomain({"object": found}, dict(bounds.least), dict(bounds.most)) for bounds, found in names.items()
     )

@@ -15,9 +15,9 @@ from dualbrain.contracts.parameter_domains import ParameterDomain
 from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.schema import decoding_schema, first_skills
 from dualbrain.core.geometry.shapes import Box, Cylinder, Pose, Sphere
-from dualbrain.grounding.grasp_fit import parameter_domains
+from dualbrain.grounding.envelope.grasp_fit import parameter_domains
+from dualbrain.grounding.envelope.scene_rules import scene_rules, skill_order
 from dualbrain.grounding.offline_gate import controller_at_home
-from dualbrain.grounding.scene_rules import scene_rules, skill_order
 from dualbrain.grounding.vocabulary import scene_names
 from dualbrain.memory.embedding.posture_features import Posture
 from dualbrain.planner.decoding.llguidance_grammar import actions_grammar
