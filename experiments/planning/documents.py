@@ -204,32 +204,20 @@ def kind_table(rows: Sequence[Row]) -> list[str]:
 
 
 def site_table(rows: Sequence[Row]) -> list[str]:
-    """Rules kept by planner and reading, and the difference that the site file makes."""
-    lines: list[tuple[str, ...]] = []
-    for planner, readings in READINGS.items():
-        own = [row for row in rows if row.get("planner", LARGE_PLANNER) == planner]
-        for reading in readings:
-            some = [row for row in own if row["reading"] == reading]
-            if some:
-                kept = sum(is_right(row["answer"]) and row["follows"] for row in some)
-                lines.append(
-                    (
-                        planner,
-                        reading,
-                        format_proportion(sum(row["follows"] for row in some), len(some)),
-                        format_proportion(sum(is_right(row["answer"]) for row in some), len(some)),
-                        format_proportion(kept, len(some)),
-                        f"{median(row['decision_s'] for row in some):.1f}",
-                    )
-                )
-    head = (
-        "planner",
-        "rule",
-        "followed",
-        "right skills and names",
-        "right and as the rule states",
-        "median decision [s]",
+    """Rules kept, by planner and by the way in which it is asked."""
+    asked = [(planner, reading) for planner, readings in READINGS.items() for reading in readings]
+    lines = (
+        (
+            planner,
+            reading,
+            format_proportion(sum(row["follows"] for row in some), len(some)),
+            format_proportion(sum(is_right(row["answer"]) for row in some), len(some)),
+            format_proportion(sum(is_right(row["answer"]) and row["follows"] for row in some), len(some)),
+        )
+        for planner, reading in asked
+        if (some := [row for row in rows if (row.get("planner", LARGE_PLANNER), row["reading"]) == (planner, reading)])
     )
+    head = ("planner", "rule", "followed", "right skills and names", "right and followed")
     return ["The same rules as limits of the site file:", "", *markdown_table(head, lines)]
 
 

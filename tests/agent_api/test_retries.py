@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from dualbrain.agent_api import retries
 from dualbrain.agent_api.retries import LOST_REASON, MAX_ID, RETRY_WINDOW, RetryLog, contract_identity
 from dualbrain.agent_api.submission import Submission, SubmissionReport
 from dualbrain.contracts.verdict import Rejected
@@ -52,6 +53,21 @@ def test_the_next_id_is_free_and_stays_until_it_is_used():
     log.add("c-0002", submission())
     assert log.next_id(NOW) == "c-0004"
     assert log.next_id(NOW + RETRY_WINDOW + 1.0) == "c-0004"
+
+
+def test_old_submissions_are_forgotten_only_beyond_the_window_and_the_number_that_is_kept(monkeypatch):
+    monkeypatch.setattr(retries, "MAX_KNOWN", 3)
+    log = RetryLog()
+    for number in range(6):
+        log.add(f"old-{number}", submission("finished"))
+    assert log.get("old-0") is not None
+    for number in range(2):
+        log.add(f"new-{number}", submission(at=NOW + RETRY_WINDOW + 1.0))
+    assert [name for name in ("old-0", "old-4", "old-5", "new-0", "new-1") if log.get(name)] == [
+        "old-5",
+        "new-0",
+        "new-1",
+    ]
 
 
 def test_ids_begin_again_after_the_last_one():

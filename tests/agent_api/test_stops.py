@@ -6,6 +6,7 @@ import pytest
 from starlette.applications import Starlette
 from starlette.testclient import TestClient
 
+from dualbrain.agent_api.retries import RETRY_WINDOW
 from dualbrain.agent_server.console.routes import console_routes
 from dualbrain.control.gatekeeper.protocol.client import ConnectionLostError
 from tests.agent_api.stub_client import StubClient, open_robot
@@ -61,6 +62,23 @@ def test_a_contract_that_goes_on_after_a_stop_is_an_error(robot, client, monkeyp
     monkeypatch.setattr(client, "operate", client.sent.append)
     with pytest.raises(ConnectionLostError, match="did not confirm"):
         robot.stop()
+
+
+@pytest.mark.parametrize("words", ["stop", "Halt!", "stop it now, please"])
+def test_an_instruction_to_stop_ends_the_running_contract_and_reports_it(words, robot, client):
+    report = robot.do(words, timeout=5.0)
+    assert client.sent[0] == "abort"
+    assert (report.id, report.state, report.outcome.kind) == ("c-0001", "finished", "aborted")
+
+
+def test_a_jump_of_the_system_time_releases_no_id(robot, client, monkeypatch):
+    again = robot.contract([{"skill": "hold", "params": {"duration": 9.0}}], "c-0001")
+    present = time.time()
+    monkeypatch.setattr(time, "time", lambda: present + 2.0 * RETRY_WINDOW)
+    assert robot.submit(again).repeated
+    client.end_motion()
+    assert robot.outcome("c-0001", timeout=5.0).state == "finished"
+    assert robot.submit(again).repeated
 
 
 def test_the_console_shows_a_stop_that_is_not_confirmed_as_an_error(robot, client, tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from pathlib import Path
@@ -67,6 +68,7 @@ class Executions:
         self._connection, self._feed, self._retries = connection, feed, retries
         self._lock, self._submissions, self._newest = Lock(), dict[str, Submission](), ""
         self._closing = False
+        self._now = _steady_clock()
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="episode")
         try:
             self._resources: AgentResources = self._worker.submit(
@@ -84,7 +86,7 @@ class Executions:
     def next_id(self) -> str:
         """An id for a new contract."""
         with self._lock:
-            return self._retries.next_id(time.time())
+            return self._retries.next_id(self._now())
 
     def submit(self, data: bytes, instruction: str, client: str) -> SubmissionReport:
         """Submit the contract in `data` for `client`, and return the report as soon as there is a verdict."""
@@ -94,7 +96,7 @@ class Executions:
             assert isinstance(rejected, Rejected)
             return SubmissionReport(id=contract_id, state="rejected", rejected=rejected)
         with self._lock:
-            earlier = self._retries.find(contract_id, digest, time.time()) if contract_id else None
+            earlier = self._retries.find(contract_id, digest, self._now()) if contract_id else None
             if isinstance(earlier, Submission):
                 return replace(earlier.report, repeated=True)
             name = contract_id or f"unread-{token_hex(4)}"
@@ -140,6 +142,13 @@ class Executions:
         with self._lock:
             found = list(self._submissions.values())
         return [one.report for one in reversed(found[-RECENT:])]
+
+    @property
+    def in_progress(self) -> str:
+        """The id of the submission in progress; "" without one."""
+        with self._lock:
+            newest = self._submissions.get(self._newest)
+            return self._newest if newest is not None and not newest.has_ended else ""
 
     def interrupt(self) -> None:
         """Make the robot stop if a submission is in progress, and drop an answer that the planner has not given yet."""
@@ -201,7 +210,7 @@ class Executions:
 
     def _begin(self, name: str, state: State, digest: str) -> Submission:
         """A new submission, which is the newest; the oldest one is forgotten."""
-        submission = Submission(SubmissionReport(id=name, state=state), digest, time.time())
+        submission = Submission(SubmissionReport(id=name, state=state), digest, self._now())
         self._submissions[name], self._newest = submission, name
         while len(self._submissions) > KEPT_SUBMISSIONS:
             del self._submissions[next(iter(self._submissions))]
@@ -287,3 +296,9 @@ def _reject_instruction(instruction: str) -> Rejected | None:
 def _reject(got: PrintableValue, allowed: str, hint: str) -> Rejected:
     """A rejection of a submission as a whole, before the gate."""
     return Rejected(stage="authorization", pointer="", got=got, allowed=allowed, hint=hint)
+
+
+def _steady_clock() -> Callable[[], float]:
+    """A clock [s, 1970 UTC] that does not follow later jumps of the system time, which would release the kept ids."""
+    offset = time.time() - time.monotonic()
+    return lambda: offset + time.monotonic()

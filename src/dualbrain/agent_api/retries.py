@@ -25,6 +25,8 @@ from dualbrain.core.storage.jsonl_log import JsonlLog
 
 RETRY_WINDOW = 900.0
 """Time [s] after its submission for which the id of a contract is kept."""
+MAX_KNOWN = 4096
+"""Number of submissions that are known beyond `RETRY_WINDOW`, for questions about their outcome."""
 MAX_ID = 9999
 """Highest number of an id; ids have four digits."""
 LOST_REASON = "the process of the agent interface ended while the contract ran; look at the scene"
@@ -85,8 +87,13 @@ class RetryLog:
         return self._submissions.get(contract_id)
 
     def keep(self, contract_id: str, submission: Submission) -> None:
-        """Keep a new submission in memory only; `add` follows."""
+        """Keep a new submission in memory only; `add` follows. The oldest ones beyond the window are forgotten."""
         self._submissions[contract_id] = submission
+        if len(self._submissions) > MAX_KNOWN:
+            oldest = submission.submitted_at - RETRY_WINDOW
+            old = [name for name, one in self._submissions.items() if one.submitted_at < oldest]
+            for name in old[: len(self._submissions) - MAX_KNOWN]:
+                del self._submissions[name]
 
     def add(self, contract_id: str, submission: Submission) -> None:
         """Keep a new submission, before it is sent to the robot; raises `FileWriteError`."""

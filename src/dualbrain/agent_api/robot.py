@@ -32,6 +32,7 @@ from dualbrain.core.paths import dualbrain_home
 from dualbrain.errors import ConfigurationError
 from dualbrain.grounding.envelope.grasp_fit import parameter_domains
 from dualbrain.grounding.envelope.scene_rules import skill_order
+from dualbrain.grounding.instruction.stop_commands import is_stop_command
 from dualbrain.grounding.scene_summary import summarise_scene
 from dualbrain.grounding.vocabulary import scene_names
 from dualbrain.planner.protocol import Planner
@@ -259,8 +260,13 @@ class Robot:
         """Plan an instruction with the robot's own planner and memory, execute the contract, and wait for the outcome.
 
         After `timeout` [s] the report shows how far it is, and the robot goes on. While a contract runs, the
-        instruction is rejected. Raises `ConfigurationError` if there is no planner.
+        instruction is rejected; a stop command stops the robot, as `stop`, and the report is that of the contract that
+        it ended. Raises `ConfigurationError` if there is no planner, and for a stop command `ConnectionLostError`.
         """
+        if is_stop_command(instruction) and (running := self._executions.in_progress):
+            self.stop()
+            if ended := self._executions.wait(running, timeout):
+                return ended
         report = self._executions.plan_and_run(instruction)
         return self._executions.wait(report.id, timeout) or report
 

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
@@ -307,7 +308,7 @@ class Blocked(gymnasium.Env):
 def test_a_blocked_arm_causes_no_windup():
     """The nominal control starts from the measured velocity, not from the commanded one."""
     bare = Blocked()
-    env = FilteredEnv(bare, make_filter(PANDA, (), PUSHED), torque=bare)
+    env = FilteredEnv(bare, make_filter(PANDA, (), PUSHED), torque=bare, step_time=PANDA.period)
     env.reset()
     applied = [env.step(np.full(7, 90.0))[4]["applied"] for _ in range(50)]
     np.testing.assert_allclose(applied[0], [j.acceleration.value for j in PANDA.joints], rtol=1e-5)
@@ -356,6 +357,31 @@ def test_a_slow_environment_with_joint_positions_is_filtered_in_every_period(gua
         observation, _, _, _, info = env.step(np.clip(observation[:7] + servo.dt * u, LOWER, UPPER))
     assert bool(min_h(np.array(servo.path)) > -TOLERANCE) is guarded
     assert not guarded or info["status"] in ("SAFE", "MODIFIED")
+
+
+def test_the_time_of_a_step_is_that_of_the_environment_or_stated():
+    with pytest.raises(ConfigurationError, match="Blocked does not state the time of one step") as unknown:
+        FilteredEnv(Blocked(), make_filter(PANDA), torque=Blocked())
+    assert "step_time=" in unknown.value.fix
+    for wrong in (0.0, -0.01, float("nan"), float("inf"), "fast"):
+        with pytest.raises(ConfigurationError, match="a positive number"):
+            FilteredEnv(Blocked(), make_filter(PANDA), torque=Blocked(), step_time=wrong)
+    with pytest.raises(ConfigurationError, match="one step of the environment"):
+        FilteredEnv(ReachEnv(), make_filter(), step_time=2 * PERIOD, **SPEEDS)
+
+
+@pytest.mark.parametrize("stated", [4 * PERIOD, lambda: 4 * PERIOD])
+def test_a_control_timestep_is_the_time_of_a_step(stated):
+    """robosuite states a number, dm_control a method, and gym-aloha wraps an environment of dm_control."""
+    for owner in ("outer", "inner"):
+        servo = ServoEnv()
+        servo.dt = None
+        holder = servo if owner == "outer" else SimpleNamespace()
+        holder.control_timestep = stated
+        if owner == "inner":
+            servo._env = holder
+        env = FilteredEnv(servo, make_filter(), action_space=JointPosition())
+        assert env.guard.steps_per_action == 4
 
 
 def test_an_action_space_replaces_the_functions_for_velocities():

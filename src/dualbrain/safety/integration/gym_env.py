@@ -7,7 +7,7 @@ the environment.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from math import isclose, isnan, nan
+from math import inf, isclose, isnan, nan
 from typing import Any, SupportsFloat
 
 import numpy as np
@@ -69,6 +69,7 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         action_space: ActionSpace | None = None,
         action_repeat: int = 1,
         deviation: Deviation = "nearest",
+        step_time: float | None = None,
     ) -> None:
         """Filter `env` with `safety`, or only observe it with a `ShadowFilter`.
 
@@ -84,11 +85,12 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         - `action_repeat`: number of environment steps per action. Each step is filtered again and rewards are summed:
           20 ms of a policy are 4 steps of an environment of 5 ms.
         - `deviation`: the nearest safe control, or braking along the commanded direction ("along_path").
+        - `step_time`: time of one step of the environment [s]; by default its `dt` or `control_timestep`.
 
         Raises:
-            ConfigurationError: the `dt` of the environment is not the period of the robot model (with `action_space`:
-                no multiple of it), `action_repeat` is below 1, the action space is narrower than its velocity limits,
-                or `action_space` is given beside the functions that it replaces.
+            ConfigurationError: the time of one step is unknown, or is not the period of the robot model (with
+                `action_space`: no multiple of it), `action_repeat` is below 1, the action space is narrower than its
+                velocity limits, or `action_space` is given beside the functions that it replaces.
         """
         super().__init__(env)
         self.shadow = safety if isinstance(safety, ShadowFilter) else None
@@ -106,7 +108,7 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         self._decode_action = decode_action or self._default_decode
         layout = FunctionLayout(self._decode_action, encode_action or self._default_encode)
         given = JointVelocity(layout=layout) if torque is None else JointTorque(drive=torque, layout=layout)
-        step = getattr(env.unwrapped, "dt", None)
+        step = _find_step_time(env.unwrapped) if step_time is None else _checked_step_time(step_time)
         if action_space is None:
             self._check_period(step)
             if torque is None:
@@ -177,12 +179,12 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
 
     # --- conditions of the guarantee ----------------------------------------------------------------------------
 
-    def _check_period(self, step: float | None) -> None:
+    def _check_period(self, step: float) -> None:
         period = self.safety.robot_model.period
-        if step is not None and not isclose(float(step), period, rel_tol=1e-6):
+        if not isclose(step, period, rel_tol=1e-6):
             raise ConfigurationError(
                 "one step of the environment [s]",
-                got=float(step),
+                got=step,
                 allowed=f"the period of the robot model, {period:g}",
                 fix="Build the filter for `derate(robot_model, period=...)` (dualbrain.safety.integration.derating).",
             )
@@ -202,6 +204,33 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
                 allowed=f"±{v_max.tolist()} or more, because a safe control must not be clipped",
                 fix="Pass `decode_action` and `encode_action`, or build the filter for `derate(..., max_speed=...)`.",
             )
+
+
+def _find_step_time(env: Any) -> float:
+    """The time of one step [s] that an environment states itself.
+
+    Gymnasium, gymnasium-robotics and metaworld have `dt`, robosuite and dm_control `control_timestep` (a number or a
+    method), and gym-aloha a dm_control environment as `_env`. Raises `ConfigurationError` without any of them.
+    """
+    for owner, name in ((env, "dt"), (env, "control_timestep"), (getattr(env, "_env", None), "control_timestep")):
+        stated = getattr(owner, name, None)
+        if stated is not None:
+            return _checked_step_time(stated() if callable(stated) else stated)
+    raise ConfigurationError.stating(
+        f"The environment {type(env).__name__} does not state the time of one step.",
+        fix="Pass it in seconds: `step_time=0.02` for 50 steps per second.",
+    )
+
+
+def _checked_step_time(stated: Any) -> float:
+    """The time of one step [s]; raises `ConfigurationError` if it is no positive number."""
+    try:
+        step = float(stated)
+    except (TypeError, ValueError):
+        step = nan
+    if not 0.0 < step < inf:
+        raise ConfigurationError("time of one step of the environment [s]", got=stated, allowed="a positive number")
+    return step
 
 
 def _step_info(reports: Sequence[GuardReport]) -> dict[str, Any]:

@@ -36,15 +36,18 @@ def guard_mujoco_env(
     margin: float = 0.0,
     config: FilterConfig | None = None,
     deviation: Deviation = "nearest",
+    step_time: float | None = None,
 ) -> FilteredEnv:
     """`env`, which is reset once, with every action of its arm replaced by the closest safe one.
 
     `joints` are the names of the arm's joints in the MuJoCo model, by default those of `robot_model`; `base` is the
     body at its base. Bodies in `ignored` are no obstacles: the policy may touch them. `margin` [m] enlarges obstacles.
-    The time step of the environment must be a multiple of the period of `robot_model` (`derate`).
+    The time of one step of the environment must be a multiple of the period of `robot_model` (`derate`); `step_time`
+    [s] states it for an environment that does not (`FilteredEnv`).
 
     Raises:
-        ConfigurationError: the environment has no MuJoCo simulation, or its arm is not that of `robot_model`.
+        ConfigurationError: the environment has no MuJoCo simulation, its arm is not that of `robot_model`, or the time
+            of one step is unknown or does not fit.
         UnknownNameError: its model has no joint or body of a name.
     """
     env.reset()
@@ -57,6 +60,7 @@ def guard_mujoco_env(
         scene=lambda _, __: adapter.obstacles.observe(),
         action_space=action_space,
         deviation=deviation,
+        step_time=step_time,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import struct
 import time
 from collections import deque
 from collections.abc import Callable
@@ -47,6 +48,8 @@ HEARTBEAT_PERIOD = 0.05
 """Time between two heartbeats of a commander [s]."""
 REPLY_TIMEOUT = 5.0
 """Longest wait for a short reply [s]."""
+SEND_TIMEOUT = 2.0
+"""Longest wait [s] for a gatekeeper that does not read; afterwards the connection is lost."""
 CONTRACT_LIFETIME = 60.0
 """Time from the issue to the expiry of a contract that the gate has not accepted [s]."""
 CLOCK_REPORTS = 20
@@ -79,6 +82,7 @@ class GatekeeperClient:
         """
         self._on_report = on_report
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _as_timeval(SEND_TIMEOUT))
         try:
             self._socket.connect(str(path))
         except OSError as error:
@@ -295,8 +299,13 @@ class GatekeeperClient:
         raise ConnectionLostError(f"no {kinds[0].__name__} within {timeout} s")
 
     def _send_bytes(self, data: bytes) -> None:
+        """Send a frame; if the gatekeeper does not take it in time, the frame may be cut, and the connection ends."""
         try:
             self._socket.sendall(data)
+        except BlockingIOError as error:
+            self.disconnect_reason = f"the gatekeeper has read nothing for {SEND_TIMEOUT:g} s"
+            self.disconnected.set()
+            raise ConnectionLostError(self.disconnect_reason) from error
         except OSError as error:
             self.disconnected.set()
             raise ConnectionLostError(error.strerror or CLOSED_BY_GATEKEEPER) from error
@@ -344,6 +353,11 @@ class GatekeeperClient:
                 self._check_reports.put(message)
             case _:
                 self._replies.put(message)
+
+
+def _as_timeval(seconds: float) -> bytes:
+    """The `struct timeval` of a time [s], for a socket option."""
+    return struct.pack("@ll", int(seconds), int(seconds % 1.0 * 1e6))
 
 
 def _checked(report: CheckReport) -> CheckReport:
