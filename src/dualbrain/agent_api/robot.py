@@ -31,6 +31,7 @@ from dualbrain.control.gatekeeper.protocol.messages import EventReport, Message,
 from dualbrain.core.paths import dualbrain_home
 from dualbrain.errors import ConfigurationError
 from dualbrain.grounding.envelope.grasp_fit import parameter_domains
+from dualbrain.grounding.envelope.object_limits import describe_limits
 from dualbrain.grounding.envelope.scene_rules import skill_order
 from dualbrain.grounding.instruction.stop_commands import is_stop_command
 from dualbrain.grounding.scene_summary import summarise_scene
@@ -164,10 +165,12 @@ class Robot:
     def scene(self) -> dict[str, Any]:
         """The perceived scene: a summary in symbols, the names that contracts may use, the skills, and a free id.
 
-        Raises `ConnectionLostError`.
+        `limits` are those of the site for named objects, in words; the entry is left out without any. Raises
+        `ConnectionLostError`.
         """
         report = self._scene_report()
         names, registry = scene_names(report.scene), self.registry
+        limits = {obj.name: describe_limits(obj.limits) for obj in report.scene.objects if obj.limits is not None}
         return {
             "summary": summarise_scene(report.scene, report.holding),
             "graspable": list(names.graspable),
@@ -177,6 +180,7 @@ class Robot:
             "registry": registry.hash,
             "next_id": self._executions.next_id(),
             "skills": describe_skills(registry, names),
+            **({"limits": limits} if limits else {}),
         }
 
     def schema(self, form: str = "decoding") -> dict[str, Any]:

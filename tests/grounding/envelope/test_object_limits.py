@@ -136,8 +136,8 @@ def test_name_and_category_apply_together_and_others_to_the_rest():
     assert limited.find("green_block").limits == ObjectLimits(force=30.0)
     assert limited.find("blue_bowl").limits is None
     assert with_object_limits(limited, limits) == limited
-    wider = with_object_limits(limited, {"others": ObjectLimits(force=50.0)})
-    assert wider.find("red_cube").limits.force == 10.0
+    stated = msgspec.structs.replace(CUBE, limits=ObjectLimits(force=float("nan"), speed=9.0))
+    assert with_object_limits(scene(stated, BLOCK, bowl()), limits).find("red_cube") == limited.find("red_cube")
 
 
 def test_a_scene_without_limits_is_the_same_object():

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
 
 import msgspec
 
@@ -61,7 +62,7 @@ def with_object_limits(scene: Scene, limits: Mapping[str, ObjectLimits]) -> Scen
     """`scene` in which each graspable object carries its limits.
 
     The entries of an object's name and of its category both apply, and the narrower number holds; `OTHERS` applies to
-    an object with neither. Limits that the scene already states can only become narrower.
+    an object with neither. Limits that a perceived scene states itself are replaced.
     """
     if not limits:
         return scene
@@ -142,12 +143,7 @@ def _with_limits(obj: SceneObject, limits: Mapping[str, ObjectLimits]) -> SceneO
     found = [limits[word] for word in dict.fromkeys((obj.name, obj.category)) if word in limits and word != OTHERS]
     if not found and OTHERS in limits:
         found = [limits[OTHERS]]
-    if not found:
-        return obj
-    narrowed = obj.limits
-    for one in found:
-        narrowed = one if narrowed is None else _narrowest(narrowed, one)
-    return msgspec.structs.replace(obj, limits=narrowed)
+    return msgspec.structs.replace(obj, limits=reduce(_narrowest, found) if found else None)
 
 
 def _narrowest(one: ObjectLimits, other: ObjectLimits) -> ObjectLimits:
