@@ -85,6 +85,17 @@ def test_a_safe_control_passes_unchanged(sparse_panda, state_at):
             assert twice.delta < 1e-6
 
 
+@pytest.mark.parametrize("unknown", [np.nan, np.inf, -np.inf])
+def test_an_unknown_last_control_is_that_of_an_arm_at_rest(sparse_panda, state_at, unknown):
+    q, answers = np.array(sparse_panda.home), []
+    for start in (0.0, unknown):
+        safety = SafetyFilter(sparse_panda, random_scenes.exact_config())
+        safety.reset(np.where(np.arange(7) == 2, start, 0.0), np.where(np.arange(7) == 3, start, 0.0))
+        answers.append(safety.filter(state_at(q), np.full(7, 0.3), 0.0))
+    np.testing.assert_array_equal(answers[0].u, answers[1].u)
+    assert answers[1].status <= FilterStatus.MODIFIED
+
+
 def test_answers_are_admissible_and_certified(sparse_panda, state_at):
     rng = np.random.default_rng(0)
     obstacles = random_scenes.random_scene(sparse_panda, rng)

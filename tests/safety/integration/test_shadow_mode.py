@@ -247,6 +247,31 @@ def test_the_log_has_one_line_per_interval(tmp_path):
     assert [json.loads(line)["cause"] for line in path.read_text("utf-8").splitlines()] == ["hand vs 'post'"] * 3
 
 
+class FillingDisk:
+    """A file whose disk takes 40 bytes of a line, and is free again afterwards."""
+
+    def __init__(self, file):
+        self.file, self.is_full = file, True
+
+    def write(self, line):
+        taken, self.is_full = (line[:40] if self.is_full else line), False
+        return self.file.write(taken)
+
+    def __getattr__(self, name):
+        return getattr(self.file, name)
+
+
+def test_a_line_that_the_disk_takes_in_part_is_an_error_and_leaves_the_others_readable(tmp_path):
+    path = tmp_path / "episodes.jsonl"
+    with InterventionLog(path) as log:
+        log(INTERVAL)
+        log._file = FillingDisk(log._file)
+        with pytest.raises(OSError, match="part of the line"):
+            log(INTERVAL)
+        log(INTERVAL)
+    assert read_intervention_log(path) == (INTERVAL,) * 2
+
+
 def test_an_incomplete_line_is_not_read_and_is_removed(tmp_path):
     path = tmp_path / "episodes.jsonl"
     with InterventionLog(path) as file:

@@ -410,6 +410,7 @@ class SafetyFilter:
         """Clear the memory of the filter and set the last control to `u_prev`, one number or (n,) [rad/s].
 
         `u_change` is the last control minus the one before it, one number or (n,) [rad/s]; the jerk limits need it.
+        A number that is not finite counts as 0: the arm begins at rest, as far as is known.
 
         Raises:
             ConfigurationError: A value is neither one number nor n numbers.
@@ -419,7 +420,8 @@ class SafetyFilter:
     def _as_control(self, name: str, value: ArrayLike) -> Array:
         if validation.is_real(value):
             value = np.full(self._n, value)
-        return validation.as_real_array(name, value, (self._n,))
+        numbers = validation.as_real_array(name, value, (self._n,))
+        return np.where(np.isfinite(numbers), numbers, 0.0)
 
     # --- control ----------------------------------------------------------------------------------------------
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from errno import ENOSPC
 from math import inf, isfinite
 from os import SEEK_END
 from pathlib import Path
@@ -87,8 +88,12 @@ class InterventionLog:
             self._file.truncate(self._file.seek(0, SEEK_END) - torn)
 
     def __call__(self, interval: InterventionInterval) -> None:
-        """Append one line; raises `OSError` if the write fails."""
-        self._file.write(msgspec.json.encode(interval) + b"\n")
+        """Append one line; raises `OSError` if the write fails. A line that the disk takes in part is removed."""
+        line = msgspec.json.encode(interval) + b"\n"
+        size = self._file.seek(0, SEEK_END)
+        if self._file.write(line) != len(line):
+            self._file.truncate(size)
+            raise OSError(ENOSPC, "the disk took only a part of the line", str(self.path))
 
     def close(self) -> None:
         """Close the file."""

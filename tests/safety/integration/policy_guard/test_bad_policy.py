@@ -170,6 +170,17 @@ def test_an_unknown_configuration_at_the_reset_is_that_of_the_first_step():
     np.testing.assert_allclose(guard.target, HOME, atol=1e-6)
 
 
+@pytest.mark.parametrize("unknown", [nan, inf, -inf])
+def test_an_unknown_velocity_at_the_reset_is_that_of_an_arm_at_rest(unknown):
+    actions = {}
+    for start in (0.0, unknown):
+        guard = make_guard("joint velocity", obstacles=())
+        guard.reset(HOME, np.where(np.arange(7) == 2, start, 0.0))
+        actions[start] = guard(np.append(0.2 * V_MAX, GRIPPER), HOME, np.zeros(7))
+        assert not guard.report.problem
+    np.testing.assert_array_equal(actions[unknown], actions[0.0])
+
+
 @pytest.mark.parametrize(
     "make",
     [

@@ -188,7 +188,10 @@ class PolicyGuard:
         return steps
 
     def reset(self, q: ArrayLike | None = None, v: ArrayLike = 0.0) -> None:
-        """Begin at `q` (n,) [rad] with the joint velocity `v`; without a finite `q` at that of the first step."""
+        """Begin at `q` (n,) [rad] with the joint velocity `v`; without a finite `q` at that of the first step.
+
+        A joint without a finite velocity begins at rest.
+        """
         start = None if q is None else as_real_array("q", q, (self._model.nq,)).copy()
         self._target = start if start is not None and np.isfinite(start).all() else None
         self.safety.reset(v)
@@ -206,7 +209,8 @@ class PolicyGuard:
 
     def _start_velocity(self, v: ArrayLike) -> Array:
         """The joint velocity `v` at the beginning, one number or (n,), as an array."""
-        return np.broadcast_to(np.asarray(v, float), (self._model.n,)).copy()
+        start = np.broadcast_to(np.asarray(v, float), (self._model.n,))
+        return np.where(np.isfinite(start), start, 0.0)
 
     @property
     def target(self) -> Array:
