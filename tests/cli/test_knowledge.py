@@ -109,7 +109,7 @@ def test_the_help_describes_the_commands(run_command):
         "show",
         "remove",
         "--trust vendor",
-        "dualbrain run --knowledge on",
+        "dualbrain run --knowledge off",
         "same gate",
     ):
         assert part in words

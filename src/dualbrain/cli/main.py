@@ -294,8 +294,9 @@ knowledge = App(
 
     `dualbrain knowledge add manual.pdf --trust vendor` reads the visible text of a document, `search "how hard may I
     grip"` finds passages, `show CITATION` quotes one exactly, in any version. A run puts up to three passages about
-    the task into the prompt of a planner that reads them, as data; the report lists them. A planner reads only
-    documents of trust `site` or `vendor`; its contract passes the same gate and the same filter.""",
+    the task into the prompt of a planner that reads them, as data, and the report lists them; `dualbrain run
+    --knowledge off` puts none. A planner reads only documents of trust `site` or `vendor`; its contract passes the
+    same gate and the same filter.""",
 )
 app.command(knowledge)
 for _name, _function, _help in (
