@@ -14,6 +14,7 @@ from dualbrain.evaluation.evidence.requirement import read_hazards, read_require
 from dualbrain.evaluation.evidence.subject import EvidenceInputs, load_subject
 from dualbrain.evaluation.evidence.test_report import TestReport
 from dualbrain.robots.loader import BUILTIN_ROBOTS, load_robot
+from dualbrain.robots.site_config import SiteError
 from dualbrain.visualization.html.evidence_page import render_evidence_page
 
 SITE = """
@@ -27,6 +28,9 @@ inward = [0, 0, 1]
 monitoring = "barrier"
 [commander.planner]
 skills = ["home", "hold", "decline"]
+[object.wine_glass]
+force = 8.0
+clearance = 0.2
 """
 PASSED = TestReport(dict.fromkeys(required_tests(), "passed"), ("2026-01-01T00:00:00",))
 
@@ -90,11 +94,18 @@ def test_entries_of_the_site_are_named_with_their_lines(site):
         "plane table (lab.toml:4)",
         "operator: barrier (lab.toml:8)",
         "planner: home, hold, decline (lab.toml:10)",
+        "wine_glass: force at most 8 N, clearance at least 0.2 m (lab.toml:12)",
     ):
         assert words in log
     assert "tool speed 0.25 m/s" in log
     assert "(passed)" in log
     assert "no test report" not in log
+
+
+def test_limits_of_an_object_that_no_grasp_keeps_are_an_error(site):
+    site.write_text("[object.wine_glass]\nforce = 1.0\n")
+    with pytest.raises(SiteError, match="at least 5 N"):
+        load_subject(EvidenceInputs(robot="panda", site=site))
 
 
 def test_a_failed_test_fails_its_requirements_alone():
@@ -137,7 +148,7 @@ def test_a_folder_with_files_is_refused_before_any_work(tmp_path):
         write_evidence(EvidenceInputs(robot="no robot"), tmp_path, now=0.0, render=render_evidence_page)
 
 
-@pytest.mark.parametrize(("robot", "expected"), [("panda", set()), ("base", {"SU-7", "SF-10", "SK-1"})])
+@pytest.mark.parametrize(("robot", "expected"), [("panda", set()), ("base", {"SU-7", "SF-10", "CO-8", "SK-1"})])
 def test_a_requirement_for_missing_equipment_is_not_applicable(robot, expected):
     statuses = pages.requirement_statuses(PASSED, load_robot(robot))
     assert {name for name, status in statuses.items() if status == "not applicable"} == expected

@@ -147,7 +147,9 @@ def robot_limits(subject: Subject) -> str:
         "",
     ]
     if subject.site is None:
-        lines += [f"None: {NO_SITE}. Planes, keep-out boxes, limits near persons and permissions are not stated."]
+        lines += [
+            f"None: {NO_SITE}. Planes, keep-out boxes, permissions, limits of persons and objects are not stated."
+        ]
     else:
         lines += markdown_table(("entry", "value", "line"), list_entries(subject.site))
     return _page([*lines, "", f"Commissioning: {subject.record}."])

@@ -9,7 +9,7 @@ from typing import Literal, TypeVar
 import msgspec
 
 T = TypeVar("T")
-SiteMeasure = Literal["obstacles", "tool", "persons", "tool_speed", "commander", "payload", "commissioning"]
+SiteMeasure = Literal["obstacles", "tool", "persons", "tool_speed", "commander", "payload", "objects", "commissioning"]
 """Entries of a site file on which a measure depends, and the commissioning record."""
 Equipment = Literal["force sensing", "gripper"]
 """Equipment of a robot without which a requirement is not applicable."""

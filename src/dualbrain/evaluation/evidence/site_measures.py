@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
+import msgspec
+
 from dualbrain.evaluation.evidence.requirement import SiteMeasure
+from dualbrain.grounding.envelope.object_limits import describe_limits, stated_limits
+from dualbrain.records import ObjectLimits
 from dualbrain.robots.model import RobotModel
 from dualbrain.robots.site_config import SiteFile
 
@@ -35,6 +39,7 @@ def list_entries(file: SiteFile) -> list[tuple[str, str, str]]:
             for k, one in enumerate(site.keep_out)
         ),
         *((f"person {name}", one.monitoring.replace("_", " "), f"person.{name}") for name, one in site.person.items()),
+        *((f"object {name}", _limits(one), f"object.{name}") for name, one in stated_limits(file).items()),
         *((f"skills of {name}", ", ".join(one.skills), f"commander.{name}") for name, one in site.commander.items()),
     ]
     if site.tool is not None:
@@ -68,6 +73,15 @@ def _persons(file: SiteFile) -> str:
     return "; ".join(entries) or "no limit near persons is stated: the obstacle barrier alone"
 
 
+def _objects(file: SiteFile) -> str:
+    entries = [f"{name}: {describe_limits(one)}" for name, one in stated_limits(file).items()]
+    return "; ".join(entries) or "no limit of an object is stated"
+
+
+def _limits(limits: ObjectLimits) -> str:
+    return describe_limits(msgspec.structs.replace(limits, source=""))
+
+
 def _commanders(file: SiteFile) -> str:
     entries = [
         f"{name}: {', '.join(one.skills)} ({file.locate(f'commander.{name}')})"
@@ -91,5 +105,6 @@ _DESCRIPTIONS: dict[SiteMeasure, Callable[[SiteFile], str]] = {
     "tool": _tool,
     "persons": _persons,
     "commander": _commanders,
+    "objects": _objects,
     "payload": _payload,
 }

@@ -8,10 +8,12 @@ from pathlib import Path
 from dualbrain.drivers.catalogue import find_driver_kind
 from dualbrain.drivers.commissioning.record import require_record
 from dualbrain.errors import UsageError
+from dualbrain.grounding.envelope.object_limits import site_object_limits
 from dualbrain.robots.loader import load_robot
 from dualbrain.robots.model import RobotModel
 from dualbrain.robots.site_config import SiteFile, read_site
 from dualbrain.safety.integration.site import site_obstacles, site_persons, site_robot
+from dualbrain.skills.registry import skill_registry
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,6 +50,7 @@ def load_subject(inputs: EvidenceInputs) -> Subject:
         robot_model = site_robot(robot_model, site)
         site_obstacles(robot_model, site)
         site_persons(site)
+        site_object_limits(site, skill_registry(robot_model))
     return Subject(robot_model, site, _describe_record(inputs, robot_model))
 
 

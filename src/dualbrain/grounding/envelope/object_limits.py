@@ -38,24 +38,32 @@ class NumberBounds:
     most: tuple[tuple[str, float], ...] = ()
 
 
+def stated_limits(file: SiteFile) -> dict[str, ObjectLimits]:
+    """The limits of the site file by name or category of the objects, with file and line."""
+    return {
+        name: ObjectLimits(
+            force=entry.force, speed=entry.speed, clearance=entry.clearance, source=file.locate(f"object.{name}")
+        )
+        for name, entry in file.site.object.items()
+    }
+
+
 def site_object_limits(file: SiteFile, registry: SkillRegistry) -> dict[str, ObjectLimits]:
-    """The limits of the site file by name or category of the objects, with file and line.
+    """As `stated_limits`, checked against the vocabulary of a robot; a robot that cannot grasp keeps any limit.
 
     Raises:
         SiteError: no grasp in the vocabulary of `registry` could keep a limit.
     """
-    found: dict[str, ObjectLimits] = {}
-    for name, entry in file.site.object.items():
-        path = f"object.{name}"
-        limits = ObjectLimits(force=entry.force, speed=entry.speed, clearance=entry.clearance, source=file.locate(path))
-        grasp = registry.by_name.get("grasp")
-        if grasp is not None and (impossible := _find_impossible_limit(grasp, limits)):
+    limits, grasp = stated_limits(file), registry.by_name.get("grasp")
+    if grasp is None:
+        return limits
+    for name, one in limits.items():
+        if impossible := _find_impossible_limit(grasp, one):
             word, parameter = impossible
             bound = f"at least {parameter.lower:g}" if word in MOST.values() else f"at most {parameter.upper:g}"
             allowed = f"{bound} {parameter.unit}, the bound of every grasp of this robot"
-            raise file.make_error(f"{path}.{word}", got=getattr(limits, word), allowed=allowed)
-        found[name] = limits
-    return found
+            raise file.make_error(f"object.{name}.{word}", got=getattr(one, word), allowed=allowed)
+    return limits
 
 
 def with_object_limits(scene: Scene, limits: Mapping[str, ObjectLimits]) -> Scene:
@@ -143,7 +151,8 @@ def _with_limits(obj: SceneObject, limits: Mapping[str, ObjectLimits]) -> SceneO
     found = [limits[word] for word in dict.fromkeys((obj.name, obj.category)) if word in limits and word != OTHERS]
     if not found and OTHERS in limits:
         found = [limits[OTHERS]]
-    return msgspec.structs.replace(obj, limits=reduce(_narrowest, found) if found else None)
+    own = reduce(_narrowest, found) if found else None
+    return obj if own is obj.limits else msgspec.structs.replace(obj, limits=own)
 
 
 def _narrowest(one: ObjectLimits, other: ObjectLimits) -> ObjectLimits:
