@@ -114,6 +114,15 @@ def test_an_object_in_the_hand_keeps_its_limits():
     assert found.allowed == {"maximum": 0.08}
 
 
+def test_a_drive_with_the_object_in_the_hand_keeps_its_speed():
+    limited = with_object_limits(SCENE, {"red_cube": ObjectLimits(speed=0.2)})
+    drive = ("drive_to", {"place": "blue_bowl", "max_speed": 0.4, "max_turn_rate": 0.5})
+    carried = check_object_limits(contract(("grasp", GRASP), drive), limited, None)
+    assert carried is not None
+    assert (carried.pointer, carried.allowed) == ("/action_sequence/1/params/max_speed", {"maximum": 0.2})
+    assert check_object_limits(contract(drive, ("grasp", GRASP)), limited, None) is None
+
+
 def test_the_rules_of_an_arm_include_the_limits():
     limited = with_object_limits(SCENE, {"red_cube": LIMITS})
     controller = controller_at_home("panda", limited)

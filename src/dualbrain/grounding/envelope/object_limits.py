@@ -148,7 +148,7 @@ def _find_impossible_limit(grasp: SkillSpec, limits: ObjectLimits) -> tuple[str,
 def _with_limits(obj: SceneObject, limits: Mapping[str, ObjectLimits]) -> SceneObject:
     if obj.role != "object":
         return obj
-    found = [limits[word] for word in dict.fromkeys((obj.name, obj.category)) if word in limits and word != OTHERS]
+    found = [limits[word] for word in dict.fromkeys((obj.name, obj.category)) if word in limits]
     if not found and OTHERS in limits:
         found = [limits[OTHERS]]
     own = reduce(_narrowest, found) if found else None
