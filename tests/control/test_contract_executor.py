@@ -11,6 +11,7 @@ from dualbrain.control.contract_executor import ContractExecutor
 from dualbrain.control.control_loop import ControlLoop, ControlLoopConfig, LoopInputs
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.trace import Trace
+from dualbrain.records import ObjectLimits
 from dualbrain.robots.interface import home_state
 from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import SafetyFilter
@@ -128,3 +129,18 @@ def test_a_decline_moves_nothing():
     outcome = executor.execute(Contract("c-1", Context("panda", ""), (Action("decline", {"reason": "no"}),)))
     assert (outcome.kind, outcome.Delta) == ("declined", None)
     assert all(np.allclose(command.u, 0.0) for command in robot.written)
+
+
+def test_the_first_scene_has_the_limits_of_the_site_also_if_later_ones_are_refused():
+    class BlindedAfterOnce(RobotAtRest):
+        scenes = 0
+
+        def perceive(self):
+            self.scenes += 1
+            return scene(box("red_cube", 0.5 if self.scenes == 1 else np.nan, -0.2), bowl())
+
+    robot, limits = BlindedAfterOnce(), ObjectLimits(force=8.0)
+    config = ControlLoopConfig(object_limits={"red_cube": limits})
+    loop = ControlLoop(MODEL, robot, robot, SafetyFilter(MODEL), FlightLog(Trace(MODEL.n)), config)
+    assert robot.scenes > 1
+    assert loop.scene.find("red_cube").limits == limits

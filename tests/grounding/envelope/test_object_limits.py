@@ -22,7 +22,9 @@ from dualbrain.records import ObjectLimits
 from dualbrain.robots.loader import load_robot
 from dualbrain.robots.site_config import SiteError, read_site
 from dualbrain.runtime.planning.planner_request import answer_schema
+from dualbrain.skills.mobile_manipulator import MobileManipulatorController
 from dualbrain.skills.registry import skill_registry
+from dualbrain.skills.skill import HeldObject
 from tests.grounding.perceived_scenes import bowl, box, scene
 
 REGISTRY = skill_registry(load_robot("panda"))
@@ -123,15 +125,22 @@ def test_a_drive_with_the_object_in_the_hand_keeps_its_speed():
     assert check_object_limits(contract(drive, ("grasp", GRASP)), limited, None) is None
 
 
-def test_the_rules_of_an_arm_include_the_limits():
+def rejected_pointers(robot, steps, holding):
+    """The places that the rules of `robot` reject in a contract, with the object `holding` in the hand."""
     limited = with_object_limits(SCENE, {"red_cube": LIMITS})
-    controller = controller_at_home("panda", limited)
-    pointers = {
-        found.pointer
-        for rule in scene_rules(limited, controller)
-        if (found := rule(contract(("grasp", GRASP | {"speed": 0.08}))))
-    }
-    assert "/action_sequence/0/params/force" in pointers
+    controller = controller_at_home(robot, limited)
+    arm = controller.arm if isinstance(controller, MobileManipulatorController) else controller
+    arm.holding = HeldObject(holding, 0.02) if holding else None
+    return {found.pointer for rule in scene_rules(limited, controller) if (found := rule(contract(*steps)))}
+
+
+@pytest.mark.parametrize("robot", ["panda", "mobile_panda"])
+def test_the_rules_of_an_arm_include_the_limits(robot):
+    assert "/action_sequence/0/params/force" in rejected_pointers(robot, [("grasp", GRASP | {"speed": 0.08})], None)
+    homing, speed = [("home", {"speed": 0.2})], "/action_sequence/0/params/speed"
+    assert speed in rejected_pointers(robot, homing, "red_cube")
+    assert speed not in rejected_pointers(robot, homing, "green_block")
+    assert speed not in rejected_pointers(robot, homing, None)
 
 
 def test_name_and_category_apply_together_and_others_to_the_rest():
@@ -189,6 +198,17 @@ def test_the_decoder_loses_no_place_that_the_gate_accepts(data):
     loose = decoding_schema(REGISTRY, scene_names(limited), domains=parameter_domains(limited, REGISTRY))
     if accepted:
         assert jsonschema_rs.validator_for(loose).is_valid(msgspec.to_builtins(placed))
+
+
+@pytest.mark.parametrize(
+    ("speed", "clearance", "admitted"), [(0.25, 0.15, True), (0.35, 0.15, False), (0.25, 0.05, False)]
+)
+def test_a_place_of_an_unknown_object_has_the_loosest_limits(speed, clearance, admitted):
+    limits = {"cube": ObjectLimits(speed=0.1, clearance=0.1), "block": ObjectLimits(speed=0.3, clearance=0.3)}
+    limited = with_object_limits(SCENE, limits)
+    schema = decoding_schema(REGISTRY, scene_names(limited), domains=parameter_domains(limited, REGISTRY))
+    placed = contract(("place", PLACE | {"speed": speed, "clearance": clearance}))
+    assert jsonschema_rs.validator_for(schema).is_valid(msgspec.to_builtins(placed)) is admitted
 
 
 def test_the_schema_of_an_answer_bounds_the_place_of_the_named_object():
