@@ -32,6 +32,12 @@ STORED_FIELDS = (
 )
 
 
+def test_a_run_of_a_user_reads_documents_if_the_planner_does(tmp_path, monkeypatch):
+    monkeypatch.setenv("DUALBRAIN_HOME", str(tmp_path))
+    assert default_config("go home").consult == "auto"
+    assert RunConfig(instruction="", out=tmp_path, ledger=tmp_path / "l", cache=tmp_path).consult == "off"
+
+
 def test_the_stored_configuration_has_the_field_names_of_earlier_versions(tmp_path):
     stored = json.loads(run_config(tmp_path, image_memory=True).encode())
     assert tuple(stored) == STORED_FIELDS

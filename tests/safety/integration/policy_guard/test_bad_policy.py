@@ -170,11 +170,12 @@ def test_an_unknown_configuration_at_the_reset_is_that_of_the_first_step():
     np.testing.assert_allclose(guard.target, HOME, atol=1e-6)
 
 
+@pytest.mark.parametrize("deviation", ["nearest", "along_path"])
 @pytest.mark.parametrize("unknown", [nan, inf, -inf])
-def test_an_unknown_velocity_at_the_reset_is_that_of_an_arm_at_rest(unknown):
+def test_an_unknown_velocity_at_the_reset_is_that_of_an_arm_at_rest(unknown, deviation):
     actions = {}
     for start in (0.0, unknown):
-        guard = make_guard("joint velocity", obstacles=())
+        guard = make_guard("joint velocity", obstacles=(), deviation=deviation)
         guard.reset(HOME, np.where(np.arange(7) == 2, start, 0.0))
         actions[start] = guard(np.append(0.2 * V_MAX, GRIPPER), HOME, np.zeros(7))
         assert not guard.report.problem
