@@ -2,6 +2,7 @@
 
 import json
 
+from dualbrain.runtime.config import RunConfig, default_config
 from tests.stories.story_session import run_config
 
 STORED_FIELDS = (

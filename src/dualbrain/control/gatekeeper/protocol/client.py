@@ -305,6 +305,7 @@ class GatekeeperClient:
         except BlockingIOError as error:
             self.disconnect_reason = f"the gatekeeper has read nothing for {SEND_TIMEOUT:g} s"
             self.disconnected.set()
+            self._socket.shutdown(socket.SHUT_RDWR)  # no frame may follow a cut one
             raise ConnectionLostError(self.disconnect_reason) from error
         except OSError as error:
             self.disconnected.set()
