@@ -22,6 +22,7 @@ import msgspec
 
 from dualbrain.adaptation.curation.sample import Sample
 from dualbrain.contracts.contract import Action, Contract
+from dualbrain.contracts.schema import DECLINE
 from dualbrain.core import paths
 from dualbrain.errors import DECODE_ERRORS
 from dualbrain.evaluation.analysis.statistics import compare, difference
@@ -153,7 +154,9 @@ class Documents:
             some = [row for row in rows if row["part"] == part and row["reading"] != SITE_FILE and "planner" not in row]
             lines += [f"Part *{part}*:", "", *part_table(some, title, score), paired_difference(some, title, score), ""]
         rules = [row for row in rows if row["part"] == "rule"]
-        return [*lines, *kind_table([row for row in rules if "planner" not in row]), "", *site_table(rules)]
+        passages = [row for row in rows if "planner" not in row and row["reading"] != SITE_FILE]
+        kinds = kind_table([row for row in rules if "planner" not in row])
+        return [*lines, *decline_table(passages), "", *kinds, "", *site_table(rules)]
 
 
 Score = Callable[[Row], bool]
@@ -201,6 +204,17 @@ def kind_table(rows: Sequence[Row]) -> list[str]:
         if (some := [row for row in rows if row["rule"] == kind and row["reading"] == reading])
     )
     return ["Rules by kind:", "", *markdown_table(("rule", "passages", "in the prompt", "followed"), lines)]
+
+
+def decline_table(rows: Sequence[Row]) -> list[str]:
+    """Declines of instructions that a contract can carry out, in both parts, with and without passages."""
+    possible = [row for row in rows if not row["answer"]["declines"]]
+    lines = (
+        (reading, format_proportion(sum(is_declined(row["answer"]["text"]) for row in some), len(some)))
+        for reading in ("without", "with")
+        if (some := [row for row in possible if row["reading"] == reading])
+    )
+    return ["Instructions that a contract can carry out:", "", *markdown_table(("passages", "declined"), lines)]
 
 
 def site_table(rows: Sequence[Row]) -> list[str]:
@@ -284,6 +298,15 @@ def limited_schema(number: int, question: Sample) -> dict[str, Any]:
 def words(name: str) -> str:
     """A name as people write it."""
     return name.replace("_", " ")
+
+
+def is_declined(text: str) -> bool:
+    """Whether the contract in `text` declines; False without a contract."""
+    try:
+        actions = msgspec.json.decode(text, type=Contract).action_sequence
+    except DECODE_ERRORS:
+        return False
+    return [action.skill for action in actions] == [DECLINE]
 
 
 def follows(text: str, kind: RuleKind) -> bool:

@@ -109,7 +109,7 @@ def test_the_help_describes_the_commands(run_command):
         "show",
         "remove",
         "--trust vendor",
-        "dualbrain run --knowledge off",
+        "dualbrain run --knowledge on",
         "same gate",
     ):
         assert part in words

@@ -2,7 +2,6 @@
 
 import json
 
-from dualbrain.runtime.config import RunConfig, default_config
 from tests.stories.story_session import run_config
 
 STORED_FIELDS = (
@@ -31,12 +30,6 @@ STORED_FIELDS = (
     "epsilon",
     "adapters",
 )
-
-
-def test_a_run_of_a_user_reads_documents_if_the_planner_does(tmp_path, monkeypatch):
-    monkeypatch.setenv("DUALBRAIN_HOME", str(tmp_path))
-    assert default_config("go home").consult == "auto"
-    assert RunConfig(instruction="", out=tmp_path, ledger=tmp_path / "l", cache=tmp_path).consult == "off"
 
 
 def test_the_stored_configuration_has_the_field_names_of_earlier_versions(tmp_path):

@@ -293,10 +293,9 @@ knowledge = App(
     help="""Manage the documents that a planner may read: rules, manuals, maps and templates.
 
     `dualbrain knowledge add manual.pdf --trust vendor` reads the visible text of a document, `search "how hard may I
-    grip"` finds passages, `show CITATION` quotes one exactly, in any version. A run puts up to three passages about
-    the task into the prompt of a planner that reads them, as data, and the report lists them; `dualbrain run
-    --knowledge off` puts none. A planner reads only documents of trust `site` or `vendor`; its contract passes the
-    same gate and the same filter.""",
+    grip"` finds passages, `show CITATION` quotes one exactly, in any version. `dualbrain run --knowledge on` puts up to
+    three passages about the task into the prompt, as data; the report lists them. A planner reads only documents of
+    trust `site` or `vendor`; its contract passes the same gate and the same filter.""",
 )
 app.command(knowledge)
 for _name, _function, _help in (

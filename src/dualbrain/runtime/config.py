@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from secrets import token_hex
-from typing import Literal
 
 import msgspec
 
@@ -20,9 +19,6 @@ from dualbrain.planner.registry import DEFAULT_PLANNER
 from dualbrain.records import Attempt, Episode
 from dualbrain.runtime.planning.planning_time import Clock
 
-DocumentUse = Literal["auto", "on", "off"]
-"""Whether passages of documents enter the prompt. "auto": if the planner reads them; "on" also reports if it does not.
-"""
 STORED_NAMES = {"image_memory": "eyes"}
 """Names in `config.json` of the fields of a configuration, where they differ."""
 
@@ -45,7 +41,7 @@ class RunConfig:
     tries: int = 1
     """Maximum number of executed contracts; another one is planned after one that failed or was taken over."""
     knowledge: Path | None = None
-    consult: DocumentUse = "off"
+    consult: bool = False
     map: str = ""
     site: Path | None = None
     goal: str = ""
@@ -107,7 +103,6 @@ def default_config(instruction: str, *, out: Path | None = None, ledger: Path | 
         ledger=ledger or dualbrain_home() / "ledger.sqlite",
         cache=cache_folder(),
         knowledge=dualbrain_home() / "knowledge.sqlite",
-        consult="auto",
         adapters=dualbrain_home() / "adapters",
     )
 

@@ -182,7 +182,7 @@ def open_site(config: RunConfig) -> RobotAtSite:
 
 def _reads_documents(config: RunConfig, planner: Planner) -> bool:
     """Whether passages of documents are put into the prompt of `planner`."""
-    return config.consult != "off" and config.contract is None and not no_documents_reason(planner)
+    return config.consult and config.contract is None and not no_documents_reason(planner)
 
 
 def _open_library(config: RunConfig, clocks: Clocks, encoder: MiniLmEncoder, stack: ExitStack) -> Library | None:

@@ -105,37 +105,18 @@ class Short(ScriptedPlanner):
 
 
 def test_documents_that_a_planner_cannot_read_are_reported_once(run_command, monkeypatch):
-    for kind, option, times in ((Short, "on", 1), (Short, "auto", 0), (ScriptedPlanner, "on", 0)):
+    for kind, times in ((Short, 1), (ScriptedPlanner, 0)):
         monkeypatch.setattr(run_resources, "open_planner", lambda *_, kind=kind, **__: kind([hold_contract()]))
         _, _, err = run_command(
-            "run",
-            "rest",
-            "--scene",
-            "bare:0",
-            "--headless",
-            "--knowledge",
-            option,
-            "--out",
-            f"{kind.__name__}-{option}",
+            "run", "rest", "--scene", "bare:0", "--headless", "--knowledge", "on", "--out", kind.__name__
         )
         assert err.count("documents are not shown to scripted") == times
-
-
-def test_documents_are_read_by_default_by_a_planner_that_reads_them(run_command, monkeypatch):
-    planner = ScriptedPlanner([hold_contract(), hold_contract()])
-    monkeypatch.setattr(run_resources, "open_planner", lambda *_, **__: planner)
-    words = "put the red cube in the blue bowl and rest"
-    run_command("run", words, "--scene", "bare:0", "--headless", "--out", "default")
-    run_command("run", words, "--scene", "bare:0", "--headless", "--knowledge", "off", "--out", "off")
-    default, *_, off = planner.requests
-    assert default.recall.passages
-    assert not off.recall.passages
 
 
 def test_no_document_is_opened_for_a_planner_that_reads_none(run_command, monkeypatch):
     monkeypatch.setattr(run_resources, "open_planner", lambda *_, **__: Short([hold_contract()]))
     monkeypatch.setattr(run_resources, "open_library", lambda *_, **__: pytest.fail("documents were opened"))
-    run_command("run", "rest", "--scene", "bare:0", "--headless", "--out", "short")
+    run_command("run", "rest", "--scene", "bare:0", "--headless", "--knowledge", "on", "--out", "short")
 
 
 # --- exit codes ---------------------------------------------------------------------------------------------------

@@ -66,7 +66,7 @@ def plan(
     memory
         "off" retrieves no memories.
     knowledge
-        "off" retrieves no documents. An adapter reads none.
+        "off" retrieves no documents (the default of `dualbrain run`). An adapter reads no documents.
     ledger
         Memory ledger, read only. Default: ledger.sqlite in the data folder of dualbrain.
     image
@@ -285,7 +285,7 @@ def _open_memory(ledger: Path | None, here: PlanningContext) -> Generator[Retrie
 
 @contextmanager
 def _open_documents(here: PlanningContext) -> Generator[PassageRetriever]:
-    """The documents, as in a run."""
+    """The documents, as in a run with `--knowledge on`."""
     from dualbrain.cli.memory.open_memory import load_encoder
     from dualbrain.grounding.document_retrieval import retrieve_passages
     from dualbrain.knowledge.builtin_documents import open_library

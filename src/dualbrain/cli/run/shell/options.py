@@ -4,10 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from dualbrain.runtime.config import DocumentUse
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,7 +22,7 @@ class ShellOptions:
     ledger: Path | None = None
     seed: int = 0
     tries: int = 2
-    consult: DocumentUse = "auto"
+    consult: bool = False
     reuse_contracts: bool = False
     live_view: bool = True
     port: int = 8080
