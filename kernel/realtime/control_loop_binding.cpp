@@ -17,6 +17,7 @@
 
 extern "C" {
 #include "dbk_control_thread.h"
+#include "drivers/dbk_packet_driver.h"
 #include "drivers/dbk_ring_driver.h"
 #include "drivers/dbk_simulated_arm.h"
 }
@@ -33,6 +34,7 @@ void read_joints(const nb::dict &d, const char *key, size_t n, double *to) {
 
 void parse_limits(const nb::dict &d, size_t n, dbk_control_limits *to) {
   to->period = number(d, "period");
+  to->command_period = number(d, "command_period");
   to->tick_lost_after = number(d, "tick_lost_after");
   to->state_stale_after = number(d, "state_stale_after");
   to->state_lost_after = number(d, "state_lost_after");
@@ -86,6 +88,9 @@ nb::list record_fields() {
   STATE_FIELD(v);
   STATE_FIELD(opening);
   STATE_FIELD(drive_enabled);
+  STATE_FIELD(has_desired);
+  STATE_FIELD(desired_v);
+  STATE_FIELD(desired_a);
   RECORD_FIELD(u_nom);
   RECORD_FIELD(u);
   RECORD_FIELD(speed_scale);
@@ -93,6 +98,8 @@ nb::list record_fields() {
   RECORD_FIELD(h_min);
   RECORD_FIELD(new_state);
   RECORD_FIELD(state_used);
+  RECORD_FIELD(drive_off);
+  RECORD_FIELD(continued);
   RECORD_FIELD(status);
   RECORD_FIELD(flags);
   RECORD_FIELD(certified);
@@ -109,8 +116,8 @@ nb::list record_fields() {
 
 class ControlLoop {
  public:
-  // with `home`, `braking` and `lag` a simulated arm is the robot, otherwise the two rings
-  ControlLoop(const Kernel &kernel, const nb::dict &limits, const nb::dict &arm) : n_(kernel.n) {
+  // the robot: with `home`, `braking` and `lag` a simulated arm, with `socket` >= 0 the process behind it, otherwise the rings
+  ControlLoop(const Kernel &kernel, const nb::dict &limits, const nb::dict &arm, int socket) : n_(kernel.n) {
     dbk_control_tick &tick = loop_->tick;
     tick.model = *kernel.model;
     tick.hull_model = kernel.hull_model ? *kernel.hull_model : *kernel.model;
@@ -122,6 +129,8 @@ class ControlLoop {
       read_joints(arm, "home", n_, home);
       read_joints(arm, "braking", n_, braking);
       driver = dbk_simulated_arm_init(&arm_, static_cast<int32_t>(n_), home, braking, number(arm, "lag"));
+    } else if (socket >= 0) {
+      driver = dbk_packet_driver_init(&packets_, socket, static_cast<int32_t>(n_));
     }
     dbk_control_loop_init(loop_.get(), driver);
   }
@@ -131,7 +140,8 @@ class ControlLoop {
 
   void tick(uint64_t now_us) {
     expect(!thread_.running, "the thread ticks");
-    dbk_control_loop_tick(loop_.get(), now_us, 0, 0);
+    const dbk_driver &driver = loop_->driver;
+    dbk_control_loop_tick(loop_.get(), driver.clock ? driver.clock(driver.self, now_us) : now_us, 0, 0);
   }
 
   int start(uint64_t period_us, int priority, bool lock_process) {
@@ -158,8 +168,11 @@ class ControlLoop {
     dbk_control_loop_submit_scene(loop_.get());
   }
 
-  bool push_state(uint64_t sequence, uint64_t stamp_us, const Array &q, const Array &v, double opening, bool drive) {
+  // `desired`: desired_v and desired_a of n joints each, or empty
+  bool push_state(uint64_t sequence, uint64_t stamp_us, const Array &q, const Array &v, double opening, bool drive,
+                  const Array &desired) {
     expect(q.size() == n_ && v.size() == n_, "joints of a state");
+    expect(desired.size() == 0 || desired.size() == 2 * n_, "desired motion of a state");
     dbk_joint_state state{};
     state.sequence = sequence;
     state.stamp_us = stamp_us;
@@ -167,6 +180,11 @@ class ControlLoop {
     state.drive_enabled = drive;
     std::memcpy(state.q, q.data(), n_ * sizeof(double));
     std::memcpy(state.v, v.data(), n_ * sizeof(double));
+    state.has_desired = desired.size() > 0;
+    if (state.has_desired) {
+      std::memcpy(state.desired_v, desired.data(), n_ * sizeof(double));
+      std::memcpy(state.desired_a, desired.data() + n_, n_ * sizeof(double));
+    }
     return dbk_ring_push(&rings_->states, &state) != 0;
   }
 
@@ -203,6 +221,8 @@ class ControlLoop {
     d["max_late_us"] = __atomic_load_n(&thread_.max_late_us, __ATOMIC_RELAXED);
     d["max_work_us"] = __atomic_load_n(&thread_.max_work_us, __ATOMIC_RELAXED);
     d["log_dropped"] = __atomic_load_n(&loop_->log.dropped, __ATOMIC_RELAXED);
+    d["malformed"] = __atomic_load_n(&packets_.malformed, __ATOMIC_RELAXED);
+    d["unsent"] = __atomic_load_n(&packets_.unsent, __ATOMIC_RELAXED);
     d["refused"] = __atomic_load_n(&loop_->refused, __ATOMIC_RELAXED);
     return d;
   }
@@ -214,6 +234,7 @@ class ControlLoop {
   std::unique_ptr<dbk_control_loop> loop_{new dbk_control_loop()};
   std::unique_ptr<dbk_ring_driver> rings_{new dbk_ring_driver()};
   dbk_simulated_arm arm_{};
+  dbk_packet_driver packets_{};
   dbk_control_thread thread_{};
 };
 
@@ -221,7 +242,7 @@ class ControlLoop {
 
 void bind_control_loop(nb::module_ &m) {
   nb::class_<ControlLoop>(m, "ControlLoop")
-      .def(nb::init<const Kernel &, const nb::dict &, const nb::dict &>())
+      .def(nb::init<const Kernel &, const nb::dict &, const nb::dict &, int>())
       .def("tick", &ControlLoop::tick)
       .def("start", &ControlLoop::start)
       .def("stop", &ControlLoop::stop)
@@ -233,6 +254,7 @@ void bind_control_loop(nb::module_ &m) {
       .def("status", &ControlLoop::status)
       .def("hold", [](ControlLoop &c, uint64_t conditions, bool held) { dbk_control_loop_hold(c.loop(), conditions, held); })
       .def("press", [](ControlLoop &c, uint64_t buttons) { dbk_control_loop_press(c.loop(), buttons); })
+      .def("set_drive", [](ControlLoop &c, bool on) { dbk_control_loop_set_drive(c.loop(), on); })
       .def("set_speed", [](ControlLoop &c, double scale) { return dbk_control_loop_set_speed(c.loop(), scale) != 0; })
       .def_static("record_layout", [] { return nb::make_tuple(record_fields(), sizeof(dbk_tick_record)); })
       .def_static("monotonic_us", [] { return dbk_monotonic_us(); });

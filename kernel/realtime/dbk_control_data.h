@@ -9,6 +9,8 @@ typedef struct {
   double q[DBK_MAX_DOF], v[DBK_MAX_DOF]; /* [rad], [rad/s] */
   double opening;                        /* of a finger [m]; NaN: unknown */
   int32_t drive_enabled;
+  int32_t has_desired; /* 1: the robot reports the command that it executes, also where it continued a lost one */
+  double desired_v[DBK_MAX_DOF], desired_a[DBK_MAX_DOF]; /* [rad/s], [rad/s^2] */
 } dbk_joint_state;
 
 typedef struct {
@@ -30,7 +32,8 @@ typedef struct {
 
 /* limits of the checks, as `Timing`, `MonitorLimits` and the joints of the robot; times in s */
 typedef struct {
-  double period, tick_lost_after, state_stale_after, state_lost_after, max_loop_delay, max_clock_skew;
+  double period, command_period; /* of the loop; of a command, to which the limits of the robot refer */
+  double tick_lost_after, state_stale_after, state_lost_after, max_loop_delay, max_clock_skew;
   double drive_on_timeout, drive_on_silence;
   double control_valid;   /* a nominal control stays in force for this time */
   double scene_old_after; /* age of a scene with moving objects */
@@ -51,6 +54,7 @@ typedef struct {
   double u[DBK_MAX_DOF];     /* the control that is written */
   double speed_scale, delta, h_min;
   int32_t new_state, state_used; /* 1: a state arrived; 1: it was plausible */
+  int32_t drive_off, continued;  /* 1: the caller wants the drive off; 1: the robot executed another command */
   int32_t status, flags, certified, iterations, n_rows;
   int32_t action, check, drive_enable, at_standstill;
   uint32_t wake_late_us, work_us; /* of the thread; 0 if the tick was called directly */

@@ -26,7 +26,7 @@ void dbk_control_loop_init(dbk_control_loop *l, dbk_driver driver) {
     l->scene[i].scene.ready = 0;
   }
   l->held_conditions = l->pressed_conditions = l->refused = l->refused_seen = 0;
-  l->stop_requested = l->finished = 0;
+  l->stop_requested = l->drive_off = l->finished = 0;
   l->ticks = l->control_us = l->stop_us = 0;
   set_speed_bits(l, 1.0);
   dbk_ring_init(&l->log, l->record, DBK_LOG_CAPACITY, (uint32_t)sizeof l->record[0]);
@@ -69,6 +69,8 @@ int dbk_control_loop_set_speed(dbk_control_loop *l, double scale) {
   set_speed_bits(l, scale);
   return 1;
 }
+
+void dbk_control_loop_set_drive(dbk_control_loop *l, int on) { __atomic_store_n(&l->drive_off, (uint32_t)!on, __ATOMIC_RELEASE); }
 
 void dbk_control_loop_request_stop(dbk_control_loop *l) { __atomic_store_n(&l->stop_requested, 1u, __ATOMIC_RELEASE); }
 
@@ -133,6 +135,7 @@ void dbk_control_loop_tick(dbk_control_loop *l, uint64_t now_us, uint32_t wake_l
   record.wake_late_us = wake_late_us;
   record.work_us = last_work_us;
   memcpy(&record.speed_scale, &bits, sizeof bits);
+  record.drive_off = (int32_t)__atomic_load_n(&l->drive_off, __ATOMIC_ACQUIRE);
   record.new_state = l->driver.read(l->driver.self, now_us, &record.state);
   take_scene(l);
   record.external = take_control(l, &record);

@@ -24,7 +24,7 @@ typedef struct {
   /* written by the other thread */
   uint64_t held_conditions, pressed_conditions; /* such as ESTOP while it is pressed; buttons */
   uint64_t speed_scale_bits;                    /* of a double */
-  uint32_t stop_requested;
+  uint32_t stop_requested, drive_off;
   uint64_t refused; /* controls that were refused before they entered */
   /* of the loop */
   uint64_t ticks, control_us, stop_us, refused_seen;
@@ -54,6 +54,9 @@ void dbk_control_loop_press(dbk_control_loop *l, uint64_t buttons);
 
 /* scale in (0, 1] of the nominal control; returns 0 if it is refused */
 int dbk_control_loop_set_speed(dbk_control_loop *l, double scale);
+
+/* Switches the drive off at the next tick, and on again; the caller knows why, so neither is a condition. */
+void dbk_control_loop_set_drive(dbk_control_loop *l, int on);
 
 /* brings the arm to rest and switches the drive off */
 void dbk_control_loop_request_stop(dbk_control_loop *l);

@@ -25,24 +25,33 @@ static void sleep_until(uint64_t us) {
   while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &at, NULL) == EINTR) {}
 }
 
+static uint64_t lateness(uint64_t due, uint64_t started) { return started > due ? started - due : 0u; }
+
 /* statistics of a tick that was due at `due` and ran from `started` to `ended`; periods without a tick are skipped */
 static uint64_t next_due(dbk_control_thread *t, uint64_t due, uint64_t started, uint64_t ended) {
-  const uint64_t late = started - due, passed = ended > due ? (ended - due) / t->period_us : 0;
+  const uint64_t late = lateness(due, started), passed = ended > due ? (ended - due) / t->period_us : 0;
   if (late > t->late_limit_us) { __atomic_fetch_add(&t->late, 1u, __ATOMIC_RELAXED); }
   if (late > t->max_late_us) { t->max_late_us = (uint32_t)late; }
   if (ended - started > t->max_work_us) { t->max_work_us = (uint32_t)(ended - started); }
   __atomic_fetch_add(&t->skipped, passed, __ATOMIC_RELAXED);
+  /* a state paces the next tick; without one it begins half a period late */
+  if (t->loop->driver.wait) { return started + t->period_us + t->period_us / 2u; }
   return due + (passed + 1u) * t->period_us;
 }
 
 static void *run(void *argument) {
   dbk_control_thread *t = (dbk_control_thread *)argument;
+  const dbk_driver *driver = &t->loop->driver;
   uint64_t due = dbk_monotonic_us() + t->period_us;
   uint32_t work = 0;
   while (!__atomic_load_n(&t->loop->finished, __ATOMIC_ACQUIRE)) {
-    sleep_until(due);
-    const uint64_t started = dbk_monotonic_us();
-    dbk_control_loop_tick(t->loop, started, (uint32_t)(started - due), work);
+    if (driver->wait) {
+      driver->wait(driver->self, due);
+    } else {
+      sleep_until(due);
+    }
+    const uint64_t started = dbk_monotonic_us(), now = driver->clock ? driver->clock(driver->self, started) : started;
+    dbk_control_loop_tick(t->loop, now, (uint32_t)lateness(due, started), work);
     const uint64_t ended = dbk_monotonic_us();
     __atomic_store_n(&t->last_tick_us, started, __ATOMIC_RELEASE);
     work = (uint32_t)(ended - started);

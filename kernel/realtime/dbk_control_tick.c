@@ -6,6 +6,7 @@
 #define OPENING_TOLERANCE 0.005 /* [m] a measured opening may be outside the range of the gripper by this much */
 #define MAX_DELTA 2.0
 #define DELTA_TOLERANCE 1e-3
+#define COMMAND_TOLERANCE 1e-6 /* [rad/s] difference of a control and the reported command that is due to rounding */
 #define SILENT_LINK (DBK_CONDITION_STATE_STALE | DBK_CONDITION_STATE_LOST | DBK_CONDITION_TICK_LOST)
 #define UNUSABLE (DBK_CONDITION_STATE_IMPLAUSIBLE | DBK_CONDITION_STATE_REPEATED)
 
@@ -15,7 +16,7 @@ void dbk_control_tick_init(dbk_control_tick *t) {
   dbk_cycle_init(&t->cycle);
   dbk_state_monitor_init(&t->monitor, t->model.n);
   dbk_loop_timing_init(&t->timing);
-  t->has_state = t->drive_came_on = 0;
+  t->has_state = t->drive_came_on = t->drive_off = 0;
   t->drive_request_stamp = t->drive_request_time = 0.0;
   for (int32_t k = 0; k < DBK_MAX_DOF; ++k) { t->u[k] = 0.0; }
 }
@@ -74,8 +75,10 @@ static void decide(dbk_control_tick *t, dbk_tick_record *record, double now) {
   t->cycle.pending = 0;
   (void)dbk_cycle_decide(&t->cycle, t->model.n, record->now_us, t->state.stamp_us, flags, 0);
   record->conditions = flags;
-  if (!t->cycle.standstill.drive_wanted) { return; }
-  if (!drive_was_wanted) { expect_drive_on(t, now); }
+  const int comes_back = t->drive_off && !record->drive_off;
+  t->drive_off = record->drive_off;
+  if (!t->cycle.standstill.drive_wanted || t->drive_off) { return; }
+  if (!drive_was_wanted || comes_back) { expect_drive_on(t, now); }
   if (drive_dropped(t)) { t->cycle.pending |= DBK_CONDITION_DRIVE_DROPPED; }
 }
 
@@ -125,6 +128,32 @@ static void restart_filter(dbk_control_tick *t, const double *u) {
   (void)dbk_check_control(&t->monitor, &t->limits, u);
 }
 
+/* 1 if the command that the robot reports is not the last control */
+static int lost_last_control(const dbk_control_tick *t) {
+  double gap = 0.0;
+  for (int32_t k = 0; k < t->model.n; ++k) {
+    gap = fmax(gap, fabs(t->state.desired_v[k] - t->u[k]));
+  }
+  return gap > COMMAND_TOLERANCE;
+}
+
+static double clip(double value, double limit) { return fmin(fmax(value, -limit), limit); }
+
+/* Continues the command that the robot executes if it is not the last control, which was lost on the way: the limits of
+ * acceleration and jerk of the next control are those around the executed velocity. */
+static void continue_desired_motion(dbk_control_tick *t, dbk_tick_record *record) {
+  const dbk_joint_state *state = &t->state;
+  const int driven = t->cycle.standstill.drive_wanted && !record->drive_off && state->drive_enabled;
+  if (!state->has_desired || !driven || !lost_last_control(t)) { return; }
+  for (int32_t k = 0; k < t->model.n; ++k) { t->u[k] = clip(state->desired_v[k], t->limits.velocity_limit[k]); }
+  restart_filter(t, t->u);
+  for (int32_t k = 0; k < t->model.n; ++k) {
+    const double change = clip(state->desired_a[k] * t->limits.command_period, t->limits.braking_step[k]);
+    t->cycle.ctx.u_change[k] = (dbk_real)change;
+  }
+  record->continued = 1;
+}
+
 /* the control to write: scaled, filtered and checked */
 static void control(dbk_control_tick *t, const dbk_stamped_scene *scene, dbk_tick_record *record, double now) {
   dbk_in *in = &t->cycle.in;
@@ -141,8 +170,8 @@ static void control(dbk_control_tick *t, const dbk_stamped_scene *scene, dbk_tic
   in->mobile = 0;
   const int hull = isnan(t->state.opening) && t->limits.opening_max >= 0.0;
   const int standstill = dbk_cycle_filter(&t->cycle, hull ? &t->hull_model : &t->model, &scene->scene, filtered);
-  for (int32_t k = 0; k < t->model.n; ++k) { u[k] = (double)filtered[k]; }
-  if (standstill) {
+  for (int32_t k = 0; k < t->model.n; ++k) { u[k] = record->drive_off ? 0.0 : (double)filtered[k]; }
+  if (standstill || record->drive_off) {
     restart_filter(t, u);
   } else if (dbk_check_control(&t->monitor, &t->limits, u) || !is_consistent(t, u, scaled)) {
     t->cycle.pending |= DBK_CONDITION_CONTROL_BAD;
@@ -163,7 +192,7 @@ static void write_result(const dbk_control_tick *t, dbk_tick_record *record) {
   record->n_rows = out->n_rows;
   record->action = t->cycle.supervisor.decision.action;
   record->check = t->cycle.supervisor.decision.check;
-  record->drive_enable = t->cycle.standstill.drive_wanted;
+  record->drive_enable = t->cycle.standstill.drive_wanted && !record->drive_off;
   record->at_standstill = t->cycle.standstill.at_standstill;
 }
 
@@ -173,6 +202,7 @@ int dbk_control_tick_run(dbk_control_tick *t, const dbk_stamped_scene *scene, db
   accept_state(t, record, now);
   if (!t->has_state) { return 0; }
   decide(t, record, now);
+  continue_desired_motion(t, record);
   control(t, scene, record, now);
   write_result(t, record);
   return 1;

@@ -39,6 +39,7 @@ static int is_plausible(int32_t n, const dbk_control_limits *limits, const dbk_j
   int plausible = isnan(state->opening) || isfinite(state->opening);
   for (int32_t k = 0; k < n; ++k) {
     plausible &= isfinite(state->v[k]) && state->q[k] >= limits->q_least[k] && state->q[k] <= limits->q_most[k];
+    if (state->has_desired) { plausible &= isfinite(state->desired_v[k]) && isfinite(state->desired_a[k]); }
   }
   return plausible;
 }

@@ -2,6 +2,7 @@
 #include "drivers/dbk_simulated_arm.h"
 
 #include <math.h>
+#include <stddef.h>
 
 static double follow(const dbk_simulated_arm *a, int32_t k, double dt) {
   const double share = dt / a->lag < 1.0 ? dt / a->lag : 1.0;
@@ -35,6 +36,7 @@ static int read_state(void *self, uint64_t now_us, dbk_joint_state *state) {
   state->sequence = ++a->sequence;
   state->stamp_us = now_us;
   state->opening = (double)NAN;
+  state->has_desired = 0;
   state->drive_enabled = a->drive;
   for (int32_t k = 0; k < DBK_MAX_DOF; ++k) {
     state->q[k] = a->q[k];
@@ -51,7 +53,7 @@ static void write_command(void *self, uint64_t now_us, const dbk_joint_command *
 }
 
 dbk_driver dbk_simulated_arm_init(dbk_simulated_arm *a, int32_t n, const double *q, const double *braking, double lag) {
-  const dbk_driver driver = {a, read_state, write_command};
+  const dbk_driver driver = {a, read_state, write_command, NULL, NULL};
   a->n = n;
   a->drive = 1;
   a->sequence = a->now_us = a->command_us = 0;

@@ -9,6 +9,7 @@ of the control.
 from __future__ import annotations
 
 import os
+import socket
 import time
 from collections.abc import Sequence
 from math import nan
@@ -45,11 +46,14 @@ class ControlThreadConfig(msgspec.Struct, frozen=True, kw_only=True):
     - `control_valid` [s]: time for which a nominal control stays in force.
     - `priority`: of SCHED_FIFO, 1 to 99; 0: ordinary scheduling.
     - `lock_process`: lock all memory of the process, not only that of the loop.
+    - `forces_supervised`: the program that supplies the nominal controls supervises contact forces. Without it a robot
+      with force sensing is refused, because this thread does not.
     """
 
     control_valid: float = 0.05
     priority: int = 80
     lock_process: bool = False
+    forces_supervised: bool = False
 
 
 class ControlThreadStatus(msgspec.Struct, frozen=True, kw_only=True):
@@ -57,7 +61,8 @@ class ControlThreadStatus(msgspec.Struct, frozen=True, kw_only=True):
 
     `real_time`: it has SCHED_FIFO. `memory_lock` is "none", "loop" or "process". `late` ticks began more than
     0.2 ms after their time, `skipped` periods had none; `max_late` and `max_work` in s. `log_dropped` records did not
-    fit into the log, and `refused` nominal controls were not finite. `last_tick` [s] is by CLOCK_MONOTONIC.
+    fit into the log, and `refused` nominal controls were not finite. `last_tick` [s] is by CLOCK_MONOTONIC. On a link,
+    `malformed` packets of the robot were dropped, and `unsent` commands were lost.
     """
 
     running: bool
@@ -70,12 +75,14 @@ class ControlThreadStatus(msgspec.Struct, frozen=True, kw_only=True):
     max_work: float
     log_dropped: int
     refused: int
+    malformed: int
+    unsent: int
     last_tick: float
     warnings: tuple[str, ...]
 
 
 class ControlThread:
-    """Runs filter and supervisor of one arm in C, against a simulated arm or a driver in Python.
+    """Runs filter and supervisor of one arm in C, against a simulated arm, a robot process, or a driver in Python.
 
     Use it as a context manager. All methods are for one thread of Python at a time.
     """
@@ -89,30 +96,34 @@ class ControlThread:
         monitor_limits: MonitorLimits | None = None,
         standstill_limits: StandstillLimits | None = None,
         simulated_at: ArrayLike | None = None,
+        link: socket.socket | None = None,
     ) -> None:
         """Copy the robot and the configuration of `safety`; its current scene is submitted.
 
-        With `simulated_at` (n,) [rad] a simulated arm that rests in this posture is the robot. Otherwise `push_state`
-        and `pop_commands` are the link to the robot.
+        With `simulated_at` (n,) [rad] a simulated arm that rests in this posture is the robot. With `link`, a connected
+        socket of packets (`dbk_packet_driver.h`), it is the process at the other end, whose states pace the ticks; the
+        thread owns the socket. Otherwise `push_state` and `pop_commands` are the link to the robot.
 
         Raises:
-            ConfigurationError: the base is mobile, the robot has force sensing or Python barriers, or a value of
-                `config` is out of range.
+            ConfigurationError: the base is mobile, there are Python barriers, the robot has force sensing that nobody
+                supervises, or a value of `config` is out of range.
         """
         self.safety, self.config = safety, config or ControlThreadConfig()
         self.timing = timing
         _check_config(self.config)
         robot_model = safety.robot_model
-        if robot_model.force_sensing:
+        if robot_model.force_sensing and not self.config.forces_supervised:
             raise ConfigurationError.stating(
                 f"The control thread does not supervise contact forces, and {robot_model.name} has force sensing.",
-                fix="Use SafetyController, or a robot model without force_sensing if another device limits the forces.",
+                fix="Use SafetyController, or set `forces_supervised` if your program or another device limits them.",
             )
         kernel, _ = safety.kernel_scene()
         limits = loop_limits(safety, self.config, timing, monitor_limits or MonitorLimits(), standstill_limits)
         self._period_us = round(limits["period"] * 1e6)
         build: Any = select_build(robot_model, safety.config)
-        self._loop = build.ControlLoop(kernel, limits, simulated_arm(safety, simulated_at))
+        self._link = link
+        descriptor = -1 if link is None else link.fileno()
+        self._loop = build.ControlLoop(kernel, limits, simulated_arm(safety, simulated_at), descriptor)
         fields, size = build.ControlLoop.record_layout()
         self._record_type = _record_type(fields, size)
         self._controls = self._scenes = 0
@@ -138,8 +149,11 @@ class ControlThread:
         """Pass a joint state of the robot to the loop; False if its ring is full. Stamps are by CLOCK_MONOTONIC."""
         opening = _NO_STATE_OPENING if state.opening is None else state.opening
         q, v = (np.ascontiguousarray(values, float) for values in (state.q, state.v))
+        desired = np.empty(0)
+        if state.desired_v is not None and state.desired_a is not None:
+            desired = np.concatenate([state.desired_v, state.desired_a]).astype(float)
         stamp = max(0, round(state.stamp * 1e6))
-        return self._loop.push_state(state.sequence, stamp, q, v, opening, state.drive_enabled)
+        return self._loop.push_state(state.sequence, stamp, q, v, opening, state.drive_enabled, desired)
 
     def pop_commands(self) -> list[tuple[int, tuple[float, ...], bool]]:
         """Commands since the last call: tick, control (n,) [rad/s], and whether the drive is enabled."""
@@ -158,6 +172,10 @@ class ControlThread:
         """Press buttons (RESET, RESUME, CONTINUE) for one tick."""
         self._loop.press(int(buttons) & BUTTONS)
 
+    def set_drive(self, *, on: bool) -> None:
+        """Switch the drive off at the next tick without a fault, or permit the supervisor to switch it on again."""
+        self._loop.set_drive(on)
+
     def set_speed(self, scale: float) -> None:
         """Set the speed scale in (0, 1].
 
@@ -170,7 +188,7 @@ class ControlThread:
     # --- ticks ------------------------------------------------------------------------------------------------
 
     def tick(self, now: float) -> None:
-        """One tick at `now` [s] in the calling thread, for tests and lockstep; only while the thread does not run."""
+        """One tick at `now` [s] of CLOCK_MONOTONIC in the calling thread, for tests; not while the thread runs."""
         self._loop.tick(round(now * 1e6))
 
     def start(self) -> ControlThreadStatus:
@@ -187,6 +205,8 @@ class ControlThread:
     def stop(self) -> None:
         """Bring the arm to rest, switch the drive off, and end the thread; takes 2 s at most."""
         self._loop.stop()
+        if self._link is not None:
+            self._link.close()
 
     def __enter__(self) -> ControlThread:
         self.start()
@@ -215,6 +235,8 @@ class ControlThread:
             max_work=values["max_work_us"] / 1e6,
             log_dropped=values["log_dropped"],
             refused=values["refused"],
+            malformed=values["malformed"],
+            unsent=values["unsent"],
             last_tick=values["last_tick_us"] / 1e6,
             warnings=_warnings(values["fifo_error"], values["lock_error"]),
         )
@@ -254,6 +276,7 @@ def loop_limits(
     times = ("tick_lost_after", "state_stale_after", "state_lost_after", "max_loop_delay", "max_clock_skew")
     return {
         "period": max(timing.period, model.period),
+        "command_period": model.period,
         **{name: getattr(timing, name) for name in (*times, "drive_on_timeout", "drive_on_silence")},
         **{name: getattr(monitor, name) for name in names},
         "control_valid": config.control_valid,

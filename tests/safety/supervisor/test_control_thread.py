@@ -97,6 +97,8 @@ def replay(records, robot_model, scenes):
                 opening=None,
                 finger_forces=(0.0, 0.0),
                 drive_enabled=bool(one["state_drive_enabled"]),
+                desired_v=one["state_desired_v"][:n].copy() if one["state_has_desired"] else None,
+                desired_a=one["state_desired_a"][:n].copy() if one["state_has_desired"] else None,
             )
             usable = controller.accept_state(state, now)
             assert usable == one["state_used"]
@@ -107,6 +109,7 @@ def replay(records, robot_model, scenes):
             controller.report(controller.monitor.check_age(now))
         controller.speed_scale = float(one["speed_scale"])
         decision = controller.decide(current, now, int(one["external"]))
+        assert (controller.continue_desired_motion(current) is not None) == one["continued"], one["tick"]
         result = controller.control(current, one["u_nom"][:n].copy(), now)
         assert controller._conditions == one["conditions"], one["tick"]
         assert int(decision.action) == one["action"], one["tick"]
@@ -142,6 +145,52 @@ def test_a_run_with_faults_of_every_input_replays_bit_for_bit(arm, rng):
     assert len(records) == 1500
     assert len(set(records["action"].tolist())) >= 5
     assert replay(records, arm, bench.scenes) == 1500
+
+
+def test_lost_commands_are_continued_as_the_safety_controller_does_bit_for_bit(arm, rng):
+    bench, wish = Bench(arm), np.zeros(7)
+    executed, change = np.zeros(7), np.zeros(7)
+    for tick in range(1200):
+        if tick % 50 == 0:
+            wish = rng.uniform(-0.8, 0.8, 7)
+            bench.show([obstacle(0.6)] if tick > 300 else [])
+        lost = rng.uniform() < 0.3
+        if lost:  # the arm continues with its last acceleration
+            executed = np.clip(executed + change, -1.0, 1.0)
+        else:
+            change, executed = bench.u - executed, bench.u.copy()
+        bench.u = executed.copy()
+        bench.step(wish + 1e-9 * tick, desired_v=executed.copy(), desired_a=change / arm.period)
+    records = bench.loop.read_log()
+    assert records["continued"].sum() > 50
+    assert np.abs(records["u"]).max() > 0.2
+    assert replay(records, arm, bench.scenes) == 1200
+
+
+def test_a_drive_that_the_caller_switches_off_is_no_fault_and_comes_back(arm):
+    bench, wish = Bench(arm), np.full(7, 0.2)
+    bench.run(0.3, wish)
+    bench.loop.set_drive(on=False)
+    records = bench.run(0.3, wish)
+    assert not records["drive_enable"].any()
+    assert not records["u"].any()
+    assert records["action"].max() < SafetyAction.SLOW
+    bench.loop.set_drive(on=True)
+    records = bench.run(0.4, wish)
+    assert records["drive_enable"].all()
+    assert np.abs(records["u"][-1]).max() > 0.1
+    step = np.abs(np.diff(records["u"][:, :7], axis=0)).max(axis=0)
+    assert (step <= [joint.acceleration.value * arm.period * 1.01 for joint in arm.joints]).all()
+
+
+def test_a_drive_that_does_not_come_back_is_a_fault(arm):
+    bench = Bench(arm)
+    bench.run(0.1, np.zeros(7))
+    bench.loop.set_drive(on=False)
+    bench.run(0.1, np.zeros(7))
+    bench.loop.set_drive(on=True)
+    records = bench.run(0.5, np.zeros(7), drive_enabled=False)
+    assert first(records, SafetyAction.ESTOP) == pytest.approx(0.3, abs=0.005)
 
 
 def first(records, action):
@@ -251,3 +300,4 @@ def test_a_robot_that_the_loop_cannot_supervise_is_refused(arm, sparse_panda):
         ControlThread(SafetyFilter(arm), ControlThreadConfig(control_valid=float("nan")))
     with pytest.raises(ConfigurationError, match="force sensing"):
         ControlThread(SafetyFilter(sparse_panda))
+    ControlThread(SafetyFilter(sparse_panda), ControlThreadConfig(forces_supervised=True))

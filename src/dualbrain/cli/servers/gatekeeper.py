@@ -32,6 +32,7 @@ def gatekeeper(
     address: str = "",
     commissioned: Path | None = None,
     realtime: str = "enforce",
+    control_thread: bool | None = None,
     unrecorded: Annotated[bool, Parameter(negative="")] = False,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
@@ -66,6 +67,9 @@ def gatekeeper(
         Commissioning record, written by `dualbrain robot commission`.
     realtime
         enforce, or ignore to connect from a kernel without PREEMPT_RT (driver franka; for simulators and tests).
+    control_thread
+        Move the joints from a thread in C, which filters every control again and does not wait for Python. For arms
+        with a fixed base. Default: with a driver, not with the simulated robot.
     unrecorded
         Move on if the recording of --record cannot be written (disk full). Without this option the arm then comes to
         rest.
@@ -101,6 +105,7 @@ def gatekeeper(
         registrations=str(dualbrain_home() / REGISTRATIONS),
         started_by=STARTED_BY_PERSON,
         unrecorded=unrecorded,
+        control_thread=control_thread,
     )
     if notice := load_keys(secrets, PRINCIPALS).notice:
         print(notice, file=sys.stderr)

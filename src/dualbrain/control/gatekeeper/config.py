@@ -20,7 +20,8 @@ class GatekeeperConfig(
     commissioning record `commissioned`. `realtime` is "enforce" or "ignore" (`FrankaDriver`). The gatekeeper registers
     itself in the folder `registrations` while it runs, as started by `started_by`. With `unrecorded` the arm may move
     on if the recording cannot be written. `start` is the state of the simulated robot at the beginning, by default at
-    home, and `held` the object in its hand then.
+    home, and `held` the object in its hand then. With `control_thread` a thread in C moves the joints
+    (`ThreadedRobot`); None: with a driver.
     """
 
     robot: str
@@ -45,3 +46,4 @@ class GatekeeperConfig(
     unrecorded: bool = False
     start: PlantState | None = None
     held: str = ""
+    control_thread: bool | None = None

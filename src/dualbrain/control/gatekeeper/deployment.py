@@ -14,6 +14,7 @@ from dualbrain.control.gatekeeper.robot_link.driver_process import DriverSetting
 from dualbrain.control.gatekeeper.robot_link.simulated_robot import SimulatedRobotSettings
 from dualbrain.drivers.catalogue import DriverKind, find_driver_kind
 from dualbrain.drivers.commissioning.record import require_record
+from dualbrain.errors import ConfigurationError
 from dualbrain.grounding.envelope.object_limits import site_object_limits
 from dualbrain.records import ObjectLimits
 from dualbrain.robots.loader import BUILTIN_ROBOTS, load_robot
@@ -28,12 +29,16 @@ from dualbrain.skills.registry import skill_registry
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Deployment:
-    """A checked configuration, before anything is connected. Without a `driver` the robot is simulated."""
+    """A checked configuration, before anything is connected. Without a `driver` the robot is simulated.
+
+    With `control_thread` a thread in C moves the joints.
+    """
 
     robot_model: RobotModel
     fixed_obstacles: tuple[Obstacle, ...]
     capability: Capability
     driver: DriverKind | None
+    control_thread: bool = False
     persons: PersonLimits | None = None
     object_limits: Mapping[str, ObjectLimits] = field(default_factory=dict[str, ObjectLimits])
 
@@ -46,12 +51,17 @@ class Deployment:
             NotCommissionedError: the driver moves hardware, and there is no valid commissioning record for this robot
                 at this site.
             UnknownNameError: there is no such robot or driver.
-            ConfigurationError: the driver does not fit the robot, or an object of the scene moves.
+            ConfigurationError: the driver or a control thread does not fit the robot, or an object of the scene moves.
         """
         path = Path(config.site) if config.site else None
         site = read_site(path) if path else None
         full_model = load_robot(config.robot)
         robot_model = site_robot(full_model, site) if site else full_model
+        if config.control_thread and robot_model.is_mobile:
+            raise ConfigurationError.stating(
+                f"The control thread needs a fixed base, and {robot_model.name} has a mobile one.",
+                fix="Leave `--control-thread` out.",
+            )
         kind = find_driver_kind(config.driver, robot_model.name) if config.driver else None
         if kind is not None and kind.hardware:
             require_record(Path(config.commissioned) if config.commissioned else None, robot_model, path, kind)
@@ -70,6 +80,7 @@ class Deployment:
             fixed_obstacles=site_obstacles(robot_model, site) if site else (),
             capability=capability,
             driver=kind,
+            control_thread=kind is not None if config.control_thread is None else config.control_thread,
             persons=persons,
             object_limits=site_object_limits(site, skill_registry(robot_model)) if site else {},
         )

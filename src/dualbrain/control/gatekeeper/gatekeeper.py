@@ -113,11 +113,12 @@ class Gatekeeper:
         monotonic: Callable[[], float] = time.monotonic,
         on_outcome: Callable[[Outcome], None] = lambda outcome: None,
         mark_part: Callable[[str], None] = lambda part: None,
+        safety: SafetyFilter | None = None,
     ) -> None:
         """Connect all parts; the robot holds position until a contract is accepted. `gate` checks the contracts.
 
         Connections are timed by `monotonic` [s]. `on_outcome` gets every outcome, `mark_part` the name of the part of a
-        tick that has just ended.
+        tick that has just ended. `safety` is the filter of the loop, by default one from `settings`.
         """
         self.robot, self.server, self.operator_commands = robot, server, OperatorCommands(settings.speed_scale)
         self._keys, self._capabilities = keys, dict(capabilities)
@@ -141,7 +142,8 @@ class Gatekeeper:
         self._status_period_ticks, self._cleanup_period_ticks = (
             max(1, round(t / robot_model.period)) for t in (STATUS_PERIOD, CLEANUP_PERIOD)
         )
-        safety = SafetyFilter(robot_model, settings.filter_config, obstacles=settings.fixed_obstacles)
+        if safety is None:
+            safety = SafetyFilter(robot_model, settings.filter_config, obstacles=settings.fixed_obstacles)
         robot.skip_to_newest_state()  # the preparations may have taken longer than a state remains valid
         self.loop = ControlLoop(
             robot_model,
@@ -228,6 +230,8 @@ class Gatekeeper:
             self._send_status(now)
         self.loop.safety_controller.speed_scale = self.operator_commands.speed_scale
         self._pause_or_resume_recording(now)
+        for text in self.robot.notes():
+            self._log.note(self.robot.read().stamp, "control_thread", text)
         return self._conditions(now)
 
     def _pause_or_resume_recording(self, now: float) -> None:

@@ -23,6 +23,7 @@ from dualbrain.control.gatekeeper.protocol.authentication import PRINCIPALS, loa
 from dualbrain.control.gatekeeper.protocol.registration import registered
 from dualbrain.control.gatekeeper.protocol.server import SocketServer, is_listening
 from dualbrain.control.gatekeeper.robot_link.remote_robot import RemoteRobot
+from dualbrain.control.gatekeeper.robot_link.threaded_robot import ThreadedRobot
 from dualbrain.control.gatekeeper.timing.tick_profile import TickProfiler
 from dualbrain.control.gatekeeper.timing.tick_timing import TickTimingSummary
 from dualbrain.control.recording.recorder import Recorder
@@ -90,7 +91,8 @@ def run_gatekeeper(
             on_ready()
             gatekeeper.run()
         release_realtime_priority()
-        timing = msgspec.structs.replace(robot.tick_timer.summary(), parts=profile.summary())
+        thread = robot.thread_status() if isinstance(robot, ThreadedRobot) else None
+        timing = msgspec.structs.replace(robot.tick_timer.summary(), parts=profile.summary(), control_thread=thread)
     if config.tick_timing:  # after the recording has released its reserved space
         write_atomically(Path(config.tick_timing), msgspec.json.encode(timing))
     return timing
@@ -115,8 +117,17 @@ def _assemble(
         recorder = Recorder(path, trace, reserve=reserve_for_recording(path, unrecorded=config.unrecorded))
         stack.callback(recorder.close)
         recorder.episode(0.0, deployment.recording_metadata(config))
-    robot = RemoteRobot(deployment.process_settings(config), deployment.timing, profile)
-    stack.callback(robot.close)
+    process_settings, timing, safety = deployment.process_settings(config), deployment.timing, None
+    if deployment.control_thread:
+        robot = ThreadedRobot(process_settings, timing, profile)
+        stack.callback(robot.close)
+        safety, timing = (
+            robot.make_filter(robot_model, deployment.filter_config, deployment.fixed_obstacles),
+            robot.loop_timing,
+        )
+    else:
+        robot = RemoteRobot(process_settings, timing, profile)
+        stack.callback(robot.close)
     gatekeeper = Gatekeeper(
         robot_model,
         robot,
@@ -125,7 +136,7 @@ def _assemble(
         keys,
         capabilities,
         settings=GatekeeperSettings(
-            timing=deployment.timing,
+            timing=timing,
             speed_scale=config.speed_scale,
             fixed_obstacles=deployment.fixed_obstacles,
             filter_config=deployment.filter_config,
@@ -137,6 +148,7 @@ def _assemble(
         recorder=recorder,
         trace=trace,
         mark_part=profile.mark_part,
+        safety=safety,
     )
     if config.start is not None:
         gatekeeper.loop.resume_grasp(config.held, config.start.target_opening, config.start.grip_force)

@@ -43,6 +43,7 @@ EventKind = Literal[
     "margin",
     "command_lost",
     "target",
+    "control_thread",
     "site",
 ]
 

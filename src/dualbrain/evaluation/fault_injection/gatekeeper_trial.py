@@ -94,6 +94,10 @@ class LockstepRobot:
         """No timing conditions, because nothing is late in lockstep."""
         return 0
 
+    def notes(self) -> list[str]:
+        """No texts in lockstep."""
+        return []
+
     def timing_faults(self) -> tuple[int, int]:
         """No faults, because nothing is late in lockstep."""
         return 0, 0

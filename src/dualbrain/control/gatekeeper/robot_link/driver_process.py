@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 
 from dualbrain.control.gatekeeper.robot_link import packets
+from dualbrain.control.gatekeeper.robot_link.control_link import ControlLink, ThreadCommand, inherited_links
 from dualbrain.control.gatekeeper.robot_link.packet_socket import MalformedPacket, PacketSocket
 from dualbrain.control.gatekeeper.robot_link.simulated_robot import WATCHDOG_TIMEOUT, perception_period_ticks
 from dualbrain.core.geometry.shapes import Pose
@@ -51,9 +52,14 @@ class DriverSettings(msgspec.Struct, frozen=True, kw_only=True):
 class DriverProcess:
     """A driver at one end of the robot link."""
 
-    def __init__(self, driver: Driver, scene: Scene, link: socket.socket) -> None:
-        """Connect the parts; the drive remains off until the gatekeeper switches it on."""
-        self._driver, self._scene = driver, scene
+    def __init__(
+        self, driver: Driver, scene: Scene, link: socket.socket, control_link: ControlLink | None = None
+    ) -> None:
+        """Connect the parts; the drive remains off until the gatekeeper switches it on.
+
+        With a `control_link` a control thread commands the joints and the drive, and the gatekeeper the gripper.
+        """
+        self._driver, self._scene, self._control_link = driver, scene, control_link
         self._packet_socket: PacketSocket[packets.ToRobot] = PacketSocket(link, packets.decode_to_robot)
         self._shutdown_requested = self._command_received = False
         self._last_command_at, self._drive_on = time.monotonic(), False
@@ -81,6 +87,8 @@ class DriverProcess:
 
     def _send_state(self) -> None:
         state = self._driver.read()
+        if self._control_link is not None:
+            self._control_link.send_state(state)
         self._packet_socket.send(packets.StatePacket.from_state(state))
         if self._ticks % self._scene_period_ticks == 0:
             self._packet_socket.send(packets.ScenePacket(msgspec.structs.replace(self._scene, stamp=state.stamp)))
@@ -92,6 +100,9 @@ class DriverProcess:
         An arm that reports the executed command has continued the one before by itself. A late command would contradict
         it, and each later one would be written one period late.
         """
+        if self._control_link is not None:
+            self._drop_late_thread_commands(self._control_link)
+            return
         for _ in range(MAX_LATE_PACKETS):
             packet = self._packet_socket.receive()
             if packet is None:
@@ -103,14 +114,59 @@ class DriverProcess:
             else:
                 self._last_command_at = time.monotonic()
 
+    def _drop_late_thread_commands(self, control_link: ControlLink) -> None:
+        """Apply only the changes of the drive among the commands that have arrived since the last one."""
+        for _ in range(MAX_LATE_PACKETS):
+            packet = control_link.receive()
+            if packet is None:
+                return
+            if isinstance(packet, ThreadCommand) and not command_fault(Command(packet.u, 0.0, 0.0), self._n_joints):
+                self._last_command_at = time.monotonic()
+                self._follow_thread_drive(control_link, packet)
+            else:
+                self._stop_drive()
+
     def _await_command(self, deadline: float) -> None:
         """Apply packets until a command arrives for the sent state, at most until `deadline`."""
         self._command_received = False
+        if self._control_link is not None:
+            self._await_thread_command(self._control_link, deadline)
+            return
         while (
             self._packet_socket.is_open and not self._command_received and (left := deadline - time.monotonic()) > 0.0
         ):
             if self._packet_socket.wait(left):
                 self._apply_packet(self._packet_socket.receive())
+
+    def _await_thread_command(self, control_link: ControlLink, deadline: float) -> None:
+        """Apply what the gatekeeper sent, and then the commands of its thread for the sent state."""
+        for _ in range(MAX_LATE_PACKETS):
+            if (packet := self._packet_socket.receive()) is None:
+                break
+            self._apply_packet(packet)
+        while (
+            self._packet_socket.is_open and not self._command_received and (left := deadline - time.monotonic()) > 0.0
+        ):
+            if control_link.wait(left):
+                self._apply_thread_command(control_link, control_link.receive())
+
+    def _apply_thread_command(self, control_link: ControlLink, packet: ThreadCommand | MalformedPacket | None) -> None:
+        if isinstance(packet, MalformedPacket):
+            self._stop_drive()
+        elif packet is not None:
+            self._follow_thread_drive(control_link, packet)
+            if (command := control_link.complete(packet)) is not None:
+                self._apply_command(command)
+
+    def _follow_thread_drive(self, control_link: ControlLink, command: ThreadCommand) -> None:
+        if (on := control_link.drive_change(command)) is not None:
+            self._switch_drive(on=on)
+
+    def _switch_drive(self, *, on: bool) -> None:
+        if on and not self._drive_on:  # a repeated order is no command and does not feed the watchdog
+            self._last_command_at = time.monotonic()
+        self._drive_on = on
+        (self._driver.enable if on else self._driver.stop)()
 
     def _stop_drive(self) -> None:
         """Stop after a packet that this arm cannot use; the drive remains off until it is switched on again."""
@@ -130,12 +186,13 @@ class DriverProcess:
             case MalformedPacket():
                 self._stop_drive()
             case packets.CommandPacket(u, opening, force):
-                self._apply_command(Command(np.array(u, dtype=float), opening, force))
+                command = Command(np.array(u, dtype=float), opening, force)
+                if self._control_link is not None:
+                    self._control_link.set_gripper(command)
+                else:
+                    self._apply_command(command)
             case packets.DrivePacket(on):
-                if on and not self._drive_on:  # a repeated order is no command and does not feed the watchdog
-                    self._last_command_at = time.monotonic()
-                self._drive_on = on
-                (self._driver.enable if on else self._driver.stop)()
+                self._switch_drive(on=on)
             case packets.ShutdownPacket():
                 self._shutdown_requested = True
             case _:  # phases and contracts are for the monitor and the judge of a simulation
@@ -165,13 +222,13 @@ def surveyed_scene(spec: SceneSpec) -> Scene:
 
 
 def main(arguments: list[str], parent: ParentPipe) -> None:
-    """Serve on the inherited socket, whose number is the only argument, as a child of the gatekeeper."""
-    link = socket.socket(fileno=int(arguments[0]))
+    """Serve on the inherited sockets, whose numbers are the arguments, as a child of the gatekeeper."""
+    link, control_link = inherited_links(arguments)
     settings = msgspec.json.decode(parent.read_settings(), type=DriverSettings)
     kind = find_driver_kind(settings.driver, settings.robot_model.name)
     scene = surveyed_scene(settings.scene)
     pace = RealTimePacer(tolerance=WATCHDOG_TIMEOUT)  # of a fake arm
     driver = kind.open(settings.address, settings.robot_model, pace, realtime=settings.realtime)
-    process = DriverProcess(driver, scene, link)
+    process = DriverProcess(driver, scene, link, control_link)
     parent.on_end(process.lose_gatekeeper)
     process.serve()

@@ -24,6 +24,10 @@ class RobotLink(RobotInterface, WorldInterface, Protocol):
         """Timing `Condition` bits since the last call."""
         ...
 
+    def notes(self) -> list[str]:
+        """Texts about the link since the last call, for the recording."""
+        ...
+
     def timing_faults(self) -> tuple[int, int]:
         """Number of ticks so far that took too long, and of joint states that never arrived."""
         ...

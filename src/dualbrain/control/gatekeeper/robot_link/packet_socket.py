@@ -19,7 +19,7 @@ from dualbrain.errors import DECODE_ERRORS
 
 SEND_BUFFER_BYTES = 1 << 20
 """Size of the send buffer [bytes]."""
-P = TypeVar("P", bound=packets.Packet)
+P = TypeVar("P", bound=msgspec.Struct)
 
 
 class MalformedPacket(msgspec.Struct, frozen=True):
@@ -40,10 +40,15 @@ class PacketSocket(Generic[P]):
 
     def send(self, packet: packets.Packet) -> None:
         """Send a packet, which is lost if the buffer is full, as on a real bus; the robot has a watchdog for that."""
+        if self.is_open:
+            self.send_bytes(packets.encode(packet))
+
+    def send_bytes(self, data: bytes) -> None:
+        """Send an encoded packet, which is lost if the buffer is full."""
         if not self.is_open:
             return
         try:
-            self._socket.send(packets.encode(packet))
+            self._socket.send(data)
         except BlockingIOError:
             pass
         except OSError:

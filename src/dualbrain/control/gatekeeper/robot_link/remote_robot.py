@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import subprocess
 import time
 
@@ -31,16 +32,25 @@ class RemoteRobot:
     """A robot in another process; implements `RobotLink`."""
 
     def __init__(
-        self, settings: SimulatedRobotSettings | DriverSettings, timing: Timing, profiler: TickProfiler | None = None
+        self,
+        settings: SimulatedRobotSettings | DriverSettings,
+        timing: Timing,
+        profiler: TickProfiler | None = None,
+        *,
+        control_end: socket.socket | None = None,
     ) -> None:
         """Start the process of the simulated robot or of a driver, and wait for its first state and scene.
+
+        `control_end` is the robot's end of the link to a control thread, which is closed here.
 
         Raises `ConfigurationError` if the process ends or none arrives in time.
         """
         here, there = socket_pair()
-        data, descriptor = msgspec.json.encode(settings), there.fileno()
-        self.process = start_child(_process_module(settings), data, str(descriptor), pass_fds=(descriptor,))
-        there.close()
+        ends = [there] if control_end is None else [there, control_end]
+        data, descriptors = msgspec.json.encode(settings), tuple(end.fileno() for end in ends)
+        self.process = start_child(_process_module(settings), data, *map(str, descriptors), pass_fds=descriptors)
+        for end in ends:
+            end.close()
         self._packet_socket: PacketSocket[packets.FromRobot] = PacketSocket(here, packets.decode_from_robot)
         self._timing = timing
         self.tick_timer, self._profiler = TickTimer(timing), profiler or TickProfiler()
@@ -108,6 +118,10 @@ class RemoteRobot:
     def conditions(self) -> int:
         """Timing `Condition` bits since the last call."""
         return self.tick_timer.conditions()
+
+    def notes(self) -> list[str]:
+        """No texts: everything that happens on this link is a condition."""
+        return []
 
     def timing_faults(self) -> tuple[int, int]:
         """Number of ticks so far that took too long, and of joint states that never arrived."""

@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 
 from dualbrain.control.gatekeeper.robot_link import packets
+from dualbrain.control.gatekeeper.robot_link.control_link import ControlLink, inherited_links
 from dualbrain.control.gatekeeper.robot_link.packet_socket import MalformedPacket, PacketSocket
 from dualbrain.core.processes.parent_pipe import ParentPipe
 from dualbrain.core.processes.realtime_priority import release_realtime_priority
@@ -76,8 +77,9 @@ class RobotReport(
 
     `last_command_at`: arrival of the last valid command. `drive_off_at`, `drive_off_cause`: time at which the drive was
     switched off, and its cause. `travel` [rad]: largest joint motion since then. `speed` [rad/s]: largest joint speed
-    at the end. `resynchronizations`: number of resynchronizations with the clock. `judgement`: result on ground truth.
-    `end`: state from which another run can continue.
+    at the end. `silent_periods`: control periods after the first command in which no valid one arrived;
+    `longest_silence` [s]: longest time between two valid commands. `resynchronizations`: number of resynchronizations
+    with the clock. `judgement`: result on ground truth. `end`: state from which another run can continue.
     """
 
     last_command_at: float
@@ -88,14 +90,18 @@ class RobotReport(
     resynchronizations: int
     ticks: int
     judgement: Judgement
+    silent_periods: int = 0
+    longest_silence: float = 0.0
     end: EndState | None = None
 
 
 class RobotProcess:
     """Plant, perception, monitor and watchdog at one end of the robot link."""
 
-    def __init__(self, settings: SimulatedRobotSettings, link: socket.socket) -> None:
-        """Build the world; the robot is at rest."""
+    def __init__(
+        self, settings: SimulatedRobotSettings, link: socket.socket, control_link: ControlLink | None = None
+    ) -> None:
+        """Build the world; the robot is at rest. With a `control_link` a control thread moves the joints."""
         robot_model, spec = settings.robot_model or load_robot(settings.robot), settings.scene
         goal = parse_goals(settings.goal, spec) if settings.goal else None
         judge = make_instruction_judge(settings.instruction)
@@ -104,13 +110,15 @@ class RobotProcess:
         )
         self.plant = self.world.plant
         self._packet_socket: PacketSocket[packets.ToRobot] = PacketSocket(link, packets.decode_to_robot)
+        self._control_link = control_link
         self._settings, self._period, self._shutdown_requested = settings, robot_model.period, False
         self._scene_period_ticks = perception_period_ticks(robot_model.period)
         self._last_command_at, self._armed = time.monotonic(), False
         self._off_at: float | None = None
         self._priority_released = False
         self._off_cause, self._off_q = "", self.plant.read().q
-        self._resynchronizations = self._ticks = 0
+        self._resynchronizations = self._ticks = self._silent_periods = 0
+        self._longest_silence, self._command_arrived = 0.0, False
 
     def lose_gatekeeper(self) -> None:
         """Continue as without a link, from any thread: the gatekeeper has ended."""
@@ -134,8 +142,12 @@ class RobotProcess:
         self._write_report()
 
     def _tick(self) -> None:
+        self._silent_periods += self._armed and not self._command_arrived and self._packet_socket.is_open
+        self._command_arrived = False
         self.world.advance()
         state = self.plant.read()
+        if self._control_link is not None:
+            self._control_link.send_state(state)
         self._packet_socket.send(packets.StatePacket.from_state(state))
         if self._ticks % self._scene_period_ticks == 0:
             self._packet_socket.send(packets.ScenePacket(self.world.perceive()))
@@ -165,20 +177,31 @@ class RobotProcess:
     def _receive(self) -> None:
         while (packet := self._packet_socket.receive()) is not None:
             self._apply_packet(packet)
+        if self._control_link is not None:
+            self._receive_thread_commands(self._control_link)
+
+    def _receive_thread_commands(self, control_link: ControlLink) -> None:
+        while (packet := control_link.receive()) is not None:
+            if isinstance(packet, MalformedPacket):
+                self._stop_drive("rubbish")
+                continue
+            if (on := control_link.drive_change(packet)) is not None:
+                self._switch_drive(on=on)
+            if (command := control_link.complete(packet)) is not None:
+                self._apply_command(command)
 
     def _apply_packet(self, packet: packets.ToRobot | MalformedPacket) -> None:
         match packet:
             case MalformedPacket():
                 self._stop_drive("rubbish")
             case packets.CommandPacket(u, opening, force):
-                self._apply_command(Command(np.array(u, dtype=float), opening, force))
-            case packets.DrivePacket(on=False):
-                self._last_command_at = time.monotonic()
-                self._stop_drive("order")
-            case packets.DrivePacket():
-                if self._off_at is not None:  # a repeated order is no command and does not feed the watchdog
-                    self._last_command_at, self._off_at = time.monotonic(), None
-                self.plant.enable()
+                command = Command(np.array(u, dtype=float), opening, force)
+                if self._control_link is not None:
+                    self._control_link.set_gripper(command)
+                else:
+                    self._apply_command(command)
+            case packets.DrivePacket(on):
+                self._switch_drive(on=on)
             case packets.PhasePacket(phase, roles):
                 self.world.set_phase(phase, roles)
             case packets.ContractPacket(contract):
@@ -186,10 +209,22 @@ class RobotProcess:
             case packets.ShutdownPacket():
                 self._shutdown_requested = True
 
+    def _switch_drive(self, *, on: bool) -> None:
+        if not on:
+            self._last_command_at = time.monotonic()
+            self._stop_drive("order")
+            return
+        if self._off_at is not None:  # a repeated order is no command and does not feed the watchdog
+            self._last_command_at, self._off_at = time.monotonic(), None
+        self.plant.enable()
+
     def _apply_command(self, command: Command) -> None:
         """Apply a valid command and feed the watchdog; any other command is ignored and feeds nothing."""
         if not command_fault(command, self.plant.robot_model.n):
-            self._last_command_at, self._armed = time.monotonic(), True
+            now = time.monotonic()
+            if self._armed:
+                self._longest_silence = max(self._longest_silence, now - self._last_command_at)
+            self._last_command_at, self._armed, self._command_arrived = now, True, True
             self.plant.write(command)
 
     def _write_report(self) -> None:
@@ -205,6 +240,8 @@ class RobotProcess:
             resynchronizations=self._resynchronizations,
             ticks=self._ticks,
             judgement=self.world.judgement(),
+            silent_periods=self._silent_periods,
+            longest_silence=self._longest_silence,
             end=read_end_state(self.plant),
         )
         write_atomically(Path(self._settings.report), msgspec.json.encode(report))
@@ -216,10 +253,10 @@ def perception_period_ticks(period: float) -> int:
 
 
 def main(arguments: list[str], parent: ParentPipe) -> None:
-    """Serve on the inherited socket, whose number is the only argument, as a child of the gatekeeper."""
-    link = socket.socket(fileno=int(arguments[0]))
+    """Serve on the inherited sockets, whose numbers are the arguments, as a child of the gatekeeper."""
+    link, control_link = inherited_links(arguments)
     settings = msgspec.json.decode(parent.read_settings(), type=SimulatedRobotSettings)
-    process = RobotProcess(settings, link)
+    process = RobotProcess(settings, link, control_link)
     if settings.report:
         parent.on_end(process.lose_gatekeeper)
     else:  # no report shows how the simulation continues

@@ -8,6 +8,7 @@ import msgspec
 
 from dualbrain.control.gatekeeper.timing.histogram import Histogram
 from dualbrain.control.gatekeeper.timing.tick_profile import PartTiming
+from dualbrain.safety.control_thread import ControlThreadStatus
 from dualbrain.safety.supervisor.conditions import Condition
 from dualbrain.safety.supervisor.timing import Timing
 
@@ -23,7 +24,7 @@ class TickTimingSummary(msgspec.Struct, frozen=True, kw_only=True):
     """Timing of `ticks`: percentiles (50, 99, 99.9, 100) of interval, work and latency [s].
 
     `late` ticks took too long, `missed` states never arrived. `bins` counts intervals by `BIN_FRACTION` of a period.
-    `parts` is the tick profile.
+    `parts` is the tick profile, `control_thread` the state of the thread that moved the joints, None without one.
     """
 
     ticks: int
@@ -34,6 +35,7 @@ class TickTimingSummary(msgspec.Struct, frozen=True, kw_only=True):
     latency: tuple[float, float, float, float]
     bins: tuple[int, ...]
     parts: dict[str, PartTiming] = {}
+    control_thread: ControlThreadStatus | None = None
 
 
 class TickTimer:

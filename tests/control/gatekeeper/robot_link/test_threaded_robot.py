@@ -1,0 +1,233 @@
+"""A gatekeeper with a control thread: contracts, stops in both layers, and a loop that stalls."""
+
+import os
+import signal
+import time
+
+import msgspec
+import numpy as np
+import pytest
+
+from dualbrain.control.gatekeeper.config import GatekeeperConfig
+from dualbrain.control.gatekeeper.deployment import Deployment
+from dualbrain.control.gatekeeper.process import GatekeeperProcess
+from dualbrain.control.gatekeeper.protocol.authentication import PRINCIPALS, load_keys
+from dualbrain.control.gatekeeper.protocol.client import GatekeeperClient
+from dualbrain.control.gatekeeper.robot_link.simulated_robot import (
+    WATCHDOG_TIMEOUT,
+    RobotReport,
+    SimulatedRobotSettings,
+)
+from dualbrain.control.gatekeeper.robot_link.threaded_robot import ThreadedRobot, loop_timing
+from dualbrain.control.gatekeeper.timing.tick_timing import TickTimingSummary
+from dualbrain.errors import ConfigurationError
+from dualbrain.grounding.vocabulary import load_skill_registry
+from dualbrain.robots.interface import Command
+from dualbrain.robots.loader import load_robot
+from dualbrain.safety.supervisor.conditions import Condition
+from dualbrain.safety.supervisor.controller import SafetyController
+from dualbrain.safety.supervisor.timing import FRANKA, SIMULATED
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
+
+pytestmark = pytest.mark.realtime
+TIMEOUT = 60.0
+"""Longest time [s] that a test waits for a condition."""
+ABOVE_CUBE = {"target": "red_cube", "speed": 0.3, "clearance": 0.2, "route": "direct", "wait": "none"}
+
+
+def contract(robot, *actions):
+    registry = load_skill_registry(robot)
+    sequence = [{"skill": skill, "params": params} for skill, params in actions]
+    context = {"robot": registry.robot, "registry": registry.hash}
+    return msgspec.json.encode({"id": "c-0001", "context": context, "action_sequence": sequence})
+
+
+class Cell:
+    """A gatekeeper process with a control thread, its operator and its commander."""
+
+    def __init__(self, folder, robot="panda", **changes):
+        self.folder, self.robot = folder, robot
+        config = {"report": str(folder / "robot.json"), "tick_timing": str(folder / "timing.json")} | changes
+        scene = open_scene("bare:0", robot)
+        self.process = GatekeeperProcess(
+            GatekeeperConfig(robot=robot, scene=scene, socket=str(folder / "s"), keys=str(folder / "keys"), **config)
+        )
+        keys = load_keys(folder / "keys", PRINCIPALS)
+        self.operator = GatekeeperClient(folder / "s", keys, "operator")
+        self.commander = GatekeeperClient(folder / "s", keys, "planner")
+
+    def execute(self, *actions):
+        self.propose(*actions)
+        return self.commander.wait_for_outcome(TIMEOUT).outcome
+
+    def propose(self, *actions):
+        version = self.commander.request_scene().scene.version
+        assert self.commander.propose(contract(self.robot, *actions), version).rejected is None
+
+    def wait(self, description, condition):
+        deadline = time.monotonic() + TIMEOUT
+        while not condition():
+            assert time.monotonic() < deadline, description
+            time.sleep(0.01)
+
+    def wait_for_action(self, action):
+        self.wait(action, lambda: self.operator.status and self.operator.status.action == action)
+
+    def wait_for_motion(self):
+        start = self.operator.request_scene().q
+        self.wait("motion", lambda: np.abs(np.subtract(self.operator.request_scene().q, start)).max() > 0.05)
+
+    def close(self):
+        self.operator.close()
+        self.commander.close()
+        self.process.stop()
+
+    @property
+    def timing(self):
+        return msgspec.json.decode((self.folder / "timing.json").read_bytes(), type=TickTimingSummary)
+
+    @property
+    def report(self):
+        return msgspec.json.decode((self.folder / "robot.json").read_bytes(), type=RobotReport)
+
+
+@pytest.fixture
+def cell(tmp_path):
+    made = Cell(tmp_path, control_thread=True)
+    yield made
+    made.close()
+
+
+def test_contracts_run_and_an_emergency_stop_reaches_both_layers_and_is_cleared(cell):
+    assert cell.execute(("move_to", ABOVE_CUBE)).kind == "succeeded"
+    cell.propose(("home", {"speed": 0.2}))
+    cell.wait_for_motion()
+    cell.operator.operate("estop")
+    assert cell.commander.wait_for_outcome(TIMEOUT).outcome.kind == "emergency"
+    cell.wait_for_action("ESTOP")
+    for command, action in (("release_estop", "ESTOP"), ("reset", "HOLD"), ("resume", "NONE")):
+        cell.operator.operate(command)
+        cell.wait_for_action(action)
+    assert cell.execute(("home", {"speed": 0.3})).kind == "succeeded"
+    cell.close()
+    thread = cell.timing.control_thread
+    assert (thread.malformed, thread.unsent, thread.log_dropped, thread.refused) == (0, 0, 0, 0)
+    assert cell.report.drive_off_cause == "order"
+    assert not cell.report.judgement.violations
+
+
+def test_a_killed_gatekeeper_leaves_the_arm_at_rest_within_the_time_of_the_watchdog(cell):
+    cell.propose(("move_to", ABOVE_CUBE))
+    cell.wait_for_motion()
+    os.kill(cell.process.process.pid, signal.SIGKILL)
+    cell.process.process.wait()
+    cell.wait("a report", (cell.folder / "robot.json").exists)
+    report = cell.report
+    assert report.drive_off_at - report.last_command_at <= WATCHDOG_TIMEOUT + 0.05
+    assert report.speed < 1e-3
+    assert not report.judgement.violations
+
+
+@pytest.mark.parametrize(("driver", "robot"), [("fake_franka", "fr3"), ("fake_ur", "ur5e")])
+def test_a_driver_moves_its_arm_by_the_commands_of_the_thread(tmp_path, driver, robot):
+    realtime = "ignore" if driver == "fake_franka" else "enforce"
+    made = Cell(tmp_path, robot, driver=driver, address="fake", realtime=realtime, report="")
+    try:
+        made.wait_for_action("NONE")
+        start = made.operator.request_scene().q
+        assert made.execute(("move_to", ABOVE_CUBE)).kind == "succeeded"
+        assert np.abs(np.subtract(made.operator.request_scene().q, start)).max() > 0.1
+    finally:
+        made.close()
+    assert made.timing.control_thread.malformed == 0
+
+
+def test_a_mobile_base_is_refused_with_the_remedy():
+    config = GatekeeperConfig(robot="base", scene=open_scene("0", "base"), socket="s", keys="k", control_thread=True)
+    with pytest.raises(ConfigurationError, match="--control-thread"):
+        Deployment.from_config(config)
+
+
+# --- the loop above the thread, in this process ----------------------------------------------------------------------
+
+
+class Loop:
+    """A control loop in lockstep with the states, which a test can stall."""
+
+    def __init__(self):
+        model = load_robot("panda")
+        settings = SimulatedRobotSettings(robot="panda", scene=open_scene("bare:0"))
+        self.robot = ThreadedRobot(settings, SIMULATED)
+        self.safety = self.robot.make_filter(model, None, ())
+        self.controller = SafetyController(self.safety, timing=self.robot.loop_timing)
+        self.lost = []
+        self.robot.skip_to_newest_state()
+        self.state = self.robot.read()
+
+    def tick(self, u_nom, conditions=0):
+        now = self.robot.clock()
+        self.controller.decide(self.state, now, conditions | self.robot.conditions())
+        self.lost.append(self.controller.continue_desired_motion(self.state))
+        result = self.controller.control(self.state, np.full(7, u_nom), now)
+        if self.controller.drive_wanted:
+            self.robot.write(Command(result.u, 0.04, 0.0))
+        self.robot.advance()
+        self.state = self.robot.read()
+        self.controller.accept_state(self.state, self.robot.clock())
+        return result
+
+    def run(self, seconds, u_nom):
+        end = self.robot.clock() + seconds
+        while self.robot.clock() < end:
+            self.tick(u_nom)
+
+
+@pytest.fixture
+def loop():
+    made = Loop()
+    yield made
+    made.robot.close()
+
+
+def test_while_the_loop_stalls_the_thread_holds_the_arm_and_the_loop_continues_afterwards(loop):
+    loop.run(0.4, 0.1)
+    assert loop.state.v[0] > 0.05
+    loop.robot.notes()
+    time.sleep(0.4)  # no control arrives
+    loop.robot.advance()
+    records = loop.robot.read()
+    assert np.abs(records.v).max() < 0.01
+    assert records.drive_enabled
+    loop.state = records
+    loop.controller.accept_state(loop.state, loop.robot.clock())
+    loop.lost.clear()
+    loop.run(0.5, 0.1)
+    assert any(one is not None for one in loop.lost)
+    assert loop.state.v[0] > 0.05
+    assert loop.controller.decision.action < 3
+    assert loop.robot.notes() == [
+        "the controls are late: the arm holds",
+        "the controls are in time again",
+    ]
+
+
+def test_the_thread_executes_the_controls_of_a_loop_that_is_in_time(loop):
+    loop.run(0.5, 0.1)
+    loop.lost.clear()
+    loop.run(0.3, 0.1)
+    assert sum(one is not None for one in loop.lost) <= 0.1 * len(loop.lost)
+    assert loop.state.v[0] == pytest.approx(0.1, abs=0.02)
+
+
+def test_a_condition_that_only_the_thread_detects_reaches_the_loop(loop):
+    loop.run(0.2, 0.0)
+    loop.robot._conditions |= int(Condition.OVERSPEED)
+    loop.tick(0.0)
+    assert loop.controller.decision.check == "overspeed"
+
+
+def test_the_loop_may_be_late_by_the_validity_of_a_control_and_the_thread_keeps_the_limits_of_the_driver():
+    limits = loop_timing(FRANKA, 0.05)
+    assert (limits.command_deadline, limits.max_tick_time, limits.state_stale_after) == (0.05, 0.05, 0.05)
+    assert (limits.period, limits.drive_on_silence) == (FRANKA.period, FRANKA.drive_on_silence)
+    assert limits.tick_lost_after > 0.05
