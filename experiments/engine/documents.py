@@ -37,7 +37,7 @@ def _draw_families(rows: list[Row], path: Path) -> None:
 
 
 def _draw_tick(rows: list[Row], path: Path) -> None:
-    plot_tick(rows[-1], path)
+    plot_tick([row for row in rows if row["variant"] == "loop"][-1], path)
 
 
 PLOTS: dict[str, tuple[str, Callable[[list[Row], Path], None]]] = {

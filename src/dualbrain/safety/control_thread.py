@@ -105,8 +105,8 @@ class ControlThread:
         thread owns the socket. Otherwise `push_state` and `pop_commands` are the link to the robot.
 
         Raises:
-            ConfigurationError: the base is mobile, there are Python barriers, the robot has force sensing that nobody
-                supervises, or a value of `config` is out of range.
+            ConfigurationError: the base is mobile, there are Python barriers, the robot has force sensing without
+                `forces_supervised`, or a value of `config` is out of range.
         """
         self.safety, self.config = safety, config or ControlThreadConfig()
         self.timing = timing

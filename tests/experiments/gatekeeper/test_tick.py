@@ -15,7 +15,8 @@ from experiments.gatekeeper.tick import TickTiming
 @pytest.mark.slow
 def test_a_short_run_under_load(tmp_path):
     locate_weights(SMALL_PLANNER, cache_folder())
-    row = json.loads(json.dumps(TickTiming().run({"seconds": 12.0, "planner": SMALL_PLANNER}), default=float))
+    parameters = {"seconds": 12.0, "planner": SMALL_PLANNER, "variant": "thread"}
+    row = json.loads(json.dumps(TickTiming().run(parameters), default=float))
     assert row["ticks"] > 5000
     assert sum(row["bins"].values()) == row["ticks"] - 1
     assert row["contracts"]["given, accepted"] >= 1
@@ -25,6 +26,7 @@ def test_a_short_run_under_load(tmp_path):
     assert len(row["decisions"]) >= 1
     assert row["recording"]["complete"]
     assert row["violations"] == []
+    assert row["control_thread"]["malformed"] == row["control_thread"]["unsent"] == 0
     parts = [part for name, part in row["parts"].items() if name != "wait"]
     assert 0.3 < sum(part["mean"] * part["ticks"] for part in parts) / (row["ticks"] * row["work"][0]) < 3.0
     text = "\n".join(TickTiming().report([row]))
@@ -33,9 +35,14 @@ def test_a_short_run_under_load(tmp_path):
     assert (tmp_path / "images" / "tick.png").stat().st_size < 100_000
 
 
-def test_the_report_states_the_values_of_the_row():
+@pytest.mark.parametrize("variant", ["loop", "thread"])
+def test_the_report_states_the_values_of_the_row(variant):
     part = {"ticks": 500, "mean": 2e-5, "quantiles": [1e-5, 3e-5, 4e-5, 5e-5]}
     row = {
+        "variant": variant,
+        "control_thread": {"max_work": 0.00034} if variant == "thread" else None,
+        "silent_periods": 17,
+        "longest_silence": 0.0123,
         "ticks": 1000,
         "robot_ticks": 1003,
         "missed": 3,
@@ -55,8 +62,11 @@ def test_the_report_states_the_values_of_the_row():
         "violations": [],
     }
     text = "\n".join(TickTiming().report([row]))
-    assert "**1003** periods of the robot, **500** control ticks; **503** ticks missed (50.15%), 3 states lost" in text
-    assert "(over 1 ms of work): **5** (1.00%). Stalls of over 20 ms: **2**, the longest 1 ms" in text
+    assert "**1003** periods of the robot, **500** ticks of the loop; **503** ticks missed (50.15%), 3 states" in text
+    limit = "50" if variant == "thread" else "1"
+    assert f"(over {limit} ms of work): **5** (1.00%). Stalls of over 20 ms: **2**, the longest 1 ms" in text
+    assert "| 1003 | 17 | 1.695% [1.695%, 1.695%] | 12.3 ms | 0.50% |" in text
+    assert ("| 0.34 ms |" in text) == (variant == "thread")
     assert "3 plans of `some-planner` (median 3.0 s); contracts: given, accepted 4" in text
     assert "| filter | " in text
     assert "| wait | " not in text
