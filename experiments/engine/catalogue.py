@@ -40,6 +40,7 @@ from experiments.planning.end_to_end import EndToEnd, FilterAblation
 from experiments.planning.family_sweep import FamilySweep
 from experiments.planning.language import Language
 from experiments.planning.sensitivity_sweep import SensitivitySweep
+from experiments.planning.site_documents import SiteDocuments
 from experiments.robots.cross_embodiment import CrossEmbodiment
 from experiments.robots.franka_limits import FrankaLimits
 from experiments.robots.grasping import Grasping
@@ -95,6 +96,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         PreemptRt(),
         Language(),
         Documents(),
+        SiteDocuments(),
         AblationCurve(),
         Retention(),
         Rounds(),

@@ -26,9 +26,10 @@ from dualbrain.contracts.schema import DECLINE
 from dualbrain.core import paths
 from dualbrain.errors import DECODE_ERRORS
 from dualbrain.evaluation.analysis.statistics import compare, difference
-from dualbrain.grounding.document_retrieval import retrieve_passages
+from dualbrain.grounding.document_retrieval import Budget, retrieve_passages
 from dualbrain.grounding.envelope.object_limits import with_object_limits
 from dualbrain.knowledge.builtin_documents import add_builtin_documents
+from dualbrain.knowledge.document import TrustLevel
 from dualbrain.knowledge.library import Library, Submission
 from dualbrain.memory.embedding.text_encoder import MiniLmEncoder
 from dualbrain.planner.protocol import has_answer
@@ -182,7 +183,7 @@ def part_table(rows: Sequence[Row], title: str, score: Score) -> list[str]:
 def paired_difference(rows: Sequence[Row], title: str, score: Score) -> str:
     """The difference of the shares with and without passages, on the questions that were asked both ways."""
     sides = (
-        {str(row["number"]): [float(score(row))] for row in rows if row["reading"] == reading}
+        {f"{row['part']} {row['number']}": [float(score(row))] for row in rows if row["reading"] == reading}
         for reading in ("with", "without")
     )
     found = compare(*sides, difference)
@@ -319,8 +320,8 @@ def follows(text: str, kind: RuleKind) -> bool:
     return bool(moving) and all(kind.holds(action, kind.values[0]) for action in moving)
 
 
-def find_passages(question: Sample, document: str) -> tuple[Passage, ...]:
-    """The passages for a question, from the packaged documents and a site document."""
+def find_passages(question: Sample, document: str, min_trust: TrustLevel = "vendor") -> tuple[Passage, ...]:
+    """The passages for a question, from the packaged documents and a site document, of at least this trust."""
     context = scene_context_by_name(question.scene)
     with tempfile.TemporaryDirectory() as folder:
         library = Library(Path(folder) / "knowledge.sqlite", encoder(), write=True)
@@ -328,7 +329,8 @@ def find_passages(question: Sample, document: str) -> tuple[Passage, ...]:
             add_builtin_documents(library, now=0.0)
             if document:
                 library.add(Submission(file="handling.md", data=document.encode(), trust="site", kind="rule"), now=0.0)
-            return retrieve_passages(library, instruction_of(question), context.summary, context.registry)
+            budget = Budget(min_trust=min_trust)
+            return retrieve_passages(library, instruction_of(question), context.summary, context.registry, budget)
         finally:
             library.close()
 

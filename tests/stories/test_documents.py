@@ -32,7 +32,7 @@ def test_passages_are_shown_and_recorded_and_places_of_a_map_are_in_the_scene(tm
     store = tmp_path / "knowledge.sqlite"
     move = {"target": "inspection_spot", "speed": 0.2, "clearance": 0.2, "route": "direct", "wait": "none"}
     words = "put the red cube in the bowl via the inspection spot"
-    config = run_config(tmp_path, "with", instruction=words, knowledge=store, consult=True, map="room-map:panda_table")
+    config = run_config(tmp_path, "with", instruction=words, knowledge=store, consult="on", map="room-map:panda_table")
     story = run_session(config, contract_text(("move_to", move)))
     passages = story.planner.requests[0].recall.passages
     assert 1 <= len(passages) <= 3

@@ -10,7 +10,7 @@ from pathlib import PurePath
 
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.grounding.vocabulary import load_skill_registry
-from dualbrain.knowledge.document import ChunkHit, TrustLevel
+from dualbrain.knowledge.document import ChunkHit, ConsultedDocuments, TrustLevel
 from dualbrain.knowledge.library import Library, Submission
 from dualbrain.knowledge.readers.reader import STRUCTURED_SUFFIXES, read_document
 from dualbrain.knowledge.rejection import DocumentRejected
@@ -83,6 +83,11 @@ def retrieve_passages(
             chosen.append(_make_passage(hit, text, rank=len(chosen) + 1))
             left -= cost
     return tuple(chosen)
+
+
+def consulted_budget(consult: ConsultedDocuments) -> Budget:
+    """The budget of passages from the documents `consult`, which is not "off"."""
+    return Budget(min_trust="site" if consult == "site" else "vendor")
 
 
 def build_query(instruction: str, summary: str) -> str:

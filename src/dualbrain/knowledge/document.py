@@ -14,6 +14,9 @@ TrustLevel = Literal["site", "vendor", "unknown"]
 """site: written or approved by the operator of this robot; vendor: by the maker of the robot or of dualbrain; unknown:
 from any other source."""
 
+ConsultedDocuments = Literal["on", "site", "off"]
+"""Documents whose passages enter a prompt: those of trust `site` and `vendor`, those of trust `site`, or none."""
+
 DOCUMENT_KINDS: tuple[DocumentKind, ...] = get_args(DocumentKind)
 TRUST_WEIGHTS: dict[TrustLevel, float] = {"site": 1.0, "vendor": 0.9, "unknown": 0.5}
 """Factor of each trust level in search scores. Documents with trust `unknown` can be found, but never enter a prompt

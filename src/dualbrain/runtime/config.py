@@ -13,6 +13,7 @@ import msgspec
 from dualbrain.control.control_loop import TickSnapshot
 from dualbrain.control.recording.trace import Event, Trace
 from dualbrain.core.paths import cache_folder, dualbrain_home, secure_home
+from dualbrain.knowledge.document import ConsultedDocuments
 from dualbrain.memory.memory import StoreReport
 from dualbrain.memory.plasticity.hebbian_update import EPSILON
 from dualbrain.planner.registry import DEFAULT_PLANNER
@@ -41,7 +42,7 @@ class RunConfig:
     tries: int = 1
     """Maximum number of executed contracts; another one is planned after one that failed or was taken over."""
     knowledge: Path | None = None
-    consult: bool = False
+    consult: ConsultedDocuments = "off"
     map: str = ""
     site: Path | None = None
     goal: str = ""

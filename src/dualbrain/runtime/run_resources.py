@@ -13,7 +13,7 @@ from dualbrain.control.executor import Grants
 from dualbrain.core import weights
 from dualbrain.core.storage.private_files import open_private_folder
 from dualbrain.core.untrusted.bounded_file import read_bounded_file
-from dualbrain.grounding.document_retrieval import retrieve_passages
+from dualbrain.grounding.document_retrieval import Budget, consulted_budget, retrieve_passages
 from dualbrain.grounding.envelope.object_limits import site_object_limits
 from dualbrain.grounding.instruction.stop_commands import is_stop_command
 from dualbrain.grounding.map_overlay import apply_map
@@ -66,13 +66,14 @@ class RunResources:
     """Open resources of a run.
 
     `start` is the end of the run that this one continues. `library` is None if no passages, `image_encoder` if no image
-    features are requested. `sends_image`: the planner gets the camera image.
+    features are requested. `budget`: limits on the passages. `sends_image`: the planner gets the camera image.
     """
 
     site: RobotAtSite
     spec: SceneSpec
     start: EndState | None
     library: Library | None
+    budget: Budget
     image_encoder: ImageEncoder | None
     planner: Planner
     folder: RunFolder
@@ -85,7 +86,8 @@ class RunResources:
         """Passages of the documents that bear on the instruction; none without documents."""
         if self.library is None:
             return ()
-        return retrieve_passages(self.library, instruction, summary, skill_registry(self.site.robot_model))
+        registry = skill_registry(self.site.robot_model)
+        return retrieve_passages(self.library, instruction, summary, registry, self.budget)
 
     def camera_image(self) -> CameraImage | None:
         """The front camera's current image for the planner, if it gets one; the image is saved in the run folder."""
@@ -146,6 +148,7 @@ def open_resources(
         spec=spec,
         start=start,
         library=library if consults else None,
+        budget=consulted_budget(config.consult),
         image_encoder=image_encoder,
         planner=planner,
         folder=folder,
@@ -182,7 +185,7 @@ def open_site(config: RunConfig) -> RobotAtSite:
 
 def _reads_documents(config: RunConfig, planner: Planner) -> bool:
     """Whether passages of documents are put into the prompt of `planner`."""
-    return config.consult and config.contract is None and not no_documents_reason(planner)
+    return config.consult != "off" and config.contract is None and not no_documents_reason(planner)
 
 
 def _open_library(config: RunConfig, clocks: Clocks, encoder: MiniLmEncoder, stack: ExitStack) -> Library | None:

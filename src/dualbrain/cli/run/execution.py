@@ -135,7 +135,7 @@ def print_title(console: Console, session: Session) -> None:
     console.print(f"[bold]{title}[/]  [dim]{config.robot}, {escape(where)}, {config.out}[/]")
     if not config.guard:
         console.print(f"[bold yellow]{FILTER_OFF_NOTICE}[/]")
-    if config.consult and config.contract is None and (reason := no_documents_reason(session.planner)):
+    if config.consult == "on" and config.contract is None and (reason := no_documents_reason(session.planner)):
         console.print(f"[yellow]{escape(reason)}[/]")
 
 

@@ -25,6 +25,7 @@ from dualbrain.core.storage.private_files import create_private_folder, open_pri
 from dualbrain.errors import UsageError
 
 if TYPE_CHECKING:
+    from dualbrain.knowledge.document import ConsultedDocuments
     from dualbrain.planner.camera_image import CameraImage
     from dualbrain.planner.protocol import Planner
     from dualbrain.records import Attempt
@@ -43,7 +44,7 @@ def plan(
     scene: str = "0",
     planner: str = "",
     memory: Literal["on", "off"] = "on",
-    knowledge: Literal["on", "off"] = "on",
+    knowledge: Literal["on", "site", "off"] = "on",
     ledger: Path | None = None,
     image: Annotated[bool, Parameter(negative="")] = False,
     image_file: Path | None = None,
@@ -66,7 +67,8 @@ def plan(
     memory
         "off" retrieves no memories.
     knowledge
-        "off" retrieves no documents (the default of `dualbrain run`). An adapter reads no documents.
+        "site" retrieves documents of trust `site` alone, "off" none (the default of `dualbrain run`). An adapter reads
+        no documents.
     ledger
         Memory ledger, read only. Default: ledger.sqlite in the data folder of dualbrain.
     image
@@ -105,13 +107,13 @@ def plan(
         if image or image_file is not None:
             here = replace(here, camera_image=_read_image(image_file, spec, here))
         recall = stack.enter_context(_open_memory(ledger, here)) if memory == "on" else None
-        look_up = stack.enter_context(_open_documents(here)) if knowledge == "on" else _no_documents
+        look_up = _no_documents if knowledge == "off" else stack.enter_context(_open_documents(here, knowledge))
         chosen, notice = choose_planner(planner, here.robot_model.name, cache_folder())
         opened = stack.enter_context(_open_planner(chosen, here))
         if here.camera_image is not None:
             require_image_input(opened)
         loading.stop()
-        documents = no_documents_reason(opened) if knowledge == "on" else ""
+        documents = no_documents_reason(opened) if knowledge != "off" else ""
         for line in filter(None, (notice, documents)):
             console.print(line, markup=False)
         waiting = Spinner(console, f"planning ({opened.name})")
@@ -284,17 +286,17 @@ def _open_memory(ledger: Path | None, here: PlanningContext) -> Generator[Retrie
 
 
 @contextmanager
-def _open_documents(here: PlanningContext) -> Generator[PassageRetriever]:
-    """The documents, as in a run with `--knowledge on`."""
+def _open_documents(here: PlanningContext, consult: ConsultedDocuments) -> Generator[PassageRetriever]:
+    """The documents, as in a run with the same `--knowledge`."""
     from dualbrain.cli.memory.open_memory import load_encoder
-    from dualbrain.grounding.document_retrieval import retrieve_passages
+    from dualbrain.grounding.document_retrieval import consulted_budget, retrieve_passages
     from dualbrain.knowledge.builtin_documents import open_library
 
     path = dualbrain_home() / "knowledge.sqlite"
     create_private_folder(path.parent)
-    library = open_library(path, load_encoder(), now=time.time())
+    library, budget = open_library(path, load_encoder(), now=time.time()), consulted_budget(consult)
     try:
-        yield lambda instruction, seen: retrieve_passages(library, instruction, seen, here.registry)
+        yield lambda instruction, seen: retrieve_passages(library, instruction, seen, here.registry, budget)
     finally:
         library.close()
 

@@ -38,7 +38,7 @@ def run(
     seed: int = 0,
     tries: int = DEFAULT_TRIES,
     port: int = 8080,
-    knowledge: Literal["on", "off"] = "off",
+    knowledge: Literal["on", "site", "off"] = "off",
     image_memory: Annotated[bool, Parameter(negative="")] = False,
     reuse_contracts: Annotated[bool, Parameter(negative="")] = False,
     image: Annotated[bool, Parameter(negative="")] = False,
@@ -99,8 +99,8 @@ def run(
     port
         Port of the live view, on the loopback interface.
     knowledge
-        "on" puts up to three passages of your documents about the task into the prompt (`dualbrain knowledge`); an
-        adapter reads no documents.
+        "site" puts up to three passages about the task into the prompt, from documents of trust `site`, as you added
+        them; "on" from packaged ones and those of trust `vendor`, too (`dualbrain knowledge`). An adapter reads none.
     image_memory
         Compare memories by image features of the scene too (needs `efficientnet-lite0`).
     reuse_contracts
@@ -172,7 +172,7 @@ def run(
             seed=seed,
             tries=tries,
             measured=not headless and contract is None,
-            consult=knowledge == "on",
+            consult=knowledge,
             map=map,
             site=site,
             image_memory=image_memory,

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from dualbrain.knowledge.document import ConsultedDocuments
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShellOptions:
@@ -22,7 +24,7 @@ class ShellOptions:
     ledger: Path | None = None
     seed: int = 0
     tries: int = 2
-    consult: bool = False
+    consult: ConsultedDocuments = "off"
     reuse_contracts: bool = False
     live_view: bool = True
     port: int = 8080

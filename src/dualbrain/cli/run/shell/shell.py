@@ -37,7 +37,7 @@ def shell(
     seed: int = 0,
     tries: int = DEFAULT_TRIES,
     port: int = 8080,
-    knowledge: Literal["on", "off"] = "off",
+    knowledge: Literal["on", "site", "off"] = "off",
     reuse_contracts: Annotated[bool, Parameter(negative="")] = False,
     live: Annotated[bool, Parameter(negative="")] = False,
     speed: str = "100%",
@@ -75,7 +75,7 @@ def shell(
     port
         Port of the live view, on the loopback interface.
     knowledge
-        "on" puts up to three passages of your documents about the task into the prompt.
+        "site" or "on" puts up to three passages of documents about the task into the prompt, as for `dualbrain run`.
     reuse_contracts
         Reuse a contract that succeeded in this place instead of asking the planner, as for `dualbrain run`.
     live
@@ -101,7 +101,7 @@ def shell(
         ledger=ledger,
         seed=seed,
         tries=tries,
-        consult=knowledge == "on",
+        consult=knowledge,
         reuse_contracts=reuse_contracts,
         live_view=not headless,
         port=port,
