@@ -43,6 +43,7 @@ void parse_limits(const nb::dict &d, size_t n, dbk_control_limits *to) {
   to->drive_on_timeout = number(d, "drive_on_timeout");
   to->drive_on_silence = number(d, "drive_on_silence");
   to->control_valid = number(d, "control_valid");
+  to->caller_lost_after = number(d, "caller_lost_after");
   to->scene_old_after = number(d, "scene_old_after");
   to->max_source_gap = number(d, "max_source_gap");
   to->max_tracking_gap = number(d, "max_tracking_gap");
@@ -99,6 +100,7 @@ nb::list record_fields() {
   RECORD_FIELD(new_state);
   RECORD_FIELD(state_used);
   RECORD_FIELD(drive_off);
+  RECORD_FIELD(standstill);
   RECORD_FIELD(continued);
   RECORD_FIELD(status);
   RECORD_FIELD(flags);
@@ -155,9 +157,9 @@ class ControlLoop {
     dbk_control_thread_stop(&thread_);
   }
 
-  bool submit_control(const Array &u, uint64_t control_number) {
+  bool submit_control(const Array &u, bool standstill, uint64_t control_number) {
     expect(u.size() == n_, "u_nom");
-    return dbk_control_loop_submit_control(loop_.get(), u.data(), control_number) != 0;
+    return dbk_control_loop_submit_control(loop_.get(), u.data(), standstill, control_number) != 0;
   }
 
   void submit_scene(const Kernel &kernel, double stamp, uint64_t scene_number) {
@@ -254,6 +256,8 @@ void bind_control_loop(nb::module_ &m) {
       .def("status", &ControlLoop::status)
       .def("hold", [](ControlLoop &c, uint64_t conditions, bool held) { dbk_control_loop_hold(c.loop(), conditions, held); })
       .def("press", [](ControlLoop &c, uint64_t buttons) { dbk_control_loop_press(c.loop(), buttons); })
+      .def("call", [](ControlLoop &c) { dbk_control_loop_call(c.loop()); })
+      .def("take_conditions", [](ControlLoop &c) { return dbk_control_loop_take_conditions(c.loop()); })
       .def("set_drive", [](ControlLoop &c, bool on) { dbk_control_loop_set_drive(c.loop(), on); })
       .def("set_speed", [](ControlLoop &c, double scale) { return dbk_control_loop_set_speed(c.loop(), scale) != 0; })
       .def_static("record_layout", [] { return nb::make_tuple(record_fields(), sizeof(dbk_tick_record)); })

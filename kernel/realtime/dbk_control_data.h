@@ -22,6 +22,7 @@ typedef struct {
 typedef struct {
   uint64_t number;
   double u[DBK_MAX_DOF]; /* [rad/s] */
+  int32_t standstill;    /* 1: the arm is to stay at rest; the filter does not move it */
 } dbk_nominal_control;
 
 typedef struct {
@@ -36,7 +37,8 @@ typedef struct {
   double tick_lost_after, state_stale_after, state_lost_after, max_loop_delay, max_clock_skew;
   double drive_on_timeout, drive_on_silence;
   double control_valid;   /* a nominal control stays in force for this time */
-  double scene_old_after; /* age of a scene with moving objects */
+  double caller_lost_after; /* time without a call of the caller; infinite: not checked */
+  double scene_old_after;   /* age of a scene with moving objects */
   double max_source_gap, max_tracking_gap, tracking_lost_gap, leak_time, max_position_jump, lag;
   double rest_velocity, slow_scale;
   double opening_max; /* of the gripper; < 0: without fingers */
@@ -54,7 +56,8 @@ typedef struct {
   double u[DBK_MAX_DOF];     /* the control that is written */
   double speed_scale, delta, h_min;
   int32_t new_state, state_used; /* 1: a state arrived; 1: it was plausible */
-  int32_t drive_off, continued;  /* 1: the caller wants the drive off; 1: the robot executed another command */
+  int32_t drive_off, standstill; /* 1: the caller wants the drive off; 1: it wants the arm to stay at rest */
+  int32_t continued;             /* 1: the robot executed another command than the last one */
   int32_t status, flags, certified, iterations, n_rows;
   int32_t action, check, drive_enable, at_standstill;
   uint32_t wake_late_us, work_us; /* of the thread; 0 if the tick was called directly */

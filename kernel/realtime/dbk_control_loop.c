@@ -27,14 +27,15 @@ void dbk_control_loop_init(dbk_control_loop *l, dbk_driver driver) {
   }
   l->held_conditions = l->pressed_conditions = l->refused = l->refused_seen = 0;
   l->stop_requested = l->drive_off = l->finished = 0;
-  l->ticks = l->control_us = l->stop_us = 0;
+  l->called = 1;
+  l->ticks = l->control_us = l->called_us = l->stop_us = l->own_conditions = 0;
   set_speed_bits(l, 1.0);
   dbk_ring_init(&l->log, l->record, DBK_LOG_CAPACITY, (uint32_t)sizeof l->record[0]);
 }
 
 /* --- the other thread ------------------------------------------------------------------------------------------- */
 
-int dbk_control_loop_submit_control(dbk_control_loop *l, const double *u, uint64_t number) {
+int dbk_control_loop_submit_control(dbk_control_loop *l, const double *u, int standstill, uint64_t number) {
   dbk_nominal_control *slot = &l->control[l->controls.writing];
   for (int32_t k = 0; k < l->tick.model.n; ++k) {
     if (!isfinite(u[k])) {
@@ -44,6 +45,7 @@ int dbk_control_loop_submit_control(dbk_control_loop *l, const double *u, uint64
     slot->u[k] = u[k];
   }
   slot->number = number;
+  slot->standstill = standstill;
   dbk_latest_publish(&l->controls);
   return 1;
 }
@@ -51,6 +53,12 @@ int dbk_control_loop_submit_control(dbk_control_loop *l, const double *u, uint64
 dbk_stamped_scene *dbk_control_loop_scene_slot(dbk_control_loop *l) { return &l->scene[l->scenes.writing]; }
 
 void dbk_control_loop_submit_scene(dbk_control_loop *l) { dbk_latest_publish(&l->scenes); }
+
+void dbk_control_loop_call(dbk_control_loop *l) { __atomic_store_n(&l->called, 1u, __ATOMIC_RELEASE); }
+
+uint64_t dbk_control_loop_take_conditions(dbk_control_loop *l) {
+  return __atomic_exchange_n(&l->own_conditions, 0u, __ATOMIC_ACQ_REL);
+}
 
 void dbk_control_loop_hold(dbk_control_loop *l, uint64_t conditions, int held) {
   if (held) {
@@ -101,6 +109,7 @@ static uint64_t take_control(dbk_control_loop *l, dbk_tick_record *record) {
   const double age = (double)(record->now_us - l->control_us) / 1e6;
   const int late = control->number == 0 || !(age <= l->tick.limits.control_valid);
   record->control_number = control->number;
+  record->standstill = control->standstill;
   for (int32_t k = 0; k < DBK_MAX_DOF; ++k) { record->u_nom[k] = late ? 0.0 : control->u[k]; }
   return late ? DBK_CONDITION_HEARTBEAT_LOST : (uint64_t)0;
 }
@@ -108,8 +117,10 @@ static uint64_t take_control(dbk_control_loop *l, dbk_tick_record *record) {
 /* conditions from outside the tick */
 static uint64_t external_conditions(dbk_control_loop *l, const dbk_tick_record *record) {
   const dbk_stamped_scene *scene = &l->scene[l->scenes.reading];
-  uint64_t flags = __atomic_load_n(&l->held_conditions, __ATOMIC_ACQUIRE);
-  flags |= __atomic_exchange_n(&l->pressed_conditions, 0u, __ATOMIC_ACQ_REL);
+  uint64_t flags = __atomic_exchange_n(&l->pressed_conditions, 0u, __ATOMIC_ACQ_REL);
+  flags |= __atomic_load_n(&l->held_conditions, __ATOMIC_ACQUIRE); /* after the buttons: a release precedes its reset */
+  if (__atomic_exchange_n(&l->called, 0u, __ATOMIC_ACQ_REL)) { l->called_us = record->now_us; }
+  if ((double)(record->now_us - l->called_us) / 1e6 > l->tick.limits.caller_lost_after) { flags |= DBK_CONDITION_TICK_LOST; }
   const uint64_t refused = __atomic_load_n(&l->refused, __ATOMIC_RELAXED);
   if (refused != l->refused_seen) { flags |= DBK_CONDITION_FRAMES_REFUSED; }
   l->refused_seen = refused;
@@ -145,13 +156,14 @@ void dbk_control_loop_tick(dbk_control_loop *l, uint64_t now_us, uint32_t wake_l
   dbk_joint_command command = {0};
   command.tick = record.tick;
   command.now_us = now_us;
-  if (dbk_control_tick_run(&l->tick, scene, &record)) {
+  const int has_result = dbk_control_tick_run(&l->tick, scene, &record);
+  if (has_result) {
     command.drive_enable = record.drive_enable;
     for (int32_t k = 0; k < DBK_MAX_DOF; ++k) { command.u[k] = record.u[k]; }
-    finish_if_stopped(l, &record, &command);
-    l->driver.write(l->driver.self, now_us, &command);
-  } else {
-    finish_if_stopped(l, &record, &command);
   }
+  finish_if_stopped(l, &record, &command);
+  /* first the log: its reader knows the cause of a command before the effect */
+  __atomic_fetch_or(&l->own_conditions, record.conditions & ~record.external, __ATOMIC_ACQ_REL);
   (void)dbk_ring_push(&l->log, &record);
+  if (has_result) { l->driver.write(l->driver.self, now_us, &command); }
 }

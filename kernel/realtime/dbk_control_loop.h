@@ -24,10 +24,12 @@ typedef struct {
   /* written by the other thread */
   uint64_t held_conditions, pressed_conditions; /* such as ESTOP while it is pressed; buttons */
   uint64_t speed_scale_bits;                    /* of a double */
+  uint32_t called;                              /* 1: the caller has called since the last tick */
   uint32_t stop_requested, drive_off;
   uint64_t refused; /* controls that were refused before they entered */
   /* of the loop */
-  uint64_t ticks, control_us, stop_us, refused_seen;
+  uint64_t ticks, control_us, called_us, stop_us, refused_seen;
+  uint64_t own_conditions; /* detected by the loop since the other thread took them */
   uint32_t finished; /* 1: the drive is off after a request to stop */
   dbk_ring log;
   dbk_tick_record record[DBK_LOG_CAPACITY];
@@ -39,8 +41,15 @@ void dbk_control_loop_init(dbk_control_loop *l, dbk_driver driver);
 /* one tick at `now_us`; the thread passes its lateness and the duration of the last tick */
 void dbk_control_loop_tick(dbk_control_loop *l, uint64_t now_us, uint32_t wake_late_us, uint32_t last_work_us);
 
-/* Replaces the nominal control [rad/s]. Returns 0 if it is refused, because it is not finite. */
-int dbk_control_loop_submit_control(dbk_control_loop *l, const double *u, uint64_t number);
+/* Replaces the nominal control [rad/s]. `standstill`: the arm is at rest and stays there, and the filter does not move it.
+ * Returns 0 if it is refused, because it is not finite. */
+int dbk_control_loop_submit_control(dbk_control_loop *l, const double *u, int standstill, uint64_t number);
+
+/* Shows that the caller runs. Without a call for `caller_lost_after` the arm is stopped (tick_lost). */
+void dbk_control_loop_call(dbk_control_loop *l);
+
+/* the conditions that the loop detected since the last call, without those from outside */
+uint64_t dbk_control_loop_take_conditions(dbk_control_loop *l);
 
 /* the slot for the next scene, and its publication */
 dbk_stamped_scene *dbk_control_loop_scene_slot(dbk_control_loop *l);

@@ -12,6 +12,7 @@
 #define MCL_ONFAULT 4
 #endif
 
+#define LATE_STATE_PERIODS 5u
 #define STACK_SIZE ((size_t)512 * 1024)
 
 uint64_t dbk_monotonic_us(void) {
@@ -34,8 +35,8 @@ static uint64_t next_due(dbk_control_thread *t, uint64_t due, uint64_t started, 
   if (late > t->max_late_us) { t->max_late_us = (uint32_t)late; }
   if (ended - started > t->max_work_us) { t->max_work_us = (uint32_t)(ended - started); }
   __atomic_fetch_add(&t->skipped, passed, __ATOMIC_RELAXED);
-  /* a state paces the next tick; without one it begins half a period late */
-  if (t->loop->driver.wait) { return started + t->period_us + t->period_us / 2u; }
+  /* a state paces the next tick; without one the tick runs with the old state */
+  if (t->loop->driver.wait) { return started + LATE_STATE_PERIODS * t->period_us; }
   return due + (passed + 1u) * t->period_us;
 }
 

@@ -7,7 +7,8 @@
 #define MAX_DELTA 2.0
 #define DELTA_TOLERANCE 1e-3
 #define COMMAND_TOLERANCE 1e-6 /* [rad/s] difference of a control and the reported command that is due to rounding */
-#define SILENT_LINK (DBK_CONDITION_STATE_STALE | DBK_CONDITION_STATE_LOST | DBK_CONDITION_TICK_LOST)
+#define SILENT_LINK \
+  (DBK_CONDITION_STATE_STALE | DBK_CONDITION_STATE_LOST | DBK_CONDITION_TICK_LOST | DBK_CONDITION_FILTER_STOPPED)
 #define UNUSABLE (DBK_CONDITION_STATE_IMPLAUSIBLE | DBK_CONDITION_STATE_REPEATED)
 
 static double seconds(uint64_t us) { return (double)us / 1e6; }
@@ -144,7 +145,7 @@ static double clip(double value, double limit) { return fmin(fmax(value, -limit)
 static void continue_desired_motion(dbk_control_tick *t, dbk_tick_record *record) {
   const dbk_joint_state *state = &t->state;
   const int driven = t->cycle.standstill.drive_wanted && !record->drive_off && state->drive_enabled;
-  if (!state->has_desired || !driven || !lost_last_control(t)) { return; }
+  if (!record->state_used || !state->has_desired || !driven || !lost_last_control(t)) { return; }
   for (int32_t k = 0; k < t->model.n; ++k) { t->u[k] = clip(state->desired_v[k], t->limits.velocity_limit[k]); }
   restart_filter(t, t->u);
   for (int32_t k = 0; k < t->model.n; ++k) {
@@ -154,6 +155,13 @@ static void continue_desired_motion(dbk_control_tick *t, dbk_tick_record *record
   record->continued = 1;
 }
 
+/* 1 if the control can become zero within the limits of acceleration */
+static int can_rest(const dbk_control_tick *t) {
+  int slow = 1;
+  for (int32_t k = 0; k < t->model.n; ++k) { slow &= fabs(t->u[k]) <= t->limits.braking_step[k]; }
+  return slow;
+}
+
 /* the control to write: scaled, filtered and checked */
 static void control(dbk_control_tick *t, const dbk_stamped_scene *scene, dbk_tick_record *record, double now) {
   dbk_in *in = &t->cycle.in;
@@ -161,7 +169,8 @@ static void control(dbk_control_tick *t, const dbk_stamped_scene *scene, dbk_tic
   double scaled[DBK_MAX_DOF] = {0.0}, u[DBK_MAX_DOF] = {0.0};
   const double factor = scale(t, record->speed_scale);
   for (int32_t k = 0; k < t->model.n; ++k) { /* + 0.0: 0 and not -0 */
-    scaled[k] = factor == 1.0 ? record->u_nom[k] : factor * record->u_nom[k] + 0.0;
+    const double wish = record->standstill ? 0.0 : record->u_nom[k];
+    scaled[k] = factor == 1.0 ? wish : factor * wish + 0.0;
   }
   for (int32_t k = 0; k < DBK_MAX_DOF; ++k) { in->u_nom[k] = (dbk_real)scaled[k]; }
   in->opening = plausible_opening(t->state.opening, t->limits.opening_max);
@@ -170,8 +179,9 @@ static void control(dbk_control_tick *t, const dbk_stamped_scene *scene, dbk_tic
   in->mobile = 0;
   const int hull = isnan(t->state.opening) && t->limits.opening_max >= 0.0;
   const int standstill = dbk_cycle_filter(&t->cycle, hull ? &t->hull_model : &t->model, &scene->scene, filtered);
-  for (int32_t k = 0; k < t->model.n; ++k) { u[k] = record->drive_off ? 0.0 : (double)filtered[k]; }
-  if (standstill || record->drive_off) {
+  const int rests = record->drive_off || (record->standstill && can_rest(t));
+  for (int32_t k = 0; k < t->model.n; ++k) { u[k] = rests ? 0.0 : (double)filtered[k]; }
+  if (standstill || rests) {
     restart_filter(t, u);
   } else if (dbk_check_control(&t->monitor, &t->limits, u) || !is_consistent(t, u, scaled)) {
     t->cycle.pending |= DBK_CONDITION_CONTROL_BAD;

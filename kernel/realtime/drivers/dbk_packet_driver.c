@@ -8,7 +8,7 @@
 #include <sys/socket.h>
 #include <time.h>
 
-#define MOST_AT_ONCE 64 /* states that one tick receives; more remain for the next one */
+#define MOST_AT_ONCE 1024 /* states that one tick receives; more remain for the next one */
 
 typedef struct {
   uint32_t kind, n;
@@ -48,9 +48,11 @@ static int parse_state(const dbk_packet_driver *d, const uint8_t *packet, size_t
   return 1;
 }
 
-/* takes the packets that have arrived; the last state is the newest one */
+/* Takes the packets that have arrived; the last state is the newest one. A robot that repeats its last state does not stop
+ * the clock: only a newer stamp has arrived. */
 static void receive(dbk_packet_driver *d, uint64_t now_us) {
   uint8_t packet[MOST_STATE_BYTES + 1u];
+  const uint64_t stamp_us = d->state.stamp_us;
   for (int i = 0; i < MOST_AT_ONCE && !d->closed; ++i) {
     const ssize_t size = recv(d->fd, packet, sizeof packet, MSG_DONTWAIT);
     if (size < 0 && (errno == EAGAIN || errno == EWOULDBLOCK || errno == EINTR)) { return; }
@@ -58,7 +60,7 @@ static void receive(dbk_packet_driver *d, uint64_t now_us) {
       d->closed = 1;
     } else if (parse_state(d, packet, (size_t)size, &d->state)) {
       d->fresh = 1;
-      d->arrived_us = now_us;
+      if (d->arrived_us == 0u || d->state.stamp_us > stamp_us) { d->arrived_us = now_us; }
     } else {
       __atomic_fetch_add(&d->malformed, 1u, __ATOMIC_RELAXED);
     }

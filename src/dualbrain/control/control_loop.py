@@ -29,6 +29,7 @@ from dualbrain.safety.cbf.obstacles import Contact, Obstacle, PersonLimits, chec
 from dualbrain.safety.supervisor.actions import NO_ACTION, SafetyAction, SupervisorDecision
 from dualbrain.safety.supervisor.conditions import Condition
 from dualbrain.safety.supervisor.controller import SafetyController
+from dualbrain.safety.supervisor.state_monitor import MonitorLimits
 from dualbrain.safety.supervisor.timing import SIMULATED, Timing
 from dualbrain.skills.registry import make_controller
 from dualbrain.skills.skill import HeldObject, Nominal, Observation, PermittedContact
@@ -84,6 +85,7 @@ class ControlLoopConfig:
     on if its recording cannot be written. `keep_margins`: observations and ends of permits do not make a margin short
     without need (`ObstacleEstimates`, `ResidualContacts.keep_until_clear`); False is for comparisons. `persons`: speed
     limits near persons, `object_limits`: limits of objects by name or category, both from the site file.
+    `monitor_limits`: those of the plausibility of joint states, by default `MonitorLimits()`.
     """
 
     guard: bool = True
@@ -95,6 +97,7 @@ class ControlLoopConfig:
     keep_margins: bool = True
     persons: PersonLimits | None = None
     object_limits: Mapping[str, ObjectLimits] = field(default_factory=dict[str, ObjectLimits])
+    monitor_limits: MonitorLimits | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -152,11 +155,11 @@ class ControlLoop:
         )
         self.controller = make_controller(robot_model, safety)
         self._ground_obstacles = (GROUND_PLANE,) if robot_model.is_mobile_manipulator else ()
-        self.safety_controller = SafetyController(safety, timing=config.timing)
+        self.safety_controller = SafetyController(safety, timing=config.timing, monitor_limits=config.monitor_limits)
         self.margin_monitor = MarginMonitor(safety)
         self.checks_during_contract: set[str] = set()
         self.recording_failure = ""
-        self._drive_on = True
+        self._drive_on, self._continues = True, False
         self._paused_time = 0.0
         self._last_decision = NO_ACTION
         self._roles: dict[str, str | None] = {}
@@ -304,11 +307,17 @@ class ControlLoop:
         return result
 
     def _continue_desired_motion(self, now: float) -> None:
-        """Record a command that the robot did not receive; the filter continues the motion that the robot executes."""
-        if (continued := self.safety_controller.continue_desired_motion(self.state)) is not None:
+        """Record that the robot executes another command; the filter continues the motion that the robot executes.
+
+        An event reports the first of several such ticks in a row.
+        """
+        continued = self.safety_controller.continue_desired_motion(self.state)
+        if continued is not None:
             u, change = continued
             self.log.call(self.state.stamp, "reset", u_prev=u, u_change=change)
-            self.log.note(now, "command_lost", "the robot did not receive a command and continued the one before")
+            if not self._continues:
+                self.log.note(now, "command_lost", "the robot executes another command than the last one")
+        self._continues = continued is not None
 
     def _retreat_control(self) -> Array:
         """The nominal control that replaces the skill's while the arm yields to a contact force."""

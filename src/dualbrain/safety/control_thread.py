@@ -12,7 +12,7 @@ import os
 import socket
 import time
 from collections.abc import Sequence
-from math import nan
+from math import inf, nan
 from typing import Any
 
 import msgspec
@@ -48,12 +48,15 @@ class ControlThreadConfig(msgspec.Struct, frozen=True, kw_only=True):
     - `lock_process`: lock all memory of the process, not only that of the loop.
     - `forces_supervised`: the program that supplies the nominal controls supervises contact forces. Without it a robot
       with force sensing is refused, because this thread does not.
+    - `caller_lost_after` [s]: time without `read_log` after which the arm is stopped and its drive switched off (check
+      `tick_lost`), because the program above the thread hangs; by default the arm holds without limit.
     """
 
     control_valid: float = 0.05
     priority: int = 80
     lock_process: bool = False
     forces_supervised: bool = False
+    caller_lost_after: float = inf
 
 
 class ControlThreadStatus(msgspec.Struct, frozen=True, kw_only=True):
@@ -132,11 +135,14 @@ class ControlThread:
 
     # --- inputs -----------------------------------------------------------------------------------------------
 
-    def submit_control(self, u_nom: ArrayLike) -> bool:
-        """Replace the nominal control (n,) [rad/s]; False if it is refused because a value is not finite."""
+    def submit_control(self, u_nom: ArrayLike, *, standstill: bool = False) -> bool:
+        """Replace the nominal control (n,) [rad/s]; False if it is refused because a value is not finite.
+
+        `standstill`: the arm is at rest and stays there; the filter does not move it, not even away from obstacles.
+        """
         u = np.ascontiguousarray(validation.as_real_array("u_nom", u_nom, (self.safety.robot_model.n,)), float)
         self._controls += 1
-        return self._loop.submit_control(u, self._controls)
+        return self._loop.submit_control(u, standstill, self._controls)
 
     def submit_scene(self) -> int:
         """Replace the scene by the one that `safety` has now; returns its number in the log."""
@@ -219,7 +225,12 @@ class ControlThread:
 
     def read_log(self) -> NDArray[Any]:
         """Records of the ticks since the last call, oldest first; the fields are those of `dbk_tick_record`."""
+        self._loop.call()
         return np.frombuffer(self._loop.drain_log(), self._record_type)
+
+    def take_conditions(self) -> int:
+        """`Condition` bits that the loop detected since the last call, without those from outside; none is lost."""
+        return self._loop.take_conditions()
 
     def status(self) -> ControlThreadStatus:
         """State of the thread."""
@@ -250,6 +261,8 @@ class ControlThread:
 def _check_config(config: ControlThreadConfig) -> None:
     if not 0.0 < config.control_valid <= 1.0:
         raise ConfigurationError("control_valid", got=config.control_valid, allowed="a time in (0, 1] s")
+    if not config.caller_lost_after >= config.control_valid:
+        raise ConfigurationError("caller_lost_after", got=config.caller_lost_after, allowed="at least control_valid")
     if not 0 <= config.priority <= MAX_PRIORITY:
         raise ConfigurationError("priority", got=config.priority, allowed=f"0 to {MAX_PRIORITY}")
 
@@ -280,6 +293,7 @@ def loop_limits(
         **{name: getattr(timing, name) for name in (*times, "drive_on_timeout", "drive_on_silence")},
         **{name: getattr(monitor, name) for name in names},
         "control_valid": config.control_valid,
+        "caller_lost_after": config.caller_lost_after,
         "scene_old_after": monitor.scene_old_after,
         "lag": max(model.tracking.lag, timing.period),
         "rest_velocity": rest.rest_velocity,

@@ -81,7 +81,7 @@ static void submit_control(uint64_t number) {
   for (int32_t k = 0; k < robot_model.n && number % INPUTS_PER_CONTROL == 1u; ++k) {
     u[k] = MAX_CONTROL * (2.0 * drand48() - 1.0);
   }
-  (void)dbk_control_loop_submit_control(&loop, u, number);
+  (void)dbk_control_loop_submit_control(&loop, u, 0, number);
 }
 
 static void supply_until_complete(measurement *m) {

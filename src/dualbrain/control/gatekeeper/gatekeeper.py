@@ -56,6 +56,7 @@ from dualbrain.safety.cbf.config import FilterConfig
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.obstacles import Obstacle, PersonLimits
 from dualbrain.safety.supervisor.conditions import Condition
+from dualbrain.safety.supervisor.state_monitor import MonitorLimits
 from dualbrain.safety.supervisor.timing import Timing
 from dualbrain.skills.registry import skill_registry
 
@@ -82,7 +83,7 @@ class GatekeeperSettings:
     `timing`: limits on delays of the robot's interface. `speed_scale`: initial speed scale, (0, 1]. `fixed_obstacles`:
     obstacles of the site. `filter_config`: settings of the filter for this robot. `drive_initially_off`: the drive has
     to be switched on first. `unrecorded`: the arm may move on if the recording cannot be written. `persons`: speed
-    limits near persons. `object_limits`: limits of objects by name or category.
+    limits near persons. `object_limits`: limits of objects by name or category. `monitor_limits`: those of joint states.
     """
 
     timing: Timing
@@ -93,6 +94,7 @@ class GatekeeperSettings:
     object_limits: Mapping[str, ObjectLimits] = field(default_factory=dict[str, ObjectLimits])
     drive_initially_off: bool = False
     unrecorded: bool = False
+    monitor_limits: MonitorLimits | None = None
 
 
 class Gatekeeper:
@@ -157,6 +159,7 @@ class Gatekeeper:
                 unrecorded=settings.unrecorded,
                 persons=settings.persons,
                 object_limits=settings.object_limits,
+                monitor_limits=settings.monitor_limits,
             ),
             LoopObserver(
                 on_tick=self._broadcast_tick,
@@ -230,8 +233,7 @@ class Gatekeeper:
             self._send_status(now)
         self.loop.safety_controller.speed_scale = self.operator_commands.speed_scale
         self._pause_or_resume_recording(now)
-        for text in self.robot.notes():
-            self._log.note(self.robot.read().stamp, "control_thread", text)
+        self._record_thread()
         return self._conditions(now)
 
     def _pause_or_resume_recording(self, now: float) -> None:
@@ -242,6 +244,14 @@ class Gatekeeper:
             self._log.pause(stamp, f"no commander was connected for {UNATTENDED_TIME:.0f} s, and the arm is at rest")
         elif self._log.resume(stamp):
             self._log.call(stamp, "reset", u_prev=controller.clear_filter_memory())
+
+    def _record_thread(self) -> None:
+        """Record the notes and, every status period, the ticks of a control thread."""
+        stamp = self.robot.read().stamp
+        for text in self.robot.notes():
+            self._log.note(stamp, "control_thread", text)
+        if self._ticks % self._status_period_ticks == 0 and (ticks := self.robot.thread_ticks()) is not None:
+            self._log.thread_ticks(stamp, ticks)
 
     def _conditions(self, now: float) -> int:
         flags = self.operator_commands.conditions() | self.robot.conditions()

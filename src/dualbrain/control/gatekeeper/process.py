@@ -23,7 +23,7 @@ from dualbrain.control.gatekeeper.protocol.authentication import PRINCIPALS, loa
 from dualbrain.control.gatekeeper.protocol.registration import registered
 from dualbrain.control.gatekeeper.protocol.server import SocketServer, is_listening
 from dualbrain.control.gatekeeper.robot_link.remote_robot import RemoteRobot
-from dualbrain.control.gatekeeper.robot_link.threaded_robot import ThreadedRobot
+from dualbrain.control.gatekeeper.robot_link.threaded_robot import UNTRACKED, ThreadedRobot
 from dualbrain.control.gatekeeper.timing.tick_profile import TickProfiler
 from dualbrain.control.gatekeeper.timing.tick_timing import TickTimingSummary
 from dualbrain.control.recording.recorder import Recorder
@@ -117,7 +117,8 @@ def _assemble(
         recorder = Recorder(path, trace, reserve=reserve_for_recording(path, unrecorded=config.unrecorded))
         stack.callback(recorder.close)
         recorder.episode(0.0, deployment.recording_metadata(config))
-    process_settings, timing, safety = deployment.process_settings(config), deployment.timing, None
+    process_settings, timing = deployment.process_settings(config), deployment.timing
+    safety, monitor_limits = None, None
     if deployment.control_thread:
         robot = ThreadedRobot(process_settings, timing, profile)
         stack.callback(robot.close)
@@ -125,6 +126,7 @@ def _assemble(
             robot.make_filter(robot_model, deployment.filter_config, deployment.fixed_obstacles),
             robot.loop_timing,
         )
+        monitor_limits = UNTRACKED
     else:
         robot = RemoteRobot(process_settings, timing, profile)
         stack.callback(robot.close)
@@ -144,6 +146,7 @@ def _assemble(
             object_limits=deployment.object_limits,
             drive_initially_off=deployment.driver is not None,
             unrecorded=config.unrecorded,
+            monitor_limits=monitor_limits,
         ),
         recorder=recorder,
         trace=trace,

@@ -97,7 +97,18 @@ class Ticks(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         return rows
 
 
-Message = EpisodeInfo | SceneSeen | AttemptMade | Event | FilterCall | Ticks
+class ThreadTicks(msgspec.Struct, frozen=True):
+    """Ticks of a control thread by column: what the robot was commanded, beside the ticks of the loop above it.
+
+    Columns: number of the tick, robot time [µs], numbers of the joint state and of the loop's control, action and check
+    of the thread's supervisor, whether the drive is on, and the control u (n,) [rad/s].
+    """
+
+    t: float
+    columns: dict[str, list[Any]]
+
+
+Message = EpisodeInfo | SceneSeen | AttemptMade | Event | FilterCall | Ticks | ThreadTicks
 
 CHANNELS: dict[type[msgspec.Struct], str] = {
     EpisodeInfo: "/episode",
@@ -106,6 +117,7 @@ CHANNELS: dict[type[msgspec.Struct], str] = {
     Event: "/event",
     FilterCall: "/filter_call",
     Ticks: "/tick",
+    ThreadTicks: "/thread_tick",
 }
 MESSAGE_TYPES = {topic: kind for kind, topic in CHANNELS.items()}
 

@@ -29,6 +29,7 @@ from dualbrain.control.recording.channels import (
     Message,
     RecordingState,
     SceneSeen,
+    ThreadTicks,
     Ticks,
     encode,
 )
@@ -113,6 +114,10 @@ class Recorder:
     def attempt(self, t: float, attempt: Attempt) -> None:
         """Record a proposal of the planner with the gate's verdict."""
         self._put(AttemptMade(t, attempt))
+
+    def thread_ticks(self, t: float, columns: dict[str, list[Any]]) -> None:
+        """Record ticks of a control thread by column."""
+        self._put(ThreadTicks(t, columns))
 
     def episode(self, t: float, data: Mapping[str, Any]) -> None:
         """Record the data that is known when the episode starts."""

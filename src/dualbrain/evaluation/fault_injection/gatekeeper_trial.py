@@ -98,6 +98,10 @@ class LockstepRobot:
         """No texts in lockstep."""
         return []
 
+    def thread_ticks(self) -> dict[str, list[Any]] | None:
+        """None: no thread moves the joints."""
+        return None
+
     def timing_faults(self) -> tuple[int, int]:
         """No faults, because nothing is late in lockstep."""
         return 0, 0

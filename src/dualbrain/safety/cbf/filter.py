@@ -167,8 +167,20 @@ class SafetyFilter:
 
     # --- a supervisor on a target -----------------------------------------------------------------------------
 
-    def supervise(self, now: float, stamp: float, conditions: int, *, yielding: bool) -> None:
-        """Pass the conditions of a tick to a supervisor on a target; a filter on the host has none."""
+    def supervise(
+        self,
+        now: float,
+        stamp: float,
+        conditions: int,
+        *,
+        yielding: bool,
+        standstill: bool = False,
+        stopped: bool = False,
+    ) -> None:
+        """Pass the conditions of a tick to a supervisor on a target; a filter on the host has none.
+
+        `standstill`: u = 0 is written whatever the filter returns. `stopped`: the decision is CONTROLLED_STOP or above.
+        """
 
     def target_conditions(self) -> int:
         """`Condition` bits that a target adds; none for a filter on the host."""

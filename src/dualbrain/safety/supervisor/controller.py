@@ -31,7 +31,9 @@ Array = NDArray[np.float64]
 
 UNSCALED, STANDSTILL, BRAKING = 1.0, -1.0, -2.0
 """Actions of the supervisor on a control, as the trace stores them: a scale in [0, 1], or u = 0, or braking."""
-SILENT_BUS_CONDITIONS = int(Condition.STATE_STALE | Condition.STATE_LOST | Condition.TICK_LOST)
+SILENT_BUS_CONDITIONS = int(
+    Condition.STATE_STALE | Condition.STATE_LOST | Condition.TICK_LOST | Condition.FILTER_STOPPED
+)
 """Conditions that a silent robot link causes. Some links are silent while the drive is being switched on."""
 CONTACT_CHECK = "unexpected_contact"
 """The check that lets the arm retreat before it stops."""
@@ -77,6 +79,7 @@ class SafetyController:
         self._last_tick = nan
         self._drive_came_on, self._drive_request_stamp, self._drive_request_time = True, nan, nan
         self._u = np.zeros(safety.robot_model.n)
+        self._continued_sequence = -1
 
     @property
     def decision(self) -> SupervisorDecision:
@@ -111,9 +114,10 @@ class SafetyController:
         external_conditions |= self._tick_gap_conditions(now) | self._loop_delay_conditions(now, state.stamp)
         if self.speed_scale < 1.0:
             external_conditions |= Condition.SPEED_STAGE
-        flags, self._pending = self._pending | external_conditions | self.safety.target_conditions(), 0
+        flags, self._pending = self._pending | external_conditions, 0
         if not self._drive_came_on and now - self._drive_request_time < self.monitor.timing.drive_on_silence:
             flags &= ~SILENT_BUS_CONDITIONS
+        flags |= self.safety.target_conditions()  # a target masks its own conditions
         drive_was_wanted = self.enforcement.drive_wanted
         decision, self._conditions = self.supervisor.update(now, flags), flags
         if self._retreat is not None:
@@ -161,6 +165,9 @@ class SafetyController:
         """
         if state.desired_v is None or state.desired_a is None or not (self.drive_wanted and state.drive_enabled):
             return None
+        if state.sequence == self._continued_sequence:
+            return None  # the command since then cannot be in this state
+        self._continued_sequence = state.sequence
         if state.executes(self._u):
             return None
         u = np.clip(state.desired_v, -self._velocity_limits, self._velocity_limits)
@@ -213,7 +220,14 @@ class SafetyController:
         """
         scale = UNSCALED if self.retreating else self.enforcement.scale(self.decision, self.speed_scale)
         scaled = u_nom if scale == 1.0 else scale * u_nom + 0.0  # 0 and not -0, as a target zeroes it
-        self.safety.supervise(now, state.stamp, self._conditions, yielding=self.retreating)
+        self.safety.supervise(
+            now,
+            state.stamp,
+            self._conditions,
+            yielding=self.retreating,
+            standstill=self.enforcement.at_standstill,
+            stopped=self.decision.action >= SafetyAction.CONTROLLED_STOP,
+        )
         result = self.safety.filter(state, scaled, now)
         self._pending |= result_conditions(result)
         if not guard:

@@ -49,8 +49,18 @@ class TargetFilter(SafetyFilter):
         self._step = self.target.step
         self._set_fixed_obstacles(obstacles)
 
-    def supervise(self, now: float, stamp: float, conditions: int, *, yielding: bool) -> None:
+    def supervise(
+        self,
+        now: float,
+        stamp: float,
+        conditions: int,
+        *,
+        yielding: bool,
+        standstill: bool = False,
+        stopped: bool = False,
+    ) -> None:
         """Pass the conditions of the tick at `now` [s], with a joint state of `stamp` [s], to the target."""
+        del standstill, stopped  # the target decides on both by itself
         self.target.supervise(now, stamp, conditions, yielding=yielding)
 
     def target_conditions(self) -> int:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import socket
 import struct
-from math import nan
+from math import isfinite, nan
 
 import msgspec
 import numpy as np
@@ -28,16 +28,23 @@ class ThreadCommand(msgspec.Struct, frozen=True):
     u: Array
 
 
+class Received(msgspec.Struct, frozen=True):
+    """The newest command, and whether the drive is to be switched on or off (None: it stays as it is)."""
+
+    command: ThreadCommand
+    switched: bool | None
+
+
 def encode_state(state: RobotState) -> bytes:
-    """The packet of a joint state; stamps before 0 s count as 0 s."""
+    """The packet of a joint state; a stamp that is not finite or before 0 s counts as 0 s, and is then an old one."""
     n, desired = len(state.q), ()
     if state.desired_v is not None and state.desired_a is not None:
         desired = (state.desired_v, state.desired_a)
     head = _STATE_HEAD.pack(
         STATE_PACKET,
         n,
-        state.sequence,
-        max(0, round(state.stamp * 1e6)),
+        max(0, state.sequence),
+        max(0, round(state.stamp * 1e6)) if isfinite(state.stamp) else 0,
         nan if state.opening is None else state.opening,
         state.drive_enabled,
         bool(desired),
@@ -80,18 +87,21 @@ class ControlLink:
         """Keep the opening and the force of `command`; its joint velocities are those before the thread's filter."""
         self._gripper = (command.opening, command.force)
 
-    def receive(self) -> ThreadCommand | MalformedPacket | None:
-        """The next received command; None if there is none."""
-        return self._socket.receive()
+    def receive(self) -> Received | MalformedPacket | None:
+        """All commands that have arrived: the newest one, and whether they switch the drive; None if there is none."""
+        newest: ThreadCommand | None = None
+        switched: bool | None = None
+        while (packet := self._socket.receive()) is not None:
+            if isinstance(packet, MalformedPacket):
+                return packet
+            if packet.drive != self._drive:
+                self._drive = switched = packet.drive
+            newest = packet
+        return None if newest is None else Received(newest, switched)
 
     def wait(self, seconds: float) -> bool:
         """Wait for a command, at most `seconds`; returns whether one arrived."""
         return self._socket.wait(seconds)
-
-    def drive_change(self, command: ThreadCommand) -> bool | None:
-        """Whether to switch the drive on or off, None if the command does not change it."""
-        before, self._drive = self._drive, command.drive
-        return None if before == command.drive else command.drive
 
     def complete(self, command: ThreadCommand) -> Command | None:
         """The command with the gripper's part, None before that has arrived."""

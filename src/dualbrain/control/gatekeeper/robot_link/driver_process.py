@@ -75,7 +75,9 @@ class DriverProcess:
         try:
             while self._packet_socket.is_open and not self._shutdown_requested:
                 self._driver.wait()
-                if self._driver.read().desired_v is not None:
+                if self._control_link is not None:
+                    self._receive_thread_commands(self._control_link, write=False)
+                elif self._driver.read().desired_v is not None:
                     self._drop_late_commands()
                 self._send_state()
                 self._await_command(time.monotonic() + REPLY_FRACTION * self._driver.timing.period)
@@ -100,9 +102,6 @@ class DriverProcess:
         An arm that reports the executed command has continued the one before by itself. A late command would contradict
         it, and each later one would be written one period late.
         """
-        if self._control_link is not None:
-            self._drop_late_thread_commands(self._control_link)
-            return
         for _ in range(MAX_LATE_PACKETS):
             packet = self._packet_socket.receive()
             if packet is None:
@@ -113,18 +112,6 @@ class DriverProcess:
                 self._stop_drive()
             else:
                 self._last_command_at = time.monotonic()
-
-    def _drop_late_thread_commands(self, control_link: ControlLink) -> None:
-        """Apply only the changes of the drive among the commands that have arrived since the last one."""
-        for _ in range(MAX_LATE_PACKETS):
-            packet = control_link.receive()
-            if packet is None:
-                return
-            if isinstance(packet, ThreadCommand) and not command_fault(Command(packet.u, 0.0, 0.0), self._n_joints):
-                self._last_command_at = time.monotonic()
-                self._follow_thread_drive(control_link, packet)
-            else:
-                self._stop_drive()
 
     def _await_command(self, deadline: float) -> None:
         """Apply packets until a command arrives for the sent state, at most until `deadline`."""
@@ -139,7 +126,7 @@ class DriverProcess:
                 self._apply_packet(self._packet_socket.receive())
 
     def _await_thread_command(self, control_link: ControlLink, deadline: float) -> None:
-        """Apply what the gatekeeper sent, and then the commands of its thread for the sent state."""
+        """Apply what the gatekeeper sent, and then the newest command of its thread for the sent state."""
         for _ in range(MAX_LATE_PACKETS):
             if (packet := self._packet_socket.receive()) is None:
                 break
@@ -148,25 +135,35 @@ class DriverProcess:
             self._packet_socket.is_open and not self._command_received and (left := deadline - time.monotonic()) > 0.0
         ):
             if control_link.wait(left):
-                self._apply_thread_command(control_link, control_link.receive())
+                self._receive_thread_commands(control_link, write=True)
 
-    def _apply_thread_command(self, control_link: ControlLink, packet: ThreadCommand | MalformedPacket | None) -> None:
-        if isinstance(packet, MalformedPacket):
+    def _receive_thread_commands(self, control_link: ControlLink, *, write: bool) -> None:
+        """Switch the drive as the commands that have arrived demand, and write the newest one if it is to be written.
+
+        A command from before the drive was switched on is not written.
+        """
+        received = control_link.receive()
+        if isinstance(received, MalformedPacket):
             self._stop_drive()
-        elif packet is not None:
-            self._follow_thread_drive(control_link, packet)
-            if (command := control_link.complete(packet)) is not None:
-                self._apply_command(command)
+        elif received is not None:
+            if received.switched is not None:
+                self._switch_drive(on=received.switched)
+            self._follow_thread(control_link, received.command, write=write and not received.switched)
 
-    def _follow_thread_drive(self, control_link: ControlLink, command: ThreadCommand) -> None:
-        if (on := control_link.drive_change(command)) is not None:
-            self._switch_drive(on=on)
+    def _follow_thread(self, control_link: ControlLink, command: ThreadCommand, *, write: bool) -> None:
+        """Feed the watchdog with a valid command of the thread, and write it; any other command stops the arm."""
+        if command_fault(Command(command.u, 0.0, 0.0), self._n_joints):
+            self._stop_drive()
+            return
+        self._last_command_at = time.monotonic()
+        if write and (whole := control_link.complete(command)) is not None:
+            self._apply_command(whole)
 
     def _switch_drive(self, *, on: bool) -> None:
-        if on and not self._drive_on:  # a repeated order is no command and does not feed the watchdog
-            self._last_command_at = time.monotonic()
-        self._drive_on = on
+        first, self._drive_on = on and not self._drive_on, on
         (self._driver.enable if on else self._driver.stop)()
+        if first:  # a repeated order is no command and does not feed the watchdog; an arm may take time to switch on
+            self._last_command_at = time.monotonic()
 
     def _stop_drive(self) -> None:
         """Stop after a packet that this arm cannot use; the drive remains off until it is switched on again."""

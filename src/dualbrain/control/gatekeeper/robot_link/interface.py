@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
 from dualbrain.contracts.contract import Contract
 from dualbrain.control.control_loop import WorldInterface
@@ -26,6 +26,10 @@ class RobotLink(RobotInterface, WorldInterface, Protocol):
 
     def notes(self) -> list[str]:
         """Texts about the link since the last call, for the recording."""
+        ...
+
+    def thread_ticks(self) -> dict[str, list[Any]] | None:
+        """Ticks of a control thread since the last call by column, for the recording; None without any."""
         ...
 
     def timing_faults(self) -> tuple[int, int]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import subprocess
 import time
+from typing import Any
 
 import msgspec
 
@@ -123,6 +124,10 @@ class RemoteRobot:
         """No texts: everything that happens on this link is a condition."""
         return []
 
+    def thread_ticks(self) -> dict[str, list[Any]] | None:
+        """None: no thread moves the joints."""
+        return None
+
     def timing_faults(self) -> tuple[int, int]:
         """Number of ticks so far that took too long, and of joint states that never arrived."""
         return self.tick_timer.late, self.tick_timer.missed
@@ -179,10 +184,14 @@ class RemoteRobot:
                     raise ConfigurationError.stating(f"The robot process sent a malformed packet: {reason}.")
 
     def _accept_state(self, state: packets.StatePacket) -> None:
-        self._state_received_at = time.monotonic()
+        now = time.monotonic()
+        if (
+            self._state is None or state.stamp > self._state.stamp
+        ):  # a robot that repeats a state does not stop the clock
+            self._state_received_at = now
         lost = state.sequence - self._state.sequence - 1 if self._state else 0
         self._state = state.to_robot_state()
-        self.tick_timer.on_state(self._state_received_at, lost)
+        self.tick_timer.on_state(now, lost)
 
 
 def _process_module(settings: SimulatedRobotSettings | DriverSettings) -> str:

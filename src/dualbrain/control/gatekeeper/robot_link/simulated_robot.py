@@ -181,13 +181,13 @@ class RobotProcess:
             self._receive_thread_commands(self._control_link)
 
     def _receive_thread_commands(self, control_link: ControlLink) -> None:
-        while (packet := control_link.receive()) is not None:
-            if isinstance(packet, MalformedPacket):
-                self._stop_drive("rubbish")
-                continue
-            if (on := control_link.drive_change(packet)) is not None:
-                self._switch_drive(on=on)
-            if (command := control_link.complete(packet)) is not None:
+        received = control_link.receive()
+        if isinstance(received, MalformedPacket):
+            self._stop_drive("rubbish")
+        elif received is not None:
+            if received.switched is not None:
+                self._switch_drive(on=received.switched)
+            if (command := control_link.complete(received.command)) is not None:
                 self._apply_command(command)
 
     def _apply_packet(self, packet: packets.ToRobot | MalformedPacket) -> None:

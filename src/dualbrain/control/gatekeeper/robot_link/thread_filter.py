@@ -10,6 +10,7 @@ from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.config import FilterConfig
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.obstacles import Contact, Obstacle
+from dualbrain.safety.cbf.rows import ConstraintRow
 from dualbrain.safety.supervisor.conditions import BUTTONS, Condition
 
 PASSED_ON = int(Condition.ESTOP | Condition.ESTOP_DISAGREE)
@@ -35,6 +36,7 @@ class ThreadFilter(SafetyFilter):
         """
         self.scene_changed = True
         self.conditions, self.pressed = 0, 0
+        self.standstill = self.stopped = False
         self._thread_conditions, self._buttons = thread_conditions, 0
         super().__init__(robot_model, config, obstacles=obstacles)
 
@@ -53,14 +55,29 @@ class ThreadFilter(SafetyFilter):
         self.scene_changed = True
         super().attach(spheres, error)
 
+    def constrain(self, rows: Sequence[ConstraintRow]) -> None:
+        """As `SafetyFilter.constrain`, which may raise."""
+        self.scene_changed = True
+        super().constrain(rows)
+
     def detach(self) -> None:
         """As `SafetyFilter.detach`."""
         self.scene_changed = True
         super().detach()
 
-    def supervise(self, now: float, stamp: float, conditions: int, *, yielding: bool) -> None:
-        """Note what the thread must know of the `conditions` of a tick; a button counts when it is pressed."""
+    def supervise(
+        self,
+        now: float,
+        stamp: float,
+        conditions: int,
+        *,
+        yielding: bool,
+        standstill: bool = False,
+        stopped: bool = False,
+    ) -> None:
+        """Note what the thread must know of a tick; a button counts when it is pressed."""
         del now, stamp, yielding
+        self.standstill, self.stopped = standstill, stopped
         self.conditions = conditions & PASSED_ON
         self.pressed |= conditions & BUTTONS & ~self._buttons
         self._buttons = conditions & BUTTONS

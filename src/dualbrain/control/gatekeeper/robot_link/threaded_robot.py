@@ -10,13 +10,13 @@ the arm holds), and no delay of the interpreter delays a command.
 from __future__ import annotations
 
 from dataclasses import replace
+from math import inf
 from typing import Any
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.control.gatekeeper.robot_link import packets
 from dualbrain.control.gatekeeper.robot_link.driver_process import DriverSettings
 from dualbrain.control.gatekeeper.robot_link.packet_socket import socket_pair
 from dualbrain.control.gatekeeper.robot_link.remote_robot import RemoteRobot
@@ -28,8 +28,11 @@ from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.config import FilterConfig
 from dualbrain.safety.cbf.obstacles import Obstacle
 from dualbrain.safety.control_thread import ControlThread, ControlThreadConfig, ControlThreadStatus
+from dualbrain.safety.supervisor.actions import SafetyAction
+from dualbrain.safety.supervisor.checks import CHECKS
 from dualbrain.safety.supervisor.conditions import BUTTONS, Condition
 from dualbrain.safety.supervisor.enforcement import StandstillLimits
+from dualbrain.safety.supervisor.state_monitor import MonitorLimits
 from dualbrain.safety.supervisor.timing import Timing
 
 LOOP_TICK_LOST_AFTER = 0.5
@@ -37,6 +40,18 @@ LOOP_TICK_LOST_AFTER = 0.5
 FOLLOWED = 0.25
 """The loop's control counts as executed up to this share of the largest change of a control in one period."""
 NOT_OWN = int(BUTTONS | Condition.HEARTBEAT_LOST)
+RECORDED_COLUMNS = {
+    "tick": "tick",
+    "now_us": "now_us",
+    "state": "state_sequence",
+    "control": "control_number",
+    "action": "action",
+    "check": "check",
+    "drive": "drive_enable",
+}
+"""Columns of the recording, and the fields of `dbk_tick_record` that they hold."""
+UNTRACKED = MonitorLimits(max_tracking_gap=inf, tracking_lost_gap=inf)
+"""Limits of the loop: the thread compares the motion of the arm with the commands that the arm received."""
 
 
 def loop_timing(timing: Timing, control_valid: float) -> Timing:
@@ -65,18 +80,20 @@ class ThreadedRobot(RemoteRobot):
     ) -> None:
         """Start the process of the robot; `timing` are the limits of the thread, and `loop_timing` those of the loop.
 
-        The default `config` states that the gatekeeper supervises contact forces. Raises as `RemoteRobot`.
+        By default the gatekeeper supervises contact forces, and the thread stops the arm if the loop hangs. Raises as
+        `RemoteRobot`.
         """
         self._thread_timing, self._drive_initially_on = timing, isinstance(settings, SimulatedRobotSettings)
-        self._config = config or ControlThreadConfig(forces_supervised=True)
+        self._config = config or ControlThreadConfig(forces_supervised=True, caller_lost_after=LOOP_TICK_LOST_AFTER)
         self.loop_timing = loop_timing(timing, self._config.control_valid)
         self._control_end, robot_end = socket_pair()
         self._filter: ThreadFilter | None = None
         self._thread: ControlThread | None = None
-        self._conditions, self._held = 0, 0
+        self._held = 0
         self._notes: list[str] = []
         self._record: NDArray[Any] | None = None
         self._late = False
+        self._unrecorded: list[NDArray[Any]] = []
         self._followed_gap = np.zeros(0)
         super().__init__(settings, self.loop_timing, profiler, control_end=robot_end)
 
@@ -89,7 +106,7 @@ class ThreadedRobot(RemoteRobot):
             ConfigurationError: the base is mobile.
             ControlThreadError: the thread could not be created.
         """
-        made = ThreadFilter(robot_model, config, obstacles=obstacles, thread_conditions=self._take_conditions)
+        made = ThreadFilter(robot_model, config, obstacles=obstacles, thread_conditions=self._thread_conditions)
         self._control_end.setblocking(False)
         self._thread = ControlThread(
             made,
@@ -122,12 +139,14 @@ class ThreadedRobot(RemoteRobot):
         """Pass the scene and the control to the thread, and the command of the gripper to the robot."""
         super().write(command)
         self._submit_scene()
-        self._running[0].submit_control(command.u)
+        thread, safety = self._running
+        thread.submit_control(command.u, standstill=safety.standstill)
 
     def stop(self) -> None:
-        """Drive off, in the next tick of the thread."""
+        """Drive off: in the next tick of the thread, and by the other link, should the thread be late."""
         if self._thread is not None:
             self._thread.set_drive(on=False)
+        super().stop()
 
     def enable(self) -> None:
         """Drive on, as soon as the supervisor of the thread agrees."""
@@ -148,6 +167,15 @@ class ThreadedRobot(RemoteRobot):
         notes, self._notes = self._notes, []
         return notes
 
+    def thread_ticks(self) -> dict[str, list[Any]] | None:
+        """Executed ticks of the thread since the last call by column (`ThreadTicks`), None without one."""
+        unrecorded, self._unrecorded = self._unrecorded, []
+        if not unrecorded:
+            return None
+        records, n = np.concatenate(unrecorded), len(self._followed_gap)
+        columns = {name: records[field].tolist() for name, field in RECORDED_COLUMNS.items()}
+        return {**columns, "u": records["u"][:, :n].tolist()}
+
     def thread_status(self) -> ControlThreadStatus:
         """State of the thread."""
         return self._running[0].status()
@@ -156,7 +184,6 @@ class ThreadedRobot(RemoteRobot):
         """Bring the arm to rest, end the thread, and end the robot process."""
         if self._thread is not None:
             self._thread.stop()
-        self._packet_socket.send(packets.DrivePacket(on=False))
         super().close()
 
     # --- inside -------------------------------------------------------------------------------------------------
@@ -188,17 +215,23 @@ class ThreadedRobot(RemoteRobot):
         if not len(records):
             return
         self._record = records[-1]
-        own = records["conditions"] & ~records["external"]
-        self._conditions |= int(np.bitwise_or.reduce(own)) & ~NOT_OWN
-        late = bool(records["external"][-1] & int(Condition.HEARTBEAT_LOST))
+        self._unrecorded.append(records)
+        late = bool(records["external"][-1] & int(Condition.HEARTBEAT_LOST)) and not records["drive_off"][-1]
         if late != self._late:
             self._late = late
             text = "the controls are late: the arm holds" if late else "the controls are in time again"
             self._notes.append(text)
 
-    def _take_conditions(self) -> int:
-        conditions, self._conditions = self._conditions, 0
-        return conditions
+    def _thread_conditions(self) -> int:
+        """Conditions that the thread detected, and that of a stop which only the thread has decided."""
+        thread, safety = self._running
+        found = thread.take_conditions() & ~NOT_OWN
+        record = self._record
+        if record is not None and record["action"] >= SafetyAction.CONTROLLED_STOP and not safety.stopped:
+            check = int(record["check"])
+            if check < len(CHECKS):
+                found |= int(CHECKS[check].condition) & ~(NOT_OWN | int(record["external"]))
+        return found
 
     def _deviates(self, record: NDArray[Any]) -> bool:
         """Whether the thread executes another control than the loop's newest one that it has."""
