@@ -38,7 +38,7 @@ class Bench:
         self.safety = SafetyFilter(robot_model)
         self.scenes = {}
         self.loop = ControlThread(self.safety, ControlThreadConfig(**config))
-        self.now, self.sequence = 1.0, 0
+        self.now, self.sequence, self.standstill = 1.0, 0, False
         self.q, self.v, self.u, self.drive = HOME.copy(), np.zeros(7), np.zeros(7), True
         self.show([])
 
@@ -67,7 +67,7 @@ class Bench:
         if not silent:
             self.loop.push_state(self.measured(**changes))
         if u_nom is not None:
-            self.loop.submit_control(u_nom)
+            self.loop.submit_control(u_nom, standstill=self.standstill)
         self.loop.tick(self.now)
         for _, u, drive in self.loop.pop_commands():
             self.u, self.drive = np.array(u), drive
@@ -160,11 +160,60 @@ def test_lost_commands_are_continued_as_the_safety_controller_does_bit_for_bit(a
         else:
             change, executed = bench.u - executed, bench.u.copy()
         bench.u = executed.copy()
-        bench.step(wish + 1e-9 * tick, desired_v=executed.copy(), desired_a=change / arm.period)
+        bench.step(wish + 1e-9 * tick, silent=tick % 97 == 5, desired_v=executed.copy(), desired_a=change / arm.period)
     records = bench.loop.read_log()
     assert records["continued"].sum() > 50
     assert np.abs(records["u"]).max() > 0.2
     assert replay(records, arm, bench.scenes) == 1200
+
+
+def test_a_standstill_of_the_caller_is_kept_although_an_obstacle_approaches(arm):
+    for standstill in (False, True):
+        bench = Bench(arm)
+        bench.run(0.2, np.zeros(7))
+        bench.standstill = standstill
+        bench.show(
+            [Obstacle("hand", Sphere(0.05), Pose(tuple(np.add(bench.safety.tool(bench.q).position, (0.06, 0.0, 0.0)))))]
+        )
+        moves = np.abs(bench.run(0.2, np.zeros(7))["u"]).max() > 0.0
+        assert moves != standstill
+
+
+def test_a_standstill_of_the_caller_does_not_stop_a_moving_arm_at_once(arm):
+    bench = Bench(arm)
+    bench.run(0.3, np.full(7, 0.3))
+    bench.standstill = True
+    records = bench.run(0.3, np.full(7, 0.3))
+    step = np.abs(np.diff(records["u"][:, :7], axis=0)).max(axis=0)
+    assert (step <= [joint.acceleration.value * arm.period * 1.01 for joint in arm.joints]).all()
+    assert not records["u"][-1].any()
+    assert records["action"].max() < SafetyAction.SLOW
+
+
+def test_a_caller_that_hangs_ends_in_a_stop_with_the_drive_off(arm):
+    bench = Bench(arm, caller_lost_after=0.3)
+    bench.run(0.2, np.full(7, 0.2))
+    for _ in range(round(0.28 / PERIOD)):
+        bench.step(np.full(7, 0.2))
+    assert bench.drive
+    for _ in range(round(0.3 / PERIOD)):
+        bench.step(np.full(7, 0.2))
+    assert not bench.drive
+    assert bench.loop.read_log()["action"][-1] == SafetyAction.CONTROLLED_STOP
+    assert not bench.loop.take_conditions() & int(Condition.TICK_LOST)  # the caller knows by itself that it was late
+
+
+def test_the_conditions_that_the_loop_detects_are_taken_once(arm):
+    bench = Bench(arm)
+    bench.run(0.1, np.zeros(7))
+    bench.loop.hold(Condition.ABORT)
+    bench.step(np.zeros(7), v=np.full(7, np.nan))
+    for _ in range(5000):  # longer than the log
+        bench.step(np.zeros(7))
+    found = bench.loop.take_conditions()
+    assert found & int(Condition.STATE_IMPLAUSIBLE)
+    assert not found & int(Condition.ABORT)
+    assert not bench.loop.take_conditions()
 
 
 def test_a_drive_that_the_caller_switches_off_is_no_fault_and_comes_back(arm):
@@ -298,6 +347,8 @@ def test_a_robot_that_the_loop_cannot_supervise_is_refused(arm, sparse_panda):
         ControlThread(SafetyFilter(arm), ControlThreadConfig(priority=100))
     with pytest.raises(ConfigurationError, match="control_valid"):
         ControlThread(SafetyFilter(arm), ControlThreadConfig(control_valid=float("nan")))
+    with pytest.raises(ConfigurationError, match="caller_lost_after"):
+        ControlThread(SafetyFilter(arm), ControlThreadConfig(caller_lost_after=0.01))
     with pytest.raises(ConfigurationError, match="force sensing"):
         ControlThread(SafetyFilter(sparse_panda))
     ControlThread(SafetyFilter(sparse_panda), ControlThreadConfig(forces_supervised=True))

@@ -83,7 +83,7 @@ class GatekeeperSettings:
     `timing`: limits on delays of the robot's interface. `speed_scale`: initial speed scale, (0, 1]. `fixed_obstacles`:
     obstacles of the site. `filter_config`: settings of the filter for this robot. `drive_initially_off`: the drive has
     to be switched on first. `unrecorded`: the arm may move on if the recording cannot be written. `persons`: speed
-    limits near persons. `object_limits`: limits of objects by name or category. `monitor_limits`: those of joint states.
+    limits near persons. `object_limits`: limits of objects by name or category. `monitor_limits`: of joint states.
     """
 
     timing: Timing

@@ -79,7 +79,7 @@ class SafetyController:
         self._last_tick = nan
         self._drive_came_on, self._drive_request_stamp, self._drive_request_time = True, nan, nan
         self._u = np.zeros(safety.robot_model.n)
-        self._continued_sequence = -1
+        self._continued_sequence: int = -1
 
     @property
     def decision(self) -> SupervisorDecision:

@@ -1,12 +1,14 @@
 """The packets between a control thread in C and the process of the robot: equal bits, and nothing else is accepted."""
 
 import socket
+import struct
 
 import msgspec
 import numpy as np
 import pytest
 
 from dualbrain.control.gatekeeper.robot_link.control_link import (
+    COMMAND_PACKET,
     ControlLink,
     ThreadCommand,
     decode_command,
@@ -17,6 +19,7 @@ from dualbrain.robots.interface import Command, RobotState
 from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.control_thread import ControlThread
+from dualbrain.safety.supervisor.actions import SafetyAction
 from dualbrain.safety.supervisor.conditions import Condition
 
 HOME = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.8])
@@ -91,8 +94,7 @@ def test_a_command_arrives_with_equal_bits_and_the_drive(bench):
         bench.link.send_state(state(sequence))
         bench.thread.submit_control(np.full(7, 0.05))
         record = bench.tick()
-        command = bench.link.receive()
-        assert isinstance(command, ThreadCommand)
+        command = bench.link.receive().command
         assert command.tick == int(record["tick"])
         assert np.array_equal(command.u, record["u"][:7])
         assert command.drive == record["drive_enable"]
@@ -151,13 +153,41 @@ def test_no_command_is_complete_before_the_gripper_has_one():
     theirs.close()
 
 
-def test_only_a_change_of_the_drive_switches_it():
+def command_packet(tick, *, drive, speed=0.0):
+    head = struct.pack("=IIQII", COMMAND_PACKET, 7, tick, drive, 0)
+    return head + np.full(7, speed).tobytes()
+
+
+@pytest.mark.parametrize(
+    ("drives", "switched"),
+    [((False,), None), ((True,), True), ((True, True), True), ((True, False), False), ((True, False, True), True)],
+)
+def test_of_several_commands_the_newest_counts_and_every_change_of_the_drive(drives, switched):
     ours, theirs = socket_pair()
     link = ControlLink(theirs)
-    wishes = [link.drive_change(ThreadCommand(k, on, np.zeros(7))) for k, on in enumerate((False, True, True, False))]
-    assert wishes == [None, True, None, False]
+    for tick, drive in enumerate(drives):
+        ours.send(command_packet(tick, drive=drive, speed=0.1 * tick))
+    received = link.receive()
+    assert received.switched is switched
+    assert received.command.tick == len(drives) - 1
+    assert received.command.u[0] == 0.1 * (len(drives) - 1)
+    assert link.receive() is None
     ours.close()
     theirs.close()
+
+
+def test_a_robot_that_repeats_its_last_state_is_stopped(bench):
+    for sequence in range(1, 20):
+        bench.link.send_state(state(sequence))
+        bench.thread.submit_control(np.full(7, 0.05))
+        bench.tick()
+    actions = []
+    for _ in range(200):
+        bench.link.send_state(state(19))  # alive, and without a new measurement
+        bench.thread.submit_control(np.full(7, 0.05))
+        actions.append(int(bench.tick()["action"]))
+    assert actions.index(SafetyAction.CONTROLLED_STOP) <= 55
+    assert actions[-1] == SafetyAction.ESTOP
 
 
 def test_a_closed_link_ends_in_an_emergency_stop(bench):

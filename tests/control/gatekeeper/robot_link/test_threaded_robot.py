@@ -18,12 +18,15 @@ from dualbrain.control.gatekeeper.robot_link.simulated_robot import (
     RobotReport,
     SimulatedRobotSettings,
 )
-from dualbrain.control.gatekeeper.robot_link.threaded_robot import ThreadedRobot, loop_timing
+from dualbrain.control.gatekeeper.robot_link.threaded_robot import UNTRACKED, ThreadedRobot, loop_timing
 from dualbrain.control.gatekeeper.timing.tick_timing import TickTimingSummary
+from dualbrain.control.recording.channels import ThreadTicks, read_recording
 from dualbrain.errors import ConfigurationError
 from dualbrain.grounding.vocabulary import load_skill_registry
 from dualbrain.robots.interface import Command
 from dualbrain.robots.loader import load_robot
+from dualbrain.safety.supervisor.actions import SafetyAction
+from dualbrain.safety.supervisor.checks import CHECKS
 from dualbrain.safety.supervisor.conditions import Condition
 from dualbrain.safety.supervisor.controller import SafetyController
 from dualbrain.safety.supervisor.timing import FRANKA, SIMULATED
@@ -32,6 +35,8 @@ from dualbrain.simulation.scenes.generators.catalogue import open_scene
 pytestmark = pytest.mark.realtime
 TIMEOUT = 60.0
 """Longest time [s] that a test waits for a condition."""
+FREE = ("NONE", "WARN")
+"""Actions under which the arm may move; a loaded machine causes warnings."""
 ABOVE_CUBE = {"target": "red_cube", "speed": 0.3, "clearance": 0.2, "route": "direct", "wait": "none"}
 
 
@@ -70,8 +75,8 @@ class Cell:
             assert time.monotonic() < deadline, description
             time.sleep(0.01)
 
-    def wait_for_action(self, action):
-        self.wait(action, lambda: self.operator.status and self.operator.status.action == action)
+    def wait_for_action(self, *actions):
+        self.wait(actions, lambda: self.operator.status and self.operator.status.action in actions)
 
     def wait_for_motion(self):
         start = self.operator.request_scene().q
@@ -93,7 +98,7 @@ class Cell:
 
 @pytest.fixture
 def cell(tmp_path):
-    made = Cell(tmp_path, control_thread=True)
+    made = Cell(tmp_path, control_thread=True, recording=str(tmp_path / "ticks.mcap"))
     yield made
     made.close()
 
@@ -105,15 +110,22 @@ def test_contracts_run_and_an_emergency_stop_reaches_both_layers_and_is_cleared(
     cell.operator.operate("estop")
     assert cell.commander.wait_for_outcome(TIMEOUT).outcome.kind == "emergency"
     cell.wait_for_action("ESTOP")
-    for command, action in (("release_estop", "ESTOP"), ("reset", "HOLD"), ("resume", "NONE")):
+    for command, actions in (("release_estop", ("ESTOP",)), ("reset", ("HOLD",)), ("resume", FREE)):
         cell.operator.operate(command)
-        cell.wait_for_action(action)
+        cell.wait_for_action(*actions)
     assert cell.execute(("home", {"speed": 0.3})).kind == "succeeded"
     cell.close()
     thread = cell.timing.control_thread
     assert (thread.malformed, thread.unsent, thread.log_dropped, thread.refused) == (0, 0, 0, 0)
     assert cell.report.drive_off_cause == "order"
     assert not cell.report.judgement.violations
+    ticks = [one.columns for one in read_recording(cell.folder / "ticks.mcap") if isinstance(one, ThreadTicks)]
+    numbers = [number for columns in ticks for number in columns["tick"]]
+    assert numbers == list(range(numbers[0], numbers[-1] + 1))
+    u = np.concatenate([columns["u"] for columns in ticks])
+    assert u.shape == (len(numbers), 7)
+    assert np.abs(u).max() > 0.05
+    assert {0, 1} <= {int(one) for columns in ticks for one in columns["drive"]}
 
 
 def test_a_killed_gatekeeper_leaves_the_arm_at_rest_within_the_time_of_the_watchdog(cell):
@@ -133,7 +145,7 @@ def test_a_driver_moves_its_arm_by_the_commands_of_the_thread(tmp_path, driver, 
     realtime = "ignore" if driver == "fake_franka" else "enforce"
     made = Cell(tmp_path, robot, driver=driver, address="fake", realtime=realtime, report="")
     try:
-        made.wait_for_action("NONE")
+        made.wait_for_action(*FREE)
         start = made.operator.request_scene().q
         assert made.execute(("move_to", ABOVE_CUBE)).kind == "succeeded"
         assert np.abs(np.subtract(made.operator.request_scene().q, start)).max() > 0.1
@@ -159,7 +171,7 @@ class Loop:
         settings = SimulatedRobotSettings(robot="panda", scene=open_scene("bare:0"))
         self.robot = ThreadedRobot(settings, SIMULATED)
         self.safety = self.robot.make_filter(model, None, ())
-        self.controller = SafetyController(self.safety, timing=self.robot.loop_timing)
+        self.controller = SafetyController(self.safety, timing=self.robot.loop_timing, monitor_limits=UNTRACKED)
         self.lost = []
         self.robot.skip_to_newest_state()
         self.state = self.robot.read()
@@ -204,7 +216,7 @@ def test_while_the_loop_stalls_the_thread_holds_the_arm_and_the_loop_continues_a
     loop.run(0.5, 0.1)
     assert any(one is not None for one in loop.lost)
     assert loop.state.v[0] > 0.05
-    assert loop.controller.decision.action < 3
+    assert loop.controller.decision.action < SafetyAction.SLOW
     assert loop.robot.notes() == [
         "the controls are late: the arm holds",
         "the controls are in time again",
@@ -219,11 +231,46 @@ def test_the_thread_executes_the_controls_of_a_loop_that_is_in_time(loop):
     assert loop.state.v[0] == pytest.approx(0.1, abs=0.02)
 
 
-def test_a_condition_that_only_the_thread_detects_reaches_the_loop(loop):
+@pytest.mark.parametrize("seconds", [0.06, 0.1, 0.13, 0.2, 0.3])
+def test_a_stall_of_any_length_below_the_limit_is_no_fault_of_the_arm(loop, seconds):
+    loop.run(0.4, 0.3)
+    time.sleep(seconds)
+    loop.run(0.4, 0.3)
+    assert loop.controller.decision.action < SafetyAction.SLOW
+    assert loop.state.v[0] == pytest.approx(0.3, abs=0.05)
+
+
+def test_a_loop_that_hangs_ends_with_the_drive_off_and_continues_with_the_next_contract(loop):
+    loop.run(0.3, 0.1)
+    time.sleep(1.2)
+    loop.robot.advance()
+    assert not loop.robot.read().drive_enabled
+    loop.state = loop.robot.read()
+    loop.run(0.8, 0.0)
+    assert loop.controller.decision.check == "tick_lost"
+    loop.tick(0.0, int(Condition.CONTINUE))
+    loop.run(1.0, 0.1)
+    assert loop.controller.decision.action < SafetyAction.SLOW
+    assert loop.state.v[0] > 0.05
+
+
+def test_a_condition_that_only_the_thread_detects_reaches_the_loop(loop, monkeypatch):
     loop.run(0.2, 0.0)
-    loop.robot._conditions |= int(Condition.OVERSPEED)
+    monkeypatch.setattr(loop.robot._thread, "take_conditions", lambda: int(Condition.OVERSPEED))
     loop.tick(0.0)
     assert loop.controller.decision.check == "overspeed"
+
+
+def test_a_stop_that_only_the_thread_has_decided_stops_the_loop_too(loop):
+    loop.run(0.2, 0.0)
+    record = loop.robot._record.copy()
+    names = [one.name for one in CHECKS]
+    record["action"], record["check"] = SafetyAction.CONTROLLED_STOP, names.index("tick_lost")
+    loop.robot._record = record
+    loop.controller.decide(loop.state, loop.robot.clock())
+    assert loop.controller.decision.check == "tick_lost"
+    loop.safety.stopped = True
+    assert not loop.robot._thread_conditions() & int(Condition.TICK_LOST)
 
 
 def test_the_loop_may_be_late_by_the_validity_of_a_control_and_the_thread_keeps_the_limits_of_the_driver():

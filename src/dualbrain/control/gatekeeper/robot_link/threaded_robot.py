@@ -92,7 +92,7 @@ class ThreadedRobot(RemoteRobot):
         self._held = 0
         self._notes: list[str] = []
         self._record: NDArray[Any] | None = None
-        self._late = False
+        self._late = self._stops_agree = False
         self._unrecorded: list[NDArray[Any]] = []
         self._followed_gap = np.zeros(0)
         super().__init__(settings, self.loop_timing, profiler, control_end=robot_end)
@@ -224,14 +224,20 @@ class ThreadedRobot(RemoteRobot):
 
     def _thread_conditions(self) -> int:
         """Conditions that the thread detected, and that of a stop which only the thread has decided."""
-        thread, safety = self._running
-        found = thread.take_conditions() & ~NOT_OWN
+        found = self._running[0].take_conditions() | self._stop_condition()
+        return found & ~NOT_OWN
+
+    def _stop_condition(self) -> int:
+        """The condition of a stop of the thread, until the loop has stopped, too; a later end is that of each alone."""
         record = self._record
-        if record is not None and record["action"] >= SafetyAction.CONTROLLED_STOP and not safety.stopped:
-            check = int(record["check"])
-            if check < len(CHECKS):
-                found |= int(CHECKS[check].condition) & ~(NOT_OWN | int(record["external"]))
-        return found
+        if record is None or record["action"] < SafetyAction.CONTROLLED_STOP:
+            self._stops_agree = False
+            return 0
+        self._stops_agree |= self._running[1].stopped
+        check = int(record["check"])
+        return (
+            0 if self._stops_agree or check >= len(CHECKS) else int(CHECKS[check].condition) & ~int(record["external"])
+        )
 
     def _deviates(self, record: NDArray[Any]) -> bool:
         """Whether the thread executes another control than the loop's newest one that it has."""
