@@ -1,17 +1,24 @@
 """A driver at the robot link: its states are sent, its commands applied, and an invalid packet stops it."""
 
 import socket
+import struct
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from dualbrain.control.gatekeeper.robot_link import packets
+from dualbrain.control.gatekeeper.robot_link.control_link import COMMAND_PACKET, ControlLink
 from dualbrain.control.gatekeeper.robot_link.driver_process import DriverProcess, surveyed_scene
+from dualbrain.control.gatekeeper.robot_link.packet_socket import socket_pair
 from dualbrain.control.gatekeeper.robot_link.simulated_robot import perception_period_ticks
 from dualbrain.control.scene_monitor import SceneMonitor
 from dualbrain.records import Scene
+from dualbrain.robots.interface import home_state
+from dualbrain.robots.loader import load_robot
+from dualbrain.safety.supervisor.timing import UR
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from tests.drivers.drivers_under_test import franka, ur
 
@@ -164,3 +171,98 @@ def test_a_malformed_late_command_stops_the_arm():
     driver.close()
     ours.close()
     theirs.close()
+
+
+# --- commands of a control thread -----------------------------------------------------------------------------------
+
+
+class RecordedDriver:
+    """A driver that records its calls; its states do not change."""
+
+    timing = UR
+
+    def __init__(self):
+        self.calls = []
+
+    def read(self):
+        return replace(home_state(load_robot("ur5e")), drive_enabled=True)
+
+    def write(self, command):
+        self.calls.append(("write", round(float(command.u[0]), 3)))
+
+    def enable(self):
+        self.calls.append(("enable",))
+
+    def stop(self):
+        self.calls.append(("stop",))
+
+
+class ThreadEnd:
+    """The end of a control thread on the link to a driver process that does not run."""
+
+    def __init__(self):
+        (link, self.main_end), (self.end, theirs) = socket_pair(), socket_pair()
+        self.sockets = (link, self.main_end, self.end, theirs)
+        self.driver = RecordedDriver()
+        scene = Scene(robot="ur5e", stamp=0.0, version=1, objects=())
+        self.process = DriverProcess(self.driver, scene, link, ControlLink(theirs))
+        self.main_end.send(packets.encode(packets.CommandPacket((9.0,) * 6, 0.02, 5.0)))
+        self.tick = 0
+
+    def send(self, speed, *, drive=True, joints=6):
+        self.tick += 1
+        head = struct.pack("=IIQII", COMMAND_PACKET, joints, self.tick, drive, 0)
+        self.end.send(head + np.full(joints, speed).tobytes())
+
+    def answer(self):
+        """What the driver is told by the commands that have arrived."""
+        self.driver.calls.clear()
+        self.process._await_command(time.monotonic() + 0.01)
+        return self.driver.calls
+
+
+@pytest.fixture
+def thread_end():
+    made = ThreadEnd()
+    yield made
+    for end in made.sockets:
+        end.close()
+
+
+def test_a_command_from_before_the_drive_was_switched_on_is_not_written(thread_end):
+    thread_end.send(0.1)
+    assert thread_end.answer() == [("enable",)]
+    thread_end.send(0.2)
+    assert thread_end.answer() == [("write", 0.2)]
+
+
+def test_of_several_commands_only_the_newest_is_written(thread_end):
+    thread_end.send(0.0)
+    thread_end.answer()
+    for speed in (0.1, 0.2, 0.3):
+        thread_end.send(speed)
+    assert thread_end.answer() == [("write", 0.3)]
+    assert thread_end.answer() == []
+
+
+def test_a_drive_that_goes_off_is_not_hidden_by_later_commands(thread_end):
+    thread_end.send(0.0)
+    thread_end.answer()
+    thread_end.send(0.1, drive=False)
+    thread_end.send(0.0, drive=False)
+    assert thread_end.answer()[0] == ("stop",)
+
+
+def test_the_speeds_of_the_gatekeeper_do_not_reach_the_arm(thread_end):
+    thread_end.send(0.0)
+    thread_end.answer()
+    thread_end.main_end.send(packets.encode(packets.CommandPacket((9.0,) * 6, 0.03, 5.0)))
+    assert thread_end.answer() == []
+
+
+@pytest.mark.parametrize(("speed", "joints"), [(float("nan"), 6), (0.1, 7)], ids=["not finite", "other joints"])
+def test_an_invalid_command_of_the_thread_stops_the_arm(thread_end, speed, joints):
+    thread_end.send(0.0)
+    thread_end.answer()
+    thread_end.send(speed, joints=joints)
+    assert set(thread_end.answer()) == {("stop",)}
