@@ -50,7 +50,8 @@ from experiments.memory.crash_recovery import check_ledger
 FAILURE_MODES = ("kill", "stop", "flood", "rubbish", "gatekeeper")
 ACKNOWLEDGEMENT_MOMENT = "between write and acknowledgement"
 """Here: the commander has sent the contract and has not received an answer."""
-N_REPEATS = 4
+N_REPEATS, N_THREAD_REPEATS = 4, 2
+"""Episodes of each failure and moment, without and with a control thread."""
 LAG_ALLOWANCE = 0.1
 """Time [s] by which the host may delay the robot process."""
 MAX_STALL = SIMULATED.tick_lost_after
@@ -80,20 +81,28 @@ class CommanderFailure:
     )
 
     def units(self, options: Options) -> list[WorkUnit]:
-        """5 failures × 6 moments, 4 times each."""
+        """5 failures × 6 moments, 4 times each, and twice each with a control thread."""
         del options
-        return [
+        loop = [
             WorkUnit(f"{how}/{moment}/{again}", {"how": how, "moment": moment, "seed": again})
             for again in range(N_REPEATS)
             for moment in MOMENTS
             for how in FAILURE_MODES
         ]
+        thread = [
+            WorkUnit(f"thread/{one.key}", {**one.parameters, "thread": True})
+            for one in loop
+            if one.parameters["seed"] < N_THREAD_REPEATS
+        ]
+        return [*loop, *thread]
 
     def run(self, parameters: dict[str, Any]) -> Row:
         """Execute one contract during which the commander or the gatekeeper fails."""
         with tempfile.TemporaryDirectory(prefix="dualbrain-") as name:
             folder = Path(name)
-            testbed = CommanderTestbed(folder=folder, process=start_gatekeeper(folder, "one"))
+            testbed = CommanderTestbed(
+                folder=folder, process=start_gatekeeper(folder, "one", thread=parameters.get("thread", False))
+            )
             try:
                 found = _inject_failure(testbed, parameters["how"], parameters["moment"], parameters["seed"])
                 found |= testbed.run_next_contract(dead=parameters["how"] == "gatekeeper")
@@ -130,8 +139,13 @@ class CommanderFailure:
             "unsafe",
             "next contract",
         )
+        loop, thread = ([row for row in valid if row.get("thread", False) is used] for used in (False, True))
         lines = markdown_table(
-            head, (_mode_row(how, valid) for how in FAILURE_MODES if any(row["how"] == how for row in valid))
+            head,
+            [
+                *(_mode_row(how, loop) for how in FAILURE_MODES if any(row["how"] == how for row in loop)),
+                *(_mode_row(how, thread) for how in FAILURE_MODES if any(row["how"] == how for row in thread)),
+            ],
         )
         head = ("longest time by moment", *map(_mode_name, FAILURE_MODES))
         lines += markdown_table(
@@ -210,7 +224,8 @@ def _mode_row(how: str, rows: list[Row]) -> tuple[object, ...]:
     late = sum(row["took"] is None or row["took"] > DECLARED_LIMITS[how] for row in group)
     ends = Counter(row["next"] for row in group)
     following = ", ".join(f"{kind} {count}" for kind, count in ends.most_common())
-    return (_mode_name(how), len(group), *cells, late, sum(bool(row["unsafe"]) for row in group), following)
+    name = f"{_mode_name(how)}, control thread" if rows[0].get("thread") else _mode_name(how)
+    return (name, len(group), *cells, late, sum(bool(row["unsafe"]) for row in group), following)
 
 
 def _worst_time(rows: list[Row], how: str, moment: str) -> str:

@@ -76,7 +76,7 @@ class CommanderTestbed:
         """Run the contract of the next commander (of the next gatekeeper if `dead`); its outcome and start time [s]."""
         if dead:
             self.process.process.wait()
-            self.process = start_gatekeeper(self.folder, "two")
+            self.process = start_gatekeeper(self.folder, "two", thread=bool(self.process.config.control_thread))
         deadline = time.monotonic() + TIMEOUT_S
         while time.monotonic() < deadline:
             try:
@@ -127,7 +127,7 @@ def wait_until(description: str, condition: Callable[[], bool]) -> None:
         time.sleep(0.001)
 
 
-def start_gatekeeper(folder: Path, name: str) -> GatekeeperProcess:
+def start_gatekeeper(folder: Path, name: str, *, thread: bool) -> GatekeeperProcess:
     """Start a gatekeeper on a scene without obstacles; its robot report is written to `name`.json."""
     return GatekeeperProcess(
         GatekeeperConfig(
@@ -136,6 +136,7 @@ def start_gatekeeper(folder: Path, name: str) -> GatekeeperProcess:
             socket=str(folder / "s"),
             keys=str(folder / "keys"),
             report=str(folder / f"{name}.json"),
+            control_thread=thread,
         )
     )
 

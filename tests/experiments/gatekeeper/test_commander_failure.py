@@ -27,10 +27,12 @@ def result(how="kill", moment="carrying", **changes):
 
 def test_units_cover_each_failure_and_moment_in_each_prefix(tmp_path):
     parameters = [unit.parameters for unit in CommanderFailure().units(Options(tmp_path, "some-planner"))]
-    cells = Counter((one["how"], one["moment"]) for one in parameters)
-    assert set(cells.values()) == {4}
-    assert len(cells) == len(FAILURE_MODES) * len(MOMENTS)
-    assert {one["moment"] for one in parameters[: len(cells)]} == set(MOMENTS)
+    loop, thread = ([one for one in parameters if one.get("thread", False) is used] for used in (False, True))
+    for some, repeats in ((loop, 4), (thread, 2)):
+        cells = Counter((one["how"], one["moment"]) for one in some)
+        assert set(cells.values()) == {repeats}
+        assert len(cells) == len(FAILURE_MODES) * len(MOMENTS)
+        assert {one["moment"] for one in some[: len(cells)]} == set(MOMENTS)
     assert set(DECLARED_LIMITS) == set(FAILURE_MODES)
 
 
@@ -42,11 +44,13 @@ def test_late_missing_and_lost_results_are_counted_and_listed():
         result(early=True, took=9.0),
         result("stop", ledger={"stored": 5, "missing": 2, "fault": "x"}, next="not let in"),
         result(unsafe=[{"kind": "c"}]),
+        result("flood", thread=True),
     ]
     text = "\n".join(CommanderFailure().report(rows))
     assert "| kill | 4 | 250 ms | 100 ms | 257 ms | 260 ms | 2 | 1 | succeeded 4 |" in text
     assert "| stop | 1 | 550 ms | 100 ms | 100 ms | 100 ms | 0 | 0 | not let in 1 |" in text
-    assert "**5 of 6 (44%–97%)**; 2 of 55 acknowledged episodes lost" in text
+    assert "| flood, control thread | 1 | 750 ms | 100 ms |" in text
+    assert "**6 of 7 (49%–97%)**; 2 of 65 acknowledged episodes lost" in text
     assert "Not counted: 1 in which the arm was held before the failure" in text
     assert "| closing | never |" in text
     assert text.count("\n- ") == 4
