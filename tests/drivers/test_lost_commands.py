@@ -12,6 +12,7 @@ from dualbrain.robots.interface import Command, home_state
 from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import FilterConfig, SafetyFilter
 from dualbrain.safety.stop_cause import Reason
+from dualbrain.safety.supervisor.actions import SafetyAction
 from dualbrain.safety.supervisor.conditions import Condition
 from dualbrain.safety.supervisor.controller import SafetyController
 from dualbrain.safety.supervisor.timing import FRANKA
@@ -60,6 +61,33 @@ def test_without_the_reported_command_the_arm_aborts_the_motion():
 
 def test_a_robot_that_reports_no_command_executes_every_control():
     assert home_state(FR3).executes(np.full(7, 0.3))
+
+
+def test_a_state_reports_a_lost_command_once():
+    """A later command cannot be in the same state, so that it is not lost."""
+    controller = SafetyController(SafetyFilter(FR3), timing=FRANKA)
+    moving = {"desired_v": np.full(7, 0.01), "desired_a": np.zeros(7)}
+    state = replace(home_state(FR3), **moving)
+    assert controller.continue_desired_motion(state) is not None
+    controller.control(state, np.zeros(7), state.stamp)
+    assert controller.continue_desired_motion(state) is None
+    assert controller.continue_desired_motion(replace(state, stamp=1e-3, sequence=1)) is not None
+
+
+@pytest.mark.parametrize(("silence", "stopped"), [(0.3, False), (0.6, True)])
+def test_a_filter_without_states_is_no_fault_while_the_drive_is_being_switched_on(silence, stopped):
+    controller, state = (
+        SafetyController(SafetyFilter(FR3), timing=FRANKA),
+        replace(home_state(FR3), drive_enabled=False),
+    )
+    controller.accept_state(state, 0.0)
+    controller.expect_drive_on(state, 0.0)
+    for tick in range(round(silence / 1e-3)):
+        now = 1e-3 * tick
+        controller.report(controller.monitor.check_age(now))
+        controller.decide(state, now)
+        controller.control(state, np.zeros(7), now)
+    assert (controller.decision.action >= SafetyAction.CONTROLLED_STOP) == stopped
 
 
 @pytest.mark.parametrize("name", ["desired_v", "desired_a"])

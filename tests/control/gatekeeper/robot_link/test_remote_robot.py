@@ -1,0 +1,42 @@
+"""The gatekeeper's end of the robot link: its clock."""
+
+from dataclasses import replace
+
+import pytest
+
+from dualbrain.control.gatekeeper.robot_link import packets, remote_robot
+from dualbrain.control.gatekeeper.robot_link.remote_robot import RemoteRobot
+from dualbrain.control.gatekeeper.timing.tick_timing import TickTimer
+from dualbrain.robots.interface import home_state
+from dualbrain.robots.loader import load_robot
+from dualbrain.safety.supervisor.timing import SIMULATED
+
+
+@pytest.fixture
+def robot(monkeypatch):
+    """A link without a process, at a time that a test sets."""
+    made = object.__new__(RemoteRobot)
+    made._state, made._state_received_at, made.tick_timer = None, 0.0, TickTimer(SIMULATED)
+    made.now = 50.0
+    monkeypatch.setattr(remote_robot.time, "monotonic", lambda: made.now)
+    return made
+
+
+def receive(robot, stamp):
+    robot._accept_state(packets.StatePacket.from_state(replace(home_state(load_robot("panda")), stamp=stamp)))
+
+
+def test_the_clock_is_the_newest_stamp_and_the_time_since_its_arrival(robot):
+    receive(robot, 7.0)
+    robot.now += 0.25
+    assert robot.clock() == pytest.approx(7.25)
+    receive(robot, 7.2)
+    assert robot.clock() == pytest.approx(7.2)
+
+
+def test_a_robot_that_repeats_its_last_state_does_not_stop_the_clock(robot):
+    receive(robot, 7.0)
+    for _ in range(100):
+        robot.now += 0.002
+        receive(robot, 7.0)
+    assert robot.clock() == pytest.approx(7.2)
