@@ -27,7 +27,7 @@ void dbk_control_loop_init(dbk_control_loop *l, dbk_driver driver) {
   }
   l->held_conditions = l->pressed_conditions = l->refused = l->refused_seen = 0;
   l->stop_requested = l->drive_off = l->finished = 0;
-  l->called = 1;
+  l->called = l->has_called = 0;
   l->ticks = l->control_us = l->called_us = l->stop_us = l->own_conditions = 0;
   set_speed_bits(l, 1.0);
   dbk_ring_init(&l->log, l->record, DBK_LOG_CAPACITY, (uint32_t)sizeof l->record[0]);
@@ -119,8 +119,12 @@ static uint64_t external_conditions(dbk_control_loop *l, const dbk_tick_record *
   const dbk_stamped_scene *scene = &l->scene[l->scenes.reading];
   uint64_t flags = __atomic_exchange_n(&l->pressed_conditions, 0u, __ATOMIC_ACQ_REL);
   flags |= __atomic_load_n(&l->held_conditions, __ATOMIC_ACQUIRE); /* after the buttons: a release precedes its reset */
-  if (__atomic_exchange_n(&l->called, 0u, __ATOMIC_ACQ_REL)) { l->called_us = record->now_us; }
-  if ((double)(record->now_us - l->called_us) / 1e6 > l->tick.limits.caller_lost_after) { flags |= DBK_CONDITION_TICK_LOST; }
+  if (__atomic_exchange_n(&l->called, 0u, __ATOMIC_ACQ_REL)) {
+    l->has_called = 1;
+    l->called_us = record->now_us;
+  }
+  const double since = l->has_called ? (double)(record->now_us - l->called_us) / 1e6 : 0.0;
+  if (since > l->tick.limits.caller_lost_after) { flags |= DBK_CONDITION_TICK_LOST; }
   const uint64_t refused = __atomic_load_n(&l->refused, __ATOMIC_RELAXED);
   if (refused != l->refused_seen) { flags |= DBK_CONDITION_FRAMES_REFUSED; }
   l->refused_seen = refused;

@@ -29,6 +29,7 @@ typedef struct {
   uint64_t refused; /* controls that were refused before they entered */
   /* of the loop */
   uint64_t ticks, control_us, called_us, stop_us, refused_seen;
+  uint32_t has_called;     /* 1: the caller has called once */
   uint64_t own_conditions; /* detected by the loop since the other thread took them */
   uint32_t finished; /* 1: the drive is off after a request to stop */
   dbk_ring log;
@@ -45,7 +46,8 @@ void dbk_control_loop_tick(dbk_control_loop *l, uint64_t now_us, uint32_t wake_l
  * Returns 0 if it is refused, because it is not finite. */
 int dbk_control_loop_submit_control(dbk_control_loop *l, const double *u, int standstill, uint64_t number);
 
-/* Shows that the caller runs. Without a call for `caller_lost_after` the arm is stopped (tick_lost). */
+/* Shows that the caller runs. If a call is not followed by another one within `caller_lost_after`, the arm is stopped
+ * (tick_lost). */
 void dbk_control_loop_call(dbk_control_loop *l);
 
 /* the conditions that the loop detected since the last call, without those from outside */

@@ -192,6 +192,9 @@ def test_a_standstill_of_the_caller_does_not_stop_a_moving_arm_at_once(arm):
 
 def test_a_caller_that_hangs_ends_in_a_stop_with_the_drive_off(arm):
     bench = Bench(arm, caller_lost_after=0.3)
+    for _ in range(round(0.5 / PERIOD)):  # it has not begun yet
+        bench.step(np.full(7, 0.2))
+    assert bench.drive
     bench.run(0.2, np.full(7, 0.2))
     for _ in range(round(0.28 / PERIOD)):
         bench.step(np.full(7, 0.2))

@@ -110,7 +110,9 @@ def gatekeeper(
     if notice := load_keys(secrets, PRINCIPALS).notice:
         print(notice, file=sys.stderr)
     ready = f"The gatekeeper of {robot} listens at {where}. Ctrl-C shuts it down."
-    timing = run_gatekeeper(config, lambda: print(ready, file=sys.stderr))
+    timing = run_gatekeeper(
+        config, lambda: print(ready, file=sys.stderr), on_warning=lambda text: print(text, file=sys.stderr)
+    )
     p50, p99, _, worst = (1e3 * value for value in timing.interval)
     print(
         f"{timing.ticks} ticks: interval {p50:.2f} ms (median), {p99:.2f} ms (99 %), {worst:.1f} ms (longest); "

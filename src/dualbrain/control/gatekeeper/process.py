@@ -46,15 +46,18 @@ STOP_TIMEOUT = 15.0
 
 
 def run_gatekeeper(
-    config: GatekeeperConfig, on_ready: Callable[[], None] = lambda: None, parent: ParentPipe | None = None
+    config: GatekeeperConfig,
+    on_ready: Callable[[], None] = lambda: None,
+    parent: ParentPipe | None = None,
+    on_warning: Callable[[str], None] = lambda text: None,
 ) -> TickTimingSummary:
     """Run a gatekeeper until the operator, SIGTERM or SIGINT shuts it down; returns the timing of its ticks.
 
     With a `parent`, it also ends when its parent does, after the arm has braked; if the robot is simulated and no file
     is written, both end after `STOP_LIMIT` even if something hangs. Without one, a person started it: it ignores
     SIGHUP, so it continues when its terminal closes. `on_ready` is called before the first tick, once robot and
-    server are ready. Raises what `Deployment.from_config` raises, and `ConfigurationError` if the socket or the key
-    file cannot be used.
+    server are ready, and `on_warning` with each permission that a control thread lacks. Raises what
+    `Deployment.from_config` raises, and `ConfigurationError` if the socket or the key file cannot be used.
     """
     if parent is None and signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
@@ -87,6 +90,8 @@ def run_gatekeeper(
         if parent is not None:
             stack.callback(parent.on_end, lambda: None)
             parent.on_end(begin_stop)
+        for text in robot.thread_status().warnings if isinstance(robot, ThreadedRobot) else ():
+            on_warning(text)
         with registration:
             on_ready()
             gatekeeper.run()

@@ -235,9 +235,9 @@ class ThreadedRobot(RemoteRobot):
             return 0
         self._stops_agree |= self._running[1].stopped
         check = int(record["check"])
-        return (
-            0 if self._stops_agree or check >= len(CHECKS) else int(CHECKS[check].condition) & ~int(record["external"])
-        )
+        if self._stops_agree or check >= len(CHECKS):
+            return 0
+        return int(CHECKS[check].condition) & ~int(record["external"])
 
     def _deviates(self, record: NDArray[Any]) -> bool:
         """Whether the thread executes another control than the loop's newest one that it has."""
