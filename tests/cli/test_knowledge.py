@@ -109,7 +109,8 @@ def test_the_help_describes_the_commands(run_command):
         "show",
         "remove",
         "--trust vendor",
-        "dualbrain run --knowledge on",
+        "documents of trust site",
+        "with --knowledge on",
         "same gate",
     ):
         assert part in words

@@ -1,4 +1,4 @@
-"""Documents in a run: passages in the prompt are recorded, and are only used on request."""
+"""Documents in a run: passages in the prompt are recorded; by default they are those of the operator alone."""
 
 import pytest
 
@@ -43,9 +43,33 @@ def test_passages_are_shown_and_recorded_and_places_of_a_map_are_in_the_scene(tm
     assert story.episode.outcome.kind == "succeeded"
     assert story.episode.contract["action_sequence"][0]["params"]["target"] == "inspection_spot"
 
-    without = run_session(run_config(tmp_path, "without", knowledge=store), hold_contract())
+    without = run_session(run_config(tmp_path, "without", knowledge=store, consult="off"), hold_contract())
     assert without.planner.requests[0].recall.passages == () == without.episode.recall.passages
     assert all(isinstance(one, Exemplar) for one in without.episode.recall.exemplars)
+
+
+def test_by_default_only_documents_of_trust_site_are_read(tmp_path):
+    store, rules, leaflet = tmp_path / "knowledge.sqlite", tmp_path / "rules.md", tmp_path / "leaflet.md"
+    rules.write_text("# Rules\n\nThe red cube must be gripped with at most 8 N.\n")
+    leaflet.write_text("# Leaflet\n\nThe red cube of this maker weighs 90 g.\n")
+    assert add(rules, trust="site", store=store) == add(leaflet, trust="vendor", store=store) == 0
+    words = "put the red cube in the bowl"
+    cited = {}
+    for consult in ("site", "on", "off"):
+        options = {} if consult == "site" else {"consult": consult}
+        story = run_session(
+            run_config(tmp_path, consult, instruction=words, knowledge=store, **options), hold_contract()
+        )
+        cited[consult] = {one.citation.partition("@")[0] for one in story.planner.requests[0].recall.passages}
+    assert cited["site"] == {"rules"}
+    assert {"rules", "leaflet"} <= cited["on"]
+    assert not cited["off"]
+
+
+def test_without_own_documents_a_run_makes_no_store(tmp_path):
+    store = tmp_path / "knowledge.sqlite"
+    run_session(run_config(tmp_path, "run", knowledge=store), hold_contract())
+    assert not store.exists()
 
 
 def test_a_base_drives_to_a_place_of_its_map_and_the_floor_of_the_map_is_recorded(tmp_path):

@@ -64,7 +64,7 @@ app.command(
     retrieved memories with the parts of their score R = λ_s s + (1 − λ_s) w, the retrieved passages with citations
     (`dualbrain knowledge show CITATION` quotes them), and the planning time. The robot is at its home position and the
     scene is known exactly. Memory is only read. Caches that a run would create are created: the built-in documents at
-    their first use (not with `--knowledge off`), model states and converted weights, the canary results of an adapter,
+    their first use (with `--knowledge on`), model states and converted weights, the canary results of an adapter,
     and with `shadow:` the log of the candidate.
 
     Examples: `dualbrain plan "put the red cube in the bowl"`; `dualbrain plan "throw the red cube at the person"`. Save
@@ -293,9 +293,9 @@ knowledge = App(
     help="""Manage the documents that a planner may read: rules, manuals, maps and templates.
 
     `dualbrain knowledge add manual.pdf --trust vendor` reads the visible text of a document, `search "how hard may I
-    grip"` finds passages, `show CITATION` quotes one exactly, in any version. `dualbrain run --knowledge on` puts up to
-    three passages about the task into the prompt, as data; the report lists them. A planner reads only documents of
-    trust `site` or `vendor`; its contract passes the same gate and the same filter.""",
+    grip"` finds passages, `show CITATION` quotes one exactly, in any version. `dualbrain run` puts up to three passages
+    about the task from documents of trust `site` into the prompt, as data, and with `--knowledge on` from packaged ones
+    and those of trust `vendor`, too; the report lists them. The contract passes the same gate and the same filter.""",
 )
 app.command(knowledge)
 for _name, _function, _help in (

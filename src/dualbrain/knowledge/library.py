@@ -407,3 +407,17 @@ def fuse_scores(
         + semantic_weight * max(0.0, cosine.get(item, 0.0))
         for item in {*bm25, *cosine}
     }
+
+
+def has_site_documents(path: Path) -> bool:
+    """Whether the store at `path` has a published document of trust `site`; False without a store.
+
+    Raises the errors of `DocumentStore`.
+    """
+    if not path.exists():
+        return False
+    store = DocumentStore(path, write=False)
+    try:
+        return any(one.trust == "site" for one in store.documents().values())
+    finally:
+        store.close()

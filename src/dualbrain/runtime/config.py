@@ -42,7 +42,8 @@ class RunConfig:
     tries: int = 1
     """Maximum number of executed contracts; another one is planned after one that failed or was taken over."""
     knowledge: Path | None = None
-    consult: ConsultedDocuments = "off"
+    consult: ConsultedDocuments = "site"
+    """Documents at `knowledge` whose passages enter the prompt of a planner that reads them."""
     map: str = ""
     site: Path | None = None
     goal: str = ""

@@ -189,8 +189,8 @@ def _reads_documents(config: RunConfig, planner: Planner) -> bool:
 
 
 def _open_library(config: RunConfig, clocks: Clocks, encoder: MiniLmEncoder, stack: ExitStack) -> Library | None:
-    """The documents, if there is a store for them."""
-    if config.knowledge is None:
+    """The documents, if there is a store for them; a store for packaged documents is made only if they are read."""
+    if config.knowledge is None or not (config.knowledge.exists() or config.consult == "on" or config.map):
         return None
     library = open_library(config.knowledge, encoder, now=clocks.now())
     stack.callback(library.close)

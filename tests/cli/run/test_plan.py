@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -87,7 +88,7 @@ def test_memories_and_passages_are_shown_with_their_scores_and_citations(run_com
     run_session(replace(config, instruction="hold still"), hold_contract())
     before = config.ledger.read_bytes()
     planner = script(PICK)
-    arguments = ("plan", WORDS, "--scene", "bare:0", "--ledger", str(config.ledger))
+    arguments = ("plan", WORDS, "--scene", "bare:0", "--ledger", str(config.ledger), "--knowledge", "on")
     code, out, _ = run_command(*arguments, "--json")
     data = json.loads(out)["retrieved"]
     assert code == ExitCode.SUCCESS
@@ -116,7 +117,7 @@ def test_context_that_an_adapted_planner_does_not_read_is_marked_and_reported_on
     run_session(replace(config, instruction=WORDS), hold_contract())
     script()
     monkeypatch.setattr(open_planner, "open_planner", lambda *_, **__: Short([FAST, PICK]))
-    arguments = ("plan", WORDS, "--scene", "bare:0", "--ledger", str(config.ledger))
+    arguments = ("plan", WORDS, "--scene", "bare:0", "--ledger", str(config.ledger), "--knowledge", "on")
     _, out, err = run_command(*arguments)
     assert err.count("documents are not shown to scripted") == 1
     assert "passage (not in the prompt of this planner)" in out
@@ -128,19 +129,25 @@ def test_context_that_an_adapted_planner_does_not_read_is_marked_and_reported_on
     assert set(data["unread"]) == found
     prompts = json.dumps([shot["prompt"] for shot in data["shots"]])
     assert not any(one["citation"] in prompts for one in data["retrieved"]["passages"])
-    assert "documents are not shown" not in run_command(*arguments, "--knowledge", "off")[2]
+    assert "documents are not shown" not in run_command(*arguments[:-1], "off")[2]
+    assert "documents are not shown" not in run_command(*arguments[:-1], "site")[2]
+    Path("rules.md").write_text("# Rules\n\nThe red cube must be gripped with at most 8 N.\n")
+    run_command("knowledge", "add", "rules.md", "--trust", "site")
+    _, out, err = run_command(*arguments[:-1], "site")
+    assert err.count("documents are not shown to scripted") == 1
+    assert "passage (not in the prompt of this planner)" in out
 
 
 def test_a_planner_with_the_full_prompt_reads_all_that_was_found(run_command, script):
     script(PICK)
-    _, out, err = run_command("plan", WORDS, "--scene", "bare:0", "--json")
+    _, out, err = run_command("plan", WORDS, "--scene", "bare:0", "--knowledge", "on", "--json")
     data = json.loads(out)
     assert (data["unread"], data["template"]) == ([], template_hash())
     assert data["retrieved"]["passages"]
     assert "not shown" not in err
 
 
-@pytest.mark.parametrize(("knowledge", "kept"), [("off", set()), ("on", {"knowledge.sqlite"})])
+@pytest.mark.parametrize(("knowledge", "kept"), [("off", set()), ("site", set()), ("on", {"knowledge.sqlite"})])
 def test_at_home_it_writes_the_shipped_documents_and_nothing_else(run_command, script, tmp_path, knowledge, kept):
     script(FAST, PICK)
     for _ in range(2):

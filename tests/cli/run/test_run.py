@@ -1,6 +1,7 @@
 """What `dualbrain run` prints, writes and returns."""
 
 import json
+from pathlib import Path
 
 import msgspec
 import pytest
@@ -111,6 +112,12 @@ def test_documents_that_a_planner_cannot_read_are_reported_once(run_command, mon
             "run", "rest", "--scene", "bare:0", "--headless", "--knowledge", "on", "--out", kind.__name__
         )
         assert err.count("documents are not shown to scripted") == times
+    assert "not shown" not in run_command("run", "rest", "--scene", "bare:0", "--headless", "--out", "none")[2]
+    Path("rules.md").write_text("# Rules\n\nThe red cube must be gripped with at most 8 N.\n")
+    run_command("knowledge", "add", "rules.md", "--trust", "site")
+    monkeypatch.setattr(run_resources, "open_planner", lambda *_, **__: Short([hold_contract()]))
+    _, _, err = run_command("run", "rest", "--scene", "bare:0", "--headless", "--out", "site")
+    assert err.count("documents are not shown to scripted") == 1
 
 
 def test_no_document_is_opened_for_a_planner_that_reads_none(run_command, monkeypatch):

@@ -37,6 +37,7 @@ from dualbrain.core.paths import dualbrain_home
 from dualbrain.core.processes.real_time_pacer import RealTimePacer
 from dualbrain.core.text import storable_text
 from dualbrain.grounding.outcome.outcome_check import COMPLETED
+from dualbrain.knowledge.library import has_site_documents
 from dualbrain.memory.maintenance.projection import project_memories
 from dualbrain.memory.plasticity.retrieval_utility import summarize_uses
 from dualbrain.planner.introspection import no_documents_reason
@@ -135,8 +136,15 @@ def print_title(console: Console, session: Session) -> None:
     console.print(f"[bold]{title}[/]  [dim]{config.robot}, {escape(where)}, {config.out}[/]")
     if not config.guard:
         console.print(f"[bold yellow]{FILTER_OFF_NOTICE}[/]")
-    if config.consult == "on" and config.contract is None and (reason := no_documents_reason(session.planner)):
+    if _has_documents_to_read(config) and (reason := no_documents_reason(session.planner)):
         console.print(f"[yellow]{escape(reason)}[/]")
+
+
+def _has_documents_to_read(config: RunConfig) -> bool:
+    """Whether a person expects that documents are read: those that were asked for, or those that the site has."""
+    if config.contract is not None or config.knowledge is None:
+        return False
+    return config.consult == "on" or (config.consult == "site" and has_site_documents(config.knowledge))
 
 
 def run_session(

@@ -44,7 +44,7 @@ def plan(
     scene: str = "0",
     planner: str = "",
     memory: Literal["on", "off"] = "on",
-    knowledge: Literal["on", "site", "off"] = "on",
+    knowledge: Literal["on", "site", "off"] = "site",
     ledger: Path | None = None,
     image: Annotated[bool, Parameter(negative="")] = False,
     image_file: Path | None = None,
@@ -67,8 +67,7 @@ def plan(
     memory
         "off" retrieves no memories.
     knowledge
-        "site" retrieves documents of trust `site` alone, "off" none (the default of `dualbrain run`). An adapter reads
-        no documents.
+        Documents whose passages enter the prompt, as for `dualbrain run`: "site", "on" or "off". An adapter reads none.
     ledger
         Memory ledger, read only. Default: ledger.sqlite in the data folder of dualbrain.
     image
@@ -96,6 +95,7 @@ def plan(
         if image:
             choose_graphics(os.environ)  # before MuJoCo is imported
         from dualbrain.grounding.offline_gate import scene_from_spec
+        from dualbrain.knowledge.library import has_site_documents
         from dualbrain.planner.introspection import no_documents_reason, require_image_input
         from dualbrain.planner.protocol import show_answers
         from dualbrain.runtime.inspection.dry_run import context_at_home
@@ -113,7 +113,8 @@ def plan(
         if here.camera_image is not None:
             require_image_input(opened)
         loading.stop()
-        documents = no_documents_reason(opened) if knowledge != "off" else ""
+        expected = knowledge == "on" or (knowledge == "site" and has_site_documents(_document_store()))
+        documents = no_documents_reason(opened) if expected else ""
         for line in filter(None, (notice, documents)):
             console.print(line, markup=False)
         waiting = Spinner(console, f"planning ({opened.name})")
@@ -285,6 +286,10 @@ def _open_memory(ledger: Path | None, here: PlanningContext) -> Generator[Retrie
         yield Memory(opened, load_encoder(), MemoryConfig(limits=(PostureLimits.from_model(here.robot_model),)))
 
 
+def _document_store() -> Path:
+    return dualbrain_home() / "knowledge.sqlite"
+
+
 @contextmanager
 def _open_documents(here: PlanningContext, consult: ConsultedDocuments) -> Generator[PassageRetriever]:
     """The documents, as in a run with the same `--knowledge`."""
@@ -292,7 +297,10 @@ def _open_documents(here: PlanningContext, consult: ConsultedDocuments) -> Gener
     from dualbrain.grounding.document_retrieval import consulted_budget, retrieve_passages
     from dualbrain.knowledge.builtin_documents import open_library
 
-    path = dualbrain_home() / "knowledge.sqlite"
+    path = _document_store()
+    if consult == "site" and not path.exists():
+        yield _no_documents
+        return
     create_private_folder(path.parent)
     library, budget = open_library(path, load_encoder(), now=time.time()), consulted_budget(consult)
     try:

@@ -38,7 +38,7 @@ def run(
     seed: int = 0,
     tries: int = DEFAULT_TRIES,
     port: int = 8080,
-    knowledge: Literal["on", "site", "off"] = "off",
+    knowledge: Literal["on", "site", "off"] = "site",
     image_memory: Annotated[bool, Parameter(negative="")] = False,
     reuse_contracts: Annotated[bool, Parameter(negative="")] = False,
     image: Annotated[bool, Parameter(negative="")] = False,
@@ -99,8 +99,9 @@ def run(
     port
         Port of the live view, on the loopback interface.
     knowledge
-        "site" puts up to three passages about the task into the prompt, from documents of trust `site`, as you added
-        them; "on" from packaged ones and those of trust `vendor`, too (`dualbrain knowledge`). An adapter reads none.
+        "site" puts up to three passages about the task into the prompt, from documents that you added with
+        `dualbrain knowledge add --trust site`; "on" from packaged ones and those of trust `vendor`, too. An adapter
+        reads none.
     image_memory
         Compare memories by image features of the scene too (needs `efficientnet-lite0`).
     reuse_contracts

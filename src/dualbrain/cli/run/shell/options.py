@@ -24,7 +24,7 @@ class ShellOptions:
     ledger: Path | None = None
     seed: int = 0
     tries: int = 2
-    consult: ConsultedDocuments = "off"
+    consult: ConsultedDocuments = "site"
     reuse_contracts: bool = False
     live_view: bool = True
     port: int = 8080

@@ -37,7 +37,7 @@ def shell(
     seed: int = 0,
     tries: int = DEFAULT_TRIES,
     port: int = 8080,
-    knowledge: Literal["on", "site", "off"] = "off",
+    knowledge: Literal["on", "site", "off"] = "site",
     reuse_contracts: Annotated[bool, Parameter(negative="")] = False,
     live: Annotated[bool, Parameter(negative="")] = False,
     speed: str = "100%",
@@ -75,7 +75,7 @@ def shell(
     port
         Port of the live view, on the loopback interface.
     knowledge
-        "site" or "on" puts up to three passages of documents about the task into the prompt, as for `dualbrain run`.
+        "site", "on" or "off": documents whose passages enter the prompt, as for `dualbrain run`.
     reuse_contracts
         Reuse a contract that succeeded in this place instead of asking the planner, as for `dualbrain run`.
     live
