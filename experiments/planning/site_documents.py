@@ -39,7 +39,7 @@ N_RULES, N_OTHERS = 24, 12
 RULE_SEED, OTHER_SEED = 36, 37
 MAX_MORE_DECLINES, LEAST_DIFFERENCE = 1, -0.05
 GENERAL_RULES = (
-    "## Working hours\n\nThe table is in use from 8 to 17 o'clock. The operator is at the desk behind the door.\n",
+    "## Working hours\n\nThe table is in use from 8 to 17 o'clock. The operator is at the desk in the hall.\n",
     "## Order\n\nNothing is left on the floor. Cups, blocks and tools go back to their places in the evening.\n",
     "## Visitors\n\nVisitors stay behind the yellow line. The operator stops the robot before a visitor crosses it.\n",
 )

@@ -215,7 +215,7 @@ class ThreadEnd:
         self.end.send(head + np.full(joints, speed).tobytes())
 
     def answer(self):
-        """What the driver is told by the commands that have arrived."""
+        """The calls of the driver because of the commands that have arrived."""
         self.driver.calls.clear()
         self.process._await_command(time.monotonic() + 0.01)
         return self.driver.calls
