@@ -14,6 +14,7 @@ from dualbrain.safety.control_thread import ControlThread, ControlThreadConfig
 from dualbrain.safety.supervisor.actions import SafetyAction
 from dualbrain.safety.supervisor.conditions import Condition
 from dualbrain.safety.supervisor.controller import SafetyController
+from dualbrain.safety.supervisor.timing import FRANKA, SIMULATED
 
 PERIOD = 0.001003
 """No multiple of it is a threshold of a check, where integer and float times round differently [s]."""
@@ -33,11 +34,11 @@ def obstacle(x, **changes):
 class Bench:
     """A control loop on a virtual clock with an arm in Python, whose measurements a test can spoil."""
 
-    def __init__(self, robot_model, **config):
+    def __init__(self, robot_model, timing=SIMULATED, **config):
         self.model = robot_model
         self.safety = SafetyFilter(robot_model)
         self.scenes = {}
-        self.loop = ControlThread(self.safety, ControlThreadConfig(**config))
+        self.loop = ControlThread(self.safety, ControlThreadConfig(**config), timing=timing)
         self.now, self.sequence, self.standstill = 1.0, 0, False
         self.q, self.v, self.u, self.drive = HOME.copy(), np.zeros(7), np.zeros(7), True
         self.show([])
@@ -243,6 +244,17 @@ def test_a_drive_that_does_not_come_back_is_a_fault(arm):
     bench.loop.set_drive(on=True)
     records = bench.run(0.5, np.zeros(7), drive_enabled=False)
     assert first(records, SafetyAction.ESTOP) == pytest.approx(0.3, abs=0.005)
+
+
+@pytest.mark.parametrize(("silence", "stopped"), [(0.3, False), (0.6, True)])
+def test_a_robot_may_be_silent_while_its_drive_is_being_switched_on(arm, silence, stopped):
+    bench = Bench(arm, FRANKA)
+    bench.run(0.1, np.zeros(7))
+    bench.loop.set_drive(on=False)
+    bench.run(0.1, np.zeros(7), drive_enabled=False)
+    bench.loop.set_drive(on=True)
+    records = bench.run(silence, np.zeros(7), silent=True)
+    assert (records["action"].max() >= SafetyAction.CONTROLLED_STOP) == stopped
 
 
 def first(records, action):

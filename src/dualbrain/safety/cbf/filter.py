@@ -179,7 +179,8 @@ class SafetyFilter:
     ) -> None:
         """Pass the conditions of a tick to a supervisor on a target; a filter on the host has none.
 
-        `standstill`: u = 0 is written, and not the control of the filter. `stopped`: the decision is CONTROLLED_STOP or above.
+        `standstill`: u = 0 is written, and not the control of the filter. `stopped`: the decision is CONTROLLED_STOP or
+        above.
         """
 
     def target_conditions(self) -> int:
