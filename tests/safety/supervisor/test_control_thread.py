@@ -182,10 +182,10 @@ def test_a_standstill_of_the_caller_is_kept_although_an_obstacle_approaches(arm)
 
 def test_a_standstill_of_the_caller_does_not_stop_a_moving_arm_at_once(arm):
     bench = Bench(arm)
-    bench.run(0.3, np.full(7, 0.3))
+    moving = bench.run(0.3, np.full(7, 0.3))
     bench.standstill = True
     records = bench.run(0.3, np.full(7, 0.3))
-    step = np.abs(np.diff(records["u"][:, :7], axis=0)).max(axis=0)
+    step = np.abs(np.diff([moving["u"][-1, :7], *records["u"][:, :7]], axis=0)).max(axis=0)
     assert (step <= [joint.acceleration.value * arm.period * 1.01 for joint in arm.joints]).all()
     assert not records["u"][-1].any()
     assert records["action"].max() < SafetyAction.SLOW
