@@ -78,7 +78,9 @@ int dbk_control_loop_set_speed(dbk_control_loop *l, double scale) {
   return 1;
 }
 
-void dbk_control_loop_set_drive(dbk_control_loop *l, int on) { __atomic_store_n(&l->drive_off, (uint32_t)!on, __ATOMIC_RELEASE); }
+void dbk_control_loop_set_drive(dbk_control_loop *l, int on) {
+  __atomic_store_n(&l->drive_off, (uint32_t)!on, __ATOMIC_RELEASE);
+}
 
 void dbk_control_loop_request_stop(dbk_control_loop *l) { __atomic_store_n(&l->stop_requested, 1u, __ATOMIC_RELEASE); }
 

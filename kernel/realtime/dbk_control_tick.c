@@ -132,9 +132,7 @@ static void restart_filter(dbk_control_tick *t, const double *u) {
 /* 1 if the command that the robot reports is not the last control */
 static int lost_last_control(const dbk_control_tick *t) {
   double gap = 0.0;
-  for (int32_t k = 0; k < t->model.n; ++k) {
-    gap = fmax(gap, fabs(t->state.desired_v[k] - t->u[k]));
-  }
+  for (int32_t k = 0; k < t->model.n; ++k) { gap = fmax(gap, fabs(t->state.desired_v[k] - t->u[k])); }
   return gap > COMMAND_TOLERANCE;
 }
 
