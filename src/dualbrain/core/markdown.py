@@ -21,5 +21,11 @@ def markdown_table(head: Sequence[object], rows: Iterable[Sequence[object]], *, 
 
 
 def escape_markdown(text: str) -> str:
-    """Untrusted text with every Markdown character escaped and every hidden character visible, on one line."""
-    return MARKDOWN_SPECIAL_CHARACTERS.sub(r"\\\1", visible_text(" ".join(text.split())))
+    """Untrusted text with every Markdown character escaped and every hidden character visible, on one line.
+
+    Text that consists of spaces is shown as "(blank)", because a list item or paragraph without text has another form.
+    """
+    line = " ".join(text.split())
+    if text and not line:
+        return "(blank)"
+    return MARKDOWN_SPECIAL_CHARACTERS.sub(r"\\\1", visible_text(line))

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 from huggingface_hub import ModelCard
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 
@@ -95,6 +95,8 @@ def structure(text):
 
 @settings(max_examples=40)
 @given(TEXTS.filter(bool), TEXTS.filter(bool))
+@example("0", " ")
+@example("\n", "\t")
 def test_no_text_of_a_card_or_log_changes_the_form(first, second):
     def card(one, other):
         changed: AdapterCard = msgspec.structs.replace(

@@ -34,7 +34,7 @@ def test_the_option_reaches_the_gatekeeper(tmp_path, monkeypatch):
     monkeypatch.setenv("DUALBRAIN_HOME", str(tmp_path / "home"))
     seen = []
 
-    def stop(config, on_ready):
+    def stop(config, on_ready, on_warning):
         seen.append(config)
         raise KeyboardInterrupt
 
