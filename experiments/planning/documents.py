@@ -97,13 +97,7 @@ class Documents:
     def units(self, options: Options) -> list[WorkUnit]:
         """Each question with and without passages, question by question, so that any prefix compares equal cases."""
         del options
-        parts = {"rule": N_RULES, "other": N_OTHERS}
-        asked = [(part, number) for number in range(max(parts.values())) for part in parts if number < parts[part]]
-        passages = [
-            WorkUnit(f"{part} {number}, {reading}", {"part": part, "number": number, "reading": reading})
-            for part, number in asked
-            for reading in ("without", "with")
-        ]
+        passages = paired_units({"rule": N_RULES, "other": N_OTHERS})
         limits = [
             WorkUnit(
                 f"rule {number}, {reading}, {planner}",
@@ -161,6 +155,16 @@ class Documents:
 
 
 Score = Callable[[Row], bool]
+
+
+def paired_units(parts: Mapping[str, int]) -> list[WorkUnit]:
+    """Each question of each part, of which there are so many, without and with passages, question by question."""
+    asked = [(part, number) for number in range(max(parts.values())) for part in parts if number < parts[part]]
+    return [
+        WorkUnit(f"{part} {number}, {reading}", {"part": part, "number": number, "reading": reading})
+        for part, number in asked
+        for reading in ("without", "with")
+    ]
 
 
 def part_table(rows: Sequence[Row], title: str, score: Score) -> list[str]:

@@ -28,6 +28,7 @@ from experiments.planning.documents import (
     is_declined,
     kind_table,
     paired_difference,
+    paired_units,
     part_table,
     reference,
     rule_of,
@@ -60,13 +61,7 @@ class SiteDocuments:
     def units(self, options: Options) -> list[WorkUnit]:
         """Each question with and without passages, question by question, so that any prefix compares equal cases."""
         del options
-        parts = {"rule": N_RULES, "other": N_OTHERS}
-        asked = [(part, number) for number in range(max(parts.values())) for part in parts if number < parts[part]]
-        return [
-            WorkUnit(f"{part} {number}, {reading}", {"part": part, "number": number, "reading": reading})
-            for part, number in asked
-            for reading in ("without", "with")
-        ]
+        return paired_units({"rule": N_RULES, "other": N_OTHERS})
 
     def run(self, parameters: dict[str, Any]) -> Row:
         """Ask the planner once; score the contract, and the rule of the document."""

@@ -260,6 +260,5 @@ void bind_control_loop(nb::module_ &m) {
       .def("take_conditions", [](ControlLoop &c) { return dbk_control_loop_take_conditions(c.loop()); })
       .def("set_drive", [](ControlLoop &c, bool on) { dbk_control_loop_set_drive(c.loop(), on); })
       .def("set_speed", [](ControlLoop &c, double scale) { return dbk_control_loop_set_speed(c.loop(), scale) != 0; })
-      .def_static("record_layout", [] { return nb::make_tuple(record_fields(), sizeof(dbk_tick_record)); })
-      .def_static("monotonic_us", [] { return dbk_monotonic_us(); });
+      .def_static("record_layout", [] { return nb::make_tuple(record_fields(), sizeof(dbk_tick_record)); });
 }

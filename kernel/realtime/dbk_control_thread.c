@@ -2,11 +2,12 @@
 #define _GNU_SOURCE
 #include "dbk_control_thread.h"
 
+#include "dbk_clock.h"
+
 #include <errno.h>
 #include <sched.h>
 #include <string.h>
 #include <sys/mman.h>
-#include <time.h>
 
 #ifndef MCL_ONFAULT
 #define MCL_ONFAULT 4
@@ -14,17 +15,6 @@
 
 #define LATE_STATE_PERIODS 5u
 #define STACK_SIZE ((size_t)512 * 1024)
-
-uint64_t dbk_monotonic_us(void) {
-  struct timespec now;
-  clock_gettime(CLOCK_MONOTONIC, &now);
-  return (uint64_t)now.tv_sec * 1000000u + (uint64_t)now.tv_nsec / 1000u;
-}
-
-static void sleep_until(uint64_t us) {
-  const struct timespec at = {(time_t)(us / 1000000u), (long)(us % 1000000u) * 1000L};
-  while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &at, NULL) == EINTR) {}
-}
 
 static uint64_t lateness(uint64_t due, uint64_t started) { return started > due ? started - due : 0u; }
 
@@ -49,7 +39,7 @@ static void *run(void *argument) {
     if (driver->wait) {
       driver->wait(driver->self, due);
     } else {
-      sleep_until(due);
+      dbk_sleep_until(due);
     }
     const uint64_t started = dbk_monotonic_us(), now = driver->clock ? driver->clock(driver->self, started) : started;
     dbk_control_loop_tick(t->loop, now, (uint32_t)lateness(due, started), work);

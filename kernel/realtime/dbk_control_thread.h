@@ -32,6 +32,4 @@ int dbk_control_thread_start(dbk_control_thread *t, dbk_control_loop *loop, uint
 /* requests a stop of the arm and waits until the drive is off and the thread has ended */
 void dbk_control_thread_stop(dbk_control_thread *t);
 
-uint64_t dbk_monotonic_us(void);
-
 #endif

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.config import operating_config
+from dualbrain.safety.cbf.filter import SupervisedTick
 from dualbrain.safety.cbf.obstacles import Obstacle
 from dualbrain.safety.target.frames import decode_frame
 from dualbrain.safety.target.link import MailboxLink
@@ -113,7 +114,7 @@ def _move_for_ever(
         if count % 150 == 0:
             u_nom = rng.choice([-1.0, 1.0], robot_model.n) * v_max
         now = time.monotonic() - started
-        safety.supervise(now, now, 0, yielding=False)
+        safety.supervise(SupervisedTick(now=now, stamp=now, conditions=0))
         safety(q, u, u_nom, now, 0.02)
         reply = safety.target.reply
         if reply is None:

@@ -6,7 +6,8 @@
 #include <poll.h>
 #include <string.h>
 #include <sys/socket.h>
-#include <time.h>
+
+#include "dbk_clock.h"
 
 #define MOST_AT_ONCE 1024 /* states that one tick receives; more remain for the next one */
 
@@ -90,22 +91,15 @@ static void write_command(void *self, uint64_t now_us, const dbk_joint_command *
   }
 }
 
-static void sleep_until(uint64_t us) {
-  const struct timespec at = {(time_t)(us / 1000000u), (long)(us % 1000000u) * 1000L};
-  while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &at, NULL) == EINTR) {}
-}
-
 /* of a closed socket no state arrives: the loop continues at its period, so that it stops the arm by its own rules */
 static void wait_for_state(void *self, uint64_t until_us) {
   dbk_packet_driver *d = (dbk_packet_driver *)self;
-  struct timespec now;
-  clock_gettime(CLOCK_MONOTONIC, &now);
-  const uint64_t now_us = (uint64_t)now.tv_sec * 1000000u + (uint64_t)now.tv_nsec / 1000u;
+  const uint64_t now_us = dbk_monotonic_us();
   if (until_us <= now_us) { return; }
   const uint64_t left = until_us - now_us;
   const struct timespec limit = {(time_t)(left / 1000000u), (long)(left % 1000000u) * 1000L};
   struct pollfd state = {d->fd, POLLIN, 0};
-  if (d->closed || (ppoll(&state, 1, &limit, NULL) > 0 && !(state.revents & POLLIN))) { sleep_until(until_us); }
+  if (d->closed || (ppoll(&state, 1, &limit, NULL) > 0 && !(state.revents & POLLIN))) { dbk_sleep_until(until_us); }
 }
 
 /* the stamp of the newest state and the time since its arrival */

@@ -13,6 +13,7 @@
 #include <time.h>
 
 #include "busy_processes.h"
+#include "dbk_clock.h"
 #include "dbk_control_thread.h"
 #include "drivers/dbk_simulated_arm.h"
 #include "first_process.h"

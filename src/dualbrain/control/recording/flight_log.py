@@ -122,10 +122,10 @@ class FlightLog:
         if self.recorder and not self._paused:
             self.recorder.scene(scene)
 
-    def thread_ticks(self, t: float, columns: dict[str, list[Any]]) -> None:
-        """Log ticks of a control thread by column."""
+    def thread_ticks(self, t: float, records: NDArray[Any]) -> None:
+        """Log ticks of a control thread."""
         if self.recorder and not self._paused:
-            self.recorder.thread_ticks(t, columns)
+            self.recorder.thread_ticks(t, records)
 
     def attempt(self, t: float, attempt: Attempt) -> None:
         """Log a proposal of the planner with the gate's verdict."""

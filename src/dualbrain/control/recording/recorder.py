@@ -12,7 +12,7 @@ from pathlib import Path
 from queue import Full, Queue
 from threading import Thread
 from types import TracebackType
-from typing import Any, BinaryIO, Literal, Self, cast
+from typing import Any, BinaryIO, Literal, NamedTuple, Self, cast
 
 import msgspec
 import numpy as np
@@ -48,8 +48,27 @@ FLUSH_PERIOD = 0.5
 SLOW_DISK = "the disk was slower than the control loop"
 """Reason of lost messages."""
 
-Item = Message | list[Array]
-"""An item of the queue: a message or a batch of rows; the number of items lost just before it goes with it."""
+THREAD_COLUMNS = {
+    "tick": "tick",
+    "now_us": "now_us",
+    "state": "state_sequence",
+    "control": "control_number",
+    "action": "action",
+    "check": "check",
+    "drive": "drive_enable",
+}
+"""Columns of `ThreadTicks`, and the fields of `dbk_tick_record` that they hold."""
+
+
+class ThreadRecords(NamedTuple):
+    """Records of a control thread at `t` [s]; the thread of the writer makes a message of them."""
+
+    t: float
+    records: NDArray[Any]
+
+
+Item = Message | list[Array] | ThreadRecords
+"""An item of the queue: a message, or a batch of rows or records; the number of items lost before it goes with it."""
 
 
 class Recorder:
@@ -115,9 +134,10 @@ class Recorder:
         """Record a proposal of the planner with the gate's verdict."""
         self._put(AttemptMade(t, attempt))
 
-    def thread_ticks(self, t: float, columns: dict[str, list[Any]]) -> None:
-        """Record ticks of a control thread by column."""
-        self._put(ThreadTicks(t, columns))
+    def thread_ticks(self, t: float, records: NDArray[Any]) -> None:
+        """Record ticks of a control thread (`dbk_tick_record`)."""
+        self._put_pending()
+        self._enqueue(ThreadRecords(t, records))
 
     def episode(self, t: float, data: Mapping[str, Any]) -> None:
         """Record the data that is known when the episode starts."""
@@ -168,11 +188,17 @@ class Recorder:
                 self._file.fail(error)
 
     def _write(self, lost: int, item: Item) -> None:
-        message = self._ticks(item) if isinstance(item, list) else item
+        message = self._message(item)
         if lost:
             gap = f"{lost} messages were lost here: {SLOW_DISK}"
             self._file.write(Event(message.t, "recorder", gap, {"lost": lost}))
         self._file.write(message)
+
+    def _message(self, item: Item) -> Message:
+        if isinstance(item, ThreadRecords):
+            columns = {name: item.records[field].tolist() for name, field in THREAD_COLUMNS.items()}
+            return ThreadTicks(item.t, {**columns, "u": item.records["u"][:, : self._trace.n].tolist()})
+        return self._ticks(item) if isinstance(item, list) else item
 
     def _ticks(self, batch: list[Array]) -> Ticks:
         rows = np.stack(batch)

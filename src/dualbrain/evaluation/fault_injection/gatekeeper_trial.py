@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import msgspec
+from numpy.typing import NDArray
 
 from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.gate.authorization import PLANNER
@@ -98,7 +99,7 @@ class LockstepRobot:
         """No texts in lockstep."""
         return []
 
-    def thread_ticks(self) -> dict[str, list[Any]] | None:
+    def thread_ticks(self) -> NDArray[Any] | None:
         """None: no thread moves the joints."""
         return None
 

@@ -84,6 +84,21 @@ class FilterTables:
     grasp_changes: int
 
 
+class SupervisedTick(msgspec.Struct, frozen=True, kw_only=True):
+    """The supervisor's view of one tick at `now` [s], with a joint state of `stamp` [s] and `conditions` (`Condition`).
+
+    `yielding`: the arm yields to a contact force. `standstill`: u = 0 is written, and not the control of the filter.
+    `stopped`: the decision is CONTROLLED_STOP or above.
+    """
+
+    now: float
+    stamp: float
+    conditions: int
+    yielding: bool = False
+    standstill: bool = False
+    stopped: bool = False
+
+
 class SafetyFilter:
     """Closest safe control to the nominal one: min ½‖u − u_nom‖²_R s.t. A u ≥ b, u in the box (paper 4.3).
 
@@ -167,21 +182,8 @@ class SafetyFilter:
 
     # --- a supervisor on a target -----------------------------------------------------------------------------
 
-    def supervise(
-        self,
-        now: float,
-        stamp: float,
-        conditions: int,
-        *,
-        yielding: bool,
-        standstill: bool = False,
-        stopped: bool = False,
-    ) -> None:
-        """Pass the conditions of a tick to a supervisor on a target; a filter on the host has none.
-
-        `standstill`: u = 0 is written, and not the control of the filter. `stopped`: the decision is CONTROLLED_STOP or
-        above.
-        """
+    def supervise(self, tick: SupervisedTick) -> None:
+        """Pass a tick to a supervisor on a target; a filter on the host has none."""
 
     def target_conditions(self) -> int:
         """`Condition` bits that a target adds; none for a filter on the host."""

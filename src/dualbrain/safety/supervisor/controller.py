@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.robots.interface import RobotState
-from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.safety.cbf.filter import SafetyFilter, SupervisedTick
 from dualbrain.safety.cbf.result import FilterResult
 from dualbrain.safety.contact_force.limits import ContactForceLimits
 from dualbrain.safety.contact_force.monitor import ContactForceMonitor
@@ -221,12 +221,14 @@ class SafetyController:
         scale = UNSCALED if self.retreating else self.enforcement.scale(self.decision, self.speed_scale)
         scaled = u_nom if scale == 1.0 else scale * u_nom + 0.0  # 0 and not -0, as a target zeroes it
         self.safety.supervise(
-            now,
-            state.stamp,
-            self._conditions,
-            yielding=self.retreating,
-            standstill=self.enforcement.at_standstill,
-            stopped=self.decision.action >= SafetyAction.CONTROLLED_STOP,
+            SupervisedTick(
+                now=now,
+                stamp=state.stamp,
+                conditions=self._conditions,
+                yielding=self.retreating,
+                standstill=self.enforcement.at_standstill,
+                stopped=self.decision.action >= SafetyAction.CONTROLLED_STOP,
+            )
         )
         result = self.safety.filter(state, scaled, now)
         self._pending |= result_conditions(result)

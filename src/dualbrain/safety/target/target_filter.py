@@ -12,7 +12,7 @@ from typing import cast
 from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.compiled._kernel import Kernel
 from dualbrain.safety.cbf.config import FilterConfig
-from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.safety.cbf.filter import SafetyFilter, SupervisedTick
 from dualbrain.safety.cbf.obstacles import Obstacle
 from dualbrain.safety.target.boards import find_board
 from dualbrain.safety.target.build import KEY_BYTES, Firmware, build_firmware
@@ -49,19 +49,9 @@ class TargetFilter(SafetyFilter):
         self._step = self.target.step
         self._set_fixed_obstacles(obstacles)
 
-    def supervise(
-        self,
-        now: float,
-        stamp: float,
-        conditions: int,
-        *,
-        yielding: bool,
-        standstill: bool = False,
-        stopped: bool = False,
-    ) -> None:
-        """Pass the conditions of the tick at `now` [s], with a joint state of `stamp` [s], to the target."""
-        del standstill, stopped  # the target decides on both by itself
-        self.target.supervise(now, stamp, conditions, yielding=yielding)
+    def supervise(self, tick: SupervisedTick) -> None:
+        """Pass the tick to the target, which decides on a standstill and on a stop by itself."""
+        self.target.supervise(tick.now, tick.stamp, tick.conditions, yielding=tick.yielding)
 
     def target_conditions(self) -> int:
         """`Condition` bits that the target adds: its own stop, or its loss."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
+from numpy.typing import NDArray
+
 from dualbrain.contracts.contract import Contract
 from dualbrain.control.control_loop import WorldInterface
 from dualbrain.robots.interface import RobotInterface
@@ -28,8 +30,8 @@ class RobotLink(RobotInterface, WorldInterface, Protocol):
         """Texts about the link since the last call, for the recording."""
         ...
 
-    def thread_ticks(self) -> dict[str, list[Any]] | None:
-        """Ticks of a control thread since the last call by column, for the recording; None without any."""
+    def thread_ticks(self) -> NDArray[Any] | None:
+        """Records of the ticks of a control thread since the last call, for the recording; None without any."""
         ...
 
     def timing_faults(self) -> tuple[int, int]:

@@ -8,6 +8,7 @@ import time
 from typing import Any
 
 import msgspec
+from numpy.typing import NDArray
 
 from dualbrain.contracts.contract import Contract
 from dualbrain.control.gatekeeper.robot_link import packets
@@ -124,7 +125,7 @@ class RemoteRobot:
         """No texts: everything that happens on this link is a condition."""
         return []
 
-    def thread_ticks(self) -> dict[str, list[Any]] | None:
+    def thread_ticks(self) -> NDArray[Any] | None:
         """None: no thread moves the joints."""
         return None
 

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.config import FilterConfig
-from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.safety.cbf.filter import SafetyFilter, SupervisedTick
 from dualbrain.safety.cbf.obstacles import Contact, Obstacle
 from dualbrain.safety.cbf.rows import ConstraintRow
 from dualbrain.safety.supervisor.conditions import BUTTONS, Condition
@@ -65,22 +65,12 @@ class ThreadFilter(SafetyFilter):
         self.scene_changed = True
         super().detach()
 
-    def supervise(
-        self,
-        now: float,
-        stamp: float,
-        conditions: int,
-        *,
-        yielding: bool,
-        standstill: bool = False,
-        stopped: bool = False,
-    ) -> None:
+    def supervise(self, tick: SupervisedTick) -> None:
         """Note what the thread must know of a tick; a button counts when it is pressed."""
-        del now, stamp, yielding
-        self.standstill, self.stopped = standstill, stopped
-        self.conditions = conditions & PASSED_ON
-        self.pressed |= conditions & BUTTONS & ~self._buttons
-        self._buttons = conditions & BUTTONS
+        self.standstill, self.stopped = tick.standstill, tick.stopped
+        self.conditions = tick.conditions & PASSED_ON
+        self.pressed |= tick.conditions & BUTTONS & ~self._buttons
+        self._buttons = tick.conditions & BUTTONS
 
     def target_conditions(self) -> int:
         """`Condition` bits that the thread detected since the last call."""

@@ -37,19 +37,11 @@ from dualbrain.safety.supervisor.timing import Timing
 
 LOOP_TICK_LOST_AFTER = 0.5
 """A longer gap between two ticks of the loop above the thread is a stall that ends the contract [s]."""
+THREAD_CONFIG = ControlThreadConfig(forces_supervised=True, caller_lost_after=LOOP_TICK_LOST_AFTER)
+"""The gatekeeper supervises contact forces, and the thread stops the arm if the loop hangs."""
 FOLLOWED = 0.25
 """The loop's control counts as executed up to this share of the largest change of a control in one period."""
 NOT_OWN = int(BUTTONS | Condition.HEARTBEAT_LOST)
-RECORDED_COLUMNS = {
-    "tick": "tick",
-    "now_us": "now_us",
-    "state": "state_sequence",
-    "control": "control_number",
-    "action": "action",
-    "check": "check",
-    "drive": "drive_enable",
-}
-"""Columns of the recording, and the fields of `dbk_tick_record` that they hold."""
 UNTRACKED = MonitorLimits(max_tracking_gap=inf, tracking_lost_gap=inf)
 """Limits of the loop: the thread compares the motion of the arm with the commands that the arm received."""
 
@@ -71,21 +63,14 @@ class ThreadedRobot(RemoteRobot):
     """A robot in another process behind a control thread; call `make_filter` before the first command."""
 
     def __init__(
-        self,
-        settings: SimulatedRobotSettings | DriverSettings,
-        timing: Timing,
-        profiler: TickProfiler | None = None,
-        *,
-        config: ControlThreadConfig | None = None,
+        self, settings: SimulatedRobotSettings | DriverSettings, timing: Timing, profiler: TickProfiler | None = None
     ) -> None:
         """Start the process of the robot; `timing` are the limits of the thread, and `loop_timing` those of the loop.
 
-        By default the gatekeeper supervises contact forces, and the thread stops the arm if the loop hangs. Raises as
-        `RemoteRobot`.
+        Raises as `RemoteRobot`.
         """
         self._thread_timing, self._drive_initially_on = timing, isinstance(settings, SimulatedRobotSettings)
-        self._config = config or ControlThreadConfig(forces_supervised=True, caller_lost_after=LOOP_TICK_LOST_AFTER)
-        self.loop_timing = loop_timing(timing, self._config.control_valid)
+        self.loop_timing = loop_timing(timing, THREAD_CONFIG.control_valid)
         self._control_end, robot_end = socket_pair()
         self._filter: ThreadFilter | None = None
         self._thread: ControlThread | None = None
@@ -110,7 +95,7 @@ class ThreadedRobot(RemoteRobot):
         self._control_end.setblocking(False)
         self._thread = ControlThread(
             made,
-            self._config,
+            THREAD_CONFIG,
             timing=self._thread_timing,
             standstill_limits=StandstillLimits(slow_scale=1.0),  # the loop slows its controls itself
             link=self._control_end,
@@ -167,14 +152,10 @@ class ThreadedRobot(RemoteRobot):
         notes, self._notes = self._notes, []
         return notes
 
-    def thread_ticks(self) -> dict[str, list[Any]] | None:
-        """Executed ticks of the thread since the last call by column (`ThreadTicks`), None without one."""
+    def thread_ticks(self) -> NDArray[Any] | None:
+        """Records of the executed ticks of the thread since the last call, None without one."""
         unrecorded, self._unrecorded = self._unrecorded, []
-        if not unrecorded:
-            return None
-        records, n = np.concatenate(unrecorded), len(self._followed_gap)
-        columns = {name: records[field].tolist() for name, field in RECORDED_COLUMNS.items()}
-        return {**columns, "u": records["u"][:, :n].tolist()}
+        return np.concatenate(unrecorded) if unrecorded else None
 
     def thread_status(self) -> ControlThreadStatus:
         """State of the thread."""
