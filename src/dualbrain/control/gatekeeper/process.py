@@ -23,7 +23,7 @@ from dualbrain.control.gatekeeper.protocol.authentication import PRINCIPALS, loa
 from dualbrain.control.gatekeeper.protocol.registration import registered
 from dualbrain.control.gatekeeper.protocol.server import SocketServer, is_listening
 from dualbrain.control.gatekeeper.robot_link.remote_robot import RemoteRobot
-from dualbrain.control.gatekeeper.robot_link.threaded_robot import UNTRACKED, ThreadedRobot
+from dualbrain.control.gatekeeper.robot_link.threaded_robot import UNCOMPARED, ThreadedRobot
 from dualbrain.control.gatekeeper.timing.tick_profile import TickProfiler
 from dualbrain.control.gatekeeper.timing.tick_timing import TickTimingSummary
 from dualbrain.control.recording.recorder import Recorder
@@ -131,7 +131,7 @@ def _assemble(
             robot.make_filter(robot_model, deployment.filter_config, deployment.fixed_obstacles),
             robot.loop_timing,
         )
-        monitor_limits = UNTRACKED
+        monitor_limits = UNCOMPARED
     else:
         robot = RemoteRobot(process_settings, timing, profile)
         stack.callback(robot.close)

@@ -18,7 +18,7 @@ from dualbrain.control.gatekeeper.robot_link.simulated_robot import (
     RobotReport,
     SimulatedRobotSettings,
 )
-from dualbrain.control.gatekeeper.robot_link.threaded_robot import UNTRACKED, ThreadedRobot, loop_timing
+from dualbrain.control.gatekeeper.robot_link.threaded_robot import UNCOMPARED, ThreadedRobot, loop_timing
 from dualbrain.control.gatekeeper.timing.tick_timing import TickTimingSummary
 from dualbrain.control.recording.channels import ThreadTicks, read_recording
 from dualbrain.errors import ConfigurationError
@@ -201,7 +201,7 @@ class Loop:
         settings = SimulatedRobotSettings(robot="panda", scene=open_scene("bare:0"))
         self.robot = ThreadedRobot(settings, SIMULATED)
         self.safety = self.robot.make_filter(model, None, ())
-        self.controller = SafetyController(self.safety, timing=self.robot.loop_timing, monitor_limits=UNTRACKED)
+        self.controller = SafetyController(self.safety, timing=self.robot.loop_timing, monitor_limits=UNCOMPARED)
         self.checks, self.continued, self.executed = set(), 0, []
         self.robot.skip_to_newest_state()
         self.state = self.robot.read()
@@ -275,9 +275,9 @@ def test_the_thread_executes_the_controls_of_a_loop_that_is_in_time(loop):
 
 @pytest.mark.parametrize("seconds", [0.06, 0.1, 0.13, 0.2, 0.3])
 def test_a_stall_of_any_length_below_the_limit_is_no_fault_of_the_arm(loop, seconds):
-    loop.move(0.3)
+    u_nom = loop.move(0.8)
     time.sleep(seconds)
-    loop.move(0.3)
+    loop.run(0.2, u_nom)
     assert not loop.checks & FAULTS_OF_THE_ARM
 
 

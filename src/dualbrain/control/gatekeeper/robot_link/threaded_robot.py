@@ -42,8 +42,8 @@ THREAD_CONFIG = ControlThreadConfig(forces_supervised=True, caller_lost_after=LO
 FOLLOWED = 0.25
 """The loop's control counts as executed up to this share of the largest change of a control in one period."""
 NOT_OWN = int(BUTTONS | Condition.HEARTBEAT_LOST)
-UNTRACKED = MonitorLimits(max_tracking_gap=inf, tracking_lost_gap=inf)
-"""Limits of the loop: the thread compares the motion of the arm with the commands that the arm received."""
+UNCOMPARED = MonitorLimits(max_source_gap=inf, max_tracking_gap=inf, tracking_lost_gap=inf)
+"""Limits of the loop, which misses states while it is late. The thread compares positions, velocities and commands."""
 
 
 def loop_timing(timing: Timing, control_valid: float) -> Timing:
