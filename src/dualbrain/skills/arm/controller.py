@@ -61,8 +61,8 @@ PERSON_CLEARANCE = 0.17
 """Half the width of the hand and a margin [m]: people farther from the tool are no threat."""
 YIELDED = SkillResult(SkillStatus.RUNNING, "yielded to a person")
 """Result of a sub-routine that yielded to a person; the path is clear again, and the sub-routine may be repeated."""
-PERSON_WAIT_TIMEOUT = 20.0
-"""Time [s] for which a skill waits for a person before it fails."""
+PERSON_WAIT_TIMEOUT = 45.0
+"""Time [s] for which a skill waits for a person before it fails: people rest beside a place for half a minute."""
 
 
 class ArmController:
