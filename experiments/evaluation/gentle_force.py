@@ -55,21 +55,24 @@ class GentleForce:
     )
 
     def units(self, options: Options) -> list[WorkUnit]:
-        """Scene by scene; within a scene every task, robot and force, in an order that mixes them."""
+        """Pass by pass over all scenes; each task, robot and scene has its forces in an order of its own."""
         del options
-        units: list[WorkUnit] = []
-        for seed in range(FIRST_SEED, FIRST_SEED + N_SEEDS):
-            here = [
-                {"seed": seed, "task": task, "robot": robot, "force": force}
-                for task in TASKS
-                for robot in ROBOTS
-                for force in FORCES
-            ]
-            order = np.random.default_rng(seed).permutation(len(here)).tolist()
-            units += [
-                WorkUnit("{task} {seed} {robot} {force:g} N".format(**here[index]), here[index]) for index in order
-            ]
-        return units
+        scenes = [
+            (seed, task, robot)
+            for seed in range(FIRST_SEED, FIRST_SEED + N_SEEDS)
+            for task in TASKS
+            for robot in ROBOTS
+        ]
+        orders = [np.random.default_rng([seed, *task.encode(), *robot.encode()]) for seed, task, robot in scenes]
+        forces = [order.permutation(FORCES).tolist() for order in orders]
+        return [
+            WorkUnit(
+                f"{task} {seed} {robot} {own[turn]:g} N",
+                {"seed": seed, "task": task, "robot": robot, "force": own[turn]},
+            )
+            for turn in range(len(FORCES))
+            for (seed, task, robot), own in zip(scenes, forces, strict=True)
+        ]
 
     def run(self, parameters: dict[str, Any]) -> Row:
         """One episode of the contract behind the full gate and the filter."""
