@@ -2,40 +2,44 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from dualbrain.contracts.gate.authorization import PLANNER
 from dualbrain.contracts.gate.gate import Gate
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
 from dualbrain.core.geometry.shapes import HalfSpace, Pose
+from dualbrain.grounding.envelope.object_limits import with_object_limits
+from dualbrain.grounding.envelope.robot_at_site import RobotAtSite, open_robot_at_site
 from dualbrain.grounding.envelope.scene_rules import scene_rules
 from dualbrain.grounding.instruction.correspondence import INSTRUCTION_POINTER, SceneVocabulary, find_mismatch
 from dualbrain.grounding.instruction.goals.goal_coverage import find_uncovered
 from dualbrain.grounding.instruction.goals.goal_reading import read_goal
 from dualbrain.grounding.instruction.review import Refusal, review_instruction
-from dualbrain.grounding.vocabulary import load_skill_registry, planner_grants, scene_names
+from dualbrain.grounding.vocabulary import planner_grants, scene_names
 from dualbrain.records import Scene, SceneObject
 from dualbrain.robots.interface import home_state
-from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from dualbrain.simulation.scenes.scene_spec import SceneSpec, keep_out_objects
 from dualbrain.skills.arm.controller import ArmController
 from dualbrain.skills.mobile_base.controller import BaseController
 from dualbrain.skills.mobile_manipulator import MobileManipulatorController
-from dualbrain.skills.registry import make_controller
+from dualbrain.skills.registry import make_controller, skill_registry
 from dualbrain.skills.skill import Observation
 
 
-def check_contract(data: bytes, *, robot: str, scene: str, instruction: str = "") -> Verdict:
+def check_contract(data: bytes, *, robot: str, scene: str, instruction: str = "", site: Path | None = None) -> Verdict:
     """The verdict of all gate stages, including the scene rules, on the contract `data` for `robot` at home in `scene`.
 
-    With an `instruction`, a contract that the gate accepts must also be about these words.
-    Raises `UnknownNameError` for an unknown robot or scene, and `ConfigurationError` for an invalid scene file.
+    With an `instruction`, a contract that the gate accepts must also be about these words. With the file of
+    a `site` its limits, obstacles and grants apply.
+    Raises `UnknownNameError` for an unknown robot or scene, and `ConfigurationError` for an invalid scene or site file.
     """
-    registry = load_skill_registry(robot)
-    perceived = scene_from_spec(open_scene(scene, robot))
-    controller = controller_at_home(robot, perceived)
-    gate = Gate(registry, planner_grants(registry), scene_rules(perceived, controller))
+    at_site = open_robot_at_site(robot, site)
+    registry = skill_registry(at_site.robot_model)
+    perceived = with_object_limits(scene_from_spec(open_scene(scene, robot)), at_site.object_limits)
+    gate = gate_at_home(at_site, perceived)
     verdict = gate.check(data, names=scene_names(perceived), principal=PLANNER, now=0.0)
     if not instruction or isinstance(verdict, Rejected):
         return verdict
@@ -56,10 +60,23 @@ def _check_words(verdict: Accepted, instruction: str, registry: SkillRegistry, s
     return find_mismatch(verdict.contract, instruction, names) or find_uncovered(verdict.contract, goal, scene)
 
 
+def gate_at_home(at_site: RobotAtSite, scene: Scene) -> Gate:
+    """The gate for the robot at home at its site, in `scene`, which has the site's limits of objects."""
+    registry = skill_registry(at_site.robot_model)
+    grants = planner_grants(registry) if at_site.grants is None else at_site.grants
+    return Gate(registry, grants, scene_rules(scene, _controller_at_home(at_site, scene)))
+
+
 def controller_at_home(robot: str, scene: Scene) -> ArmController | BaseController | MobileManipulatorController:
     """The controller of `robot`, with the arm in its home posture and the base at its start, that observed `scene`."""
-    robot_model = load_robot(robot)
-    safety = SafetyFilter(robot_model)
+    return _controller_at_home(open_robot_at_site(robot), scene)
+
+
+def _controller_at_home(
+    at_site: RobotAtSite, scene: Scene
+) -> ArmController | BaseController | MobileManipulatorController:
+    robot_model = at_site.robot_model
+    safety = SafetyFilter(robot_model, obstacles=at_site.fixed_obstacles)
     controller = make_controller(robot_model, safety)
     state = home_state(robot_model)
     controller.observe(Observation(state=state, scene=scene, now=0.0, tool=safety.tool(state.q)))

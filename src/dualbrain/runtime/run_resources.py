@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from dualbrain.adaptation.serving.open_planner import open_planner
 from dualbrain.contracts.gate.strict_json import MAX_CONTRACT_FILE_BYTES
 from dualbrain.contracts.registry import is_narrower
-from dualbrain.control.executor import Grants
 from dualbrain.core import weights
 from dualbrain.core.storage.private_files import open_private_folder
 from dualbrain.core.untrusted.bounded_file import read_bounded_file
 from dualbrain.grounding.document_retrieval import Budget, consulted_budget, retrieve_passages
-from dualbrain.grounding.envelope.object_limits import site_object_limits
+from dualbrain.grounding.envelope.robot_at_site import RobotAtSite, open_robot_at_site
 from dualbrain.grounding.instruction.stop_commands import is_stop_command
 from dualbrain.grounding.map_overlay import apply_map
 from dualbrain.grounding.outcome.instruction_truth import make_instruction_judge
@@ -32,15 +31,12 @@ from dualbrain.planner.camera_image import CameraImage
 from dualbrain.planner.introspection import no_documents_reason, require_image_input
 from dualbrain.planner.protocol import Planner
 from dualbrain.planner.scripted import FixedContractPlanner
-from dualbrain.records import ObjectLimits, Passage
+from dualbrain.records import Passage
 from dualbrain.robots.loader import load_robot
 from dualbrain.robots.model import RobotModel
-from dualbrain.robots.site_config import read_site
 from dualbrain.runtime.config import Clocks, RunConfig
 from dualbrain.runtime.planning.camera import capture_camera_image
 from dualbrain.runtime.run_folder import END_STATE_FILE, RunFolder, refuse_used_folder
-from dualbrain.safety.cbf.obstacles import Obstacle, PersonLimits
-from dualbrain.safety.integration.site import site_obstacles, site_persons, site_robot, site_skill_grants
 from dualbrain.simulation.perception.rendering import Camera
 from dualbrain.simulation.plant.end_state import EndState, load_end_state
 from dualbrain.simulation.scenes.generators.catalogue import open_scene, require_robot
@@ -48,17 +44,6 @@ from dualbrain.simulation.scenes.scene_spec import SceneSpec
 from dualbrain.simulation.tasks.multi_goal import parse_goals
 from dualbrain.simulation.world import SimulatedWorld, make_world
 from dualbrain.skills.registry import skill_registry
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RobotAtSite:
-    """The robot with the limits of its site, and obstacles, limits of persons and objects, and grants of the site."""
-
-    robot_model: RobotModel
-    fixed_obstacles: tuple[Obstacle, ...] = ()
-    persons: PersonLimits | None = None
-    object_limits: Mapping[str, ObjectLimits] = field(default_factory=dict[str, ObjectLimits])
-    grants: Grants | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -169,18 +154,7 @@ def open_beginning(config: RunConfig) -> tuple[SceneSpec, EndState | None]:
 
 def open_site(config: RunConfig) -> RobotAtSite:
     """The robot of a run at its site."""
-    if config.site is None:
-        return RobotAtSite(robot_model=load_robot(config.robot))
-    site = read_site(config.site)
-    robot_model = site_robot(load_robot(config.robot), site)
-    registry = skill_registry(robot_model)
-    return RobotAtSite(
-        robot_model=robot_model,
-        fixed_obstacles=site_obstacles(robot_model, site),
-        persons=site_persons(site),
-        object_limits=site_object_limits(site, registry),
-        grants=site_skill_grants(site, frozenset(registry.by_name)),
-    )
+    return open_robot_at_site(config.robot, config.site)
 
 
 def _reads_documents(config: RunConfig, planner: Planner) -> bool:

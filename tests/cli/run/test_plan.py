@@ -8,10 +8,12 @@ import pytest
 
 from dualbrain.adaptation.serving import open_planner
 from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.grounding.envelope.robot_at_site import open_robot_at_site
 from dualbrain.planner.prompt.full_prompt import template_hash
 from dualbrain.planner.prompt.prompt_format import short_messages
 from dualbrain.planner.prompt.short_prompt import short_template_hash
 from dualbrain.planner.scripted import ScriptedPlanner
+from dualbrain.skills.registry import skill_registry
 from tests.stories.story_session import (
     GRASP,
     PLACE,
@@ -25,6 +27,16 @@ from tests.stories.story_session import (
 PICK = contract_text(("grasp", GRASP), ("place", PLACE))
 FAST = contract_text(("grasp", {**GRASP, "speed": 30.0}), ("place", PLACE))
 WORDS = "grip the red cube with a force that it bears and put it in the bowl"
+
+
+SITE = """
+[robot]
+tool_speed = 0.3
+[object.red_cube]
+force = 8.0
+[commander.planner]
+skills = [{skills}]
+"""
 
 
 @pytest.fixture
@@ -170,3 +182,35 @@ def test_the_help_describes_the_command(run_command):
     assert code == ExitCode.SUCCESS
     for words in ("Memory is only read", "built-in documents", "citations", "--contract c.json", "Exit code 0"):
         assert words in " ".join(out.replace("│", " ").split())
+
+
+def with_grip_force(newtons, **more):
+    return contract_text(("grasp", {**GRASP, "force": newtons}), ("place", PLACE), **more)
+
+
+@pytest.mark.parametrize(
+    ("force", "skills", "stage"),
+    [
+        (7.0, '"grasp", "place", "decline"', None),
+        (9.0, '"grasp", "place", "decline"', "envelope"),
+        (7.0, '"move_to", "decline"', "authorization"),
+    ],
+)
+def test_the_limits_and_grants_of_a_site_apply_to_a_plan_and_a_check(
+    run_command, script, tmp_path, force, skills, stage
+):
+    site, contract = tmp_path / "lab.toml", tmp_path / "contract.json"
+    site.write_text(SITE.format(skills=skills))
+    registry = skill_registry(open_robot_at_site("panda", site).robot_model).hash
+    answer = with_grip_force(force, registry=registry)
+    script(answer)
+    options = ("--scene", "bare:0", "--site", str(site))
+    code, out, err = run_command("plan", WORDS, *options, "--knowledge", "off", "--json", "--shots", "1")
+    assert json.loads(out)["shots"][-1]["verdict"].get("stage") == stage
+    assert code == (ExitCode.SUCCESS if stage is None else ExitCode.REJECTED)
+    assert "limits of the site for red_cube: force at most 8 N" in " ".join(err.split())
+    contract.write_text(answer)
+    code, out, _ = run_command("check", str(contract), *options)
+    assert json.loads(out).get("stage") == stage
+    contract.write_text(with_grip_force(9.0))
+    assert run_command("check", str(contract), "--scene", "bare:0")[0] == ExitCode.SUCCESS

@@ -7,6 +7,7 @@ import pytest
 
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.run.execution import exit_code
+from dualbrain.grounding.envelope.robot_at_site import open_robot_at_site
 from dualbrain.grounding.offline_gate import check_contract, scene_from_spec
 from dualbrain.planner.registry import open_planner
 from dualbrain.planner.scripted import ScriptedPlanner
@@ -17,6 +18,7 @@ from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from tests.stories.story_session import GRASP, PLACE, contract_text, run_config, run_session
 
 MAX_DISPLACEMENT = 1e-3
+PANDA = open_robot_at_site("panda")
 """Largest joint motion of a robot that holds its position [rad]."""
 PUSH = {
     "object": "red_cube",
@@ -106,9 +108,9 @@ def test_a_given_contract_is_a_choice_of_the_person_but_stop_words_count(tmp_pat
 
 @pytest.mark.parametrize("words", DECLINED)
 def test_a_dry_run_asks_no_planner_either(words):
-    context = context_at_home("panda", scene_from_spec(open_scene("bare:0")))
+    context = context_at_home(PANDA, scene_from_spec(open_scene("bare:0")))
     planner = ScriptedPlanner([MOVE])
-    planned = plan(words, context, planner, None, lambda *_: (), shots=2, clock=time.monotonic)
+    planned = plan(words, PANDA, context, planner, None, lambda *_: (), shots=2, clock=time.monotonic)
     assert planner.requests == []
     assert planned.is_declined
     assert planned.refusal
@@ -119,10 +121,10 @@ def test_a_server_that_declares_languages_is_asked_in_them(tmp_path):
     german = open_planner("http://localhost:9/v1#model&languages=en,de", tmp_path)
     assert (english.name, english.languages) == ("model@localhost", ())
     assert (german.name, german.languages) == ("model@localhost", ("en", "de"))
-    context = context_at_home("panda", scene_from_spec(open_scene("bare:0")))
+    context = context_at_home(PANDA, scene_from_spec(open_scene("bare:0")))
     planner = ScriptedPlanner([MOVE])
     planner.languages = german.languages
-    plan(DECLINED[-1], context, planner, None, lambda *_: (), shots=1, clock=time.monotonic)
+    plan(DECLINED[-1], PANDA, context, planner, None, lambda *_: (), shots=1, clock=time.monotonic)
     assert len(planner.requests) == 1
 
 

@@ -22,6 +22,7 @@ def check(
     robot: str = "panda",
     scene: str = "0",
     instruction: str = "",
+    site: Path | None = None,
 ) -> int:
     """Check a contract file against a robot's skills and a scene, and print the verdict as one JSON object.
 
@@ -39,6 +40,8 @@ def check(
     instruction
         The words that the contract is to carry out: they must not be declined, and they must mention every object and
         place of the contract, as for the contract of a planner.
+    site
+        Site file (TOML): its limits of the robot and of objects, and its permissions, apply; see docs/how-to/site.md.
     """
     from dualbrain.contracts.verdict import Accepted
     from dualbrain.grounding.offline_gate import check_contract
@@ -47,7 +50,7 @@ def check(
         data = read_bounded_stream(sys.stdin.buffer, MAX_CONTRACT_FILE_BYTES, "standard input")
     else:
         data = read_bounded_file(contract, MAX_CONTRACT_FILE_BYTES)
-    verdict = check_contract(data, robot=robot, scene=scene, instruction=instruction)
+    verdict = check_contract(data, robot=robot, scene=scene, instruction=instruction, site=site)
     accepted = isinstance(verdict, Accepted)
     body = {} if accepted else {key: value for key, value in msgspec.to_builtins(verdict).items() if key != "verdict"}
     print_result(msgspec.json.encode({"accepted": accepted, **body}).decode())

@@ -46,6 +46,7 @@ def plan(
     memory: Literal["on", "off"] = "on",
     knowledge: Literal["on", "site", "off"] = "site",
     ledger: Path | None = None,
+    site: Path | None = None,
     image: Annotated[bool, Parameter(negative="")] = False,
     image_file: Path | None = None,
     shots: int = 2,
@@ -70,6 +71,8 @@ def plan(
         Documents whose passages enter the prompt, as for `dualbrain run`: "site", "on" or "off". An adapter reads none.
     ledger
         Memory ledger, read only. Default: ledger.sqlite in the data folder of dualbrain.
+    site
+        Site file (TOML), as for `dualbrain run`: its limits of the robot and of objects, and its permissions, apply.
     image
         Send the image of the robot's simulated camera to the planner, which must be a server with a vision-language
         model (--planner URL).
@@ -94,6 +97,8 @@ def plan(
         stack.enter_context(loading)
         if image:
             choose_graphics(os.environ)  # before MuJoCo is imported
+        from dualbrain.grounding.envelope.object_limits import limits_in_words
+        from dualbrain.grounding.envelope.robot_at_site import open_robot_at_site
         from dualbrain.grounding.offline_gate import scene_from_spec
         from dualbrain.knowledge.library import has_site_documents
         from dualbrain.planner.introspection import no_documents_reason, require_image_input
@@ -103,27 +108,24 @@ def plan(
         from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
         spec = open_scene(scene, robot)
-        here = context_at_home(robot, scene_from_spec(spec))
+        at_site = open_robot_at_site(robot, site)
+        here = context_at_home(at_site, scene_from_spec(spec))
         if image or image_file is not None:
             here = replace(here, camera_image=_read_image(image_file, spec, here))
         recall = stack.enter_context(_open_memory(ledger, here)) if memory == "on" else None
         look_up = _no_documents if knowledge == "off" else stack.enter_context(_open_documents(here, knowledge))
         chosen, notice = choose_planner(planner, here.robot_model.name, cache_folder())
-        opened = stack.enter_context(_open_planner(chosen, here))
+        opened = stack.enter_context(_open_planner(chosen, here, robot))
         if here.camera_image is not None:
             require_image_input(opened)
         loading.stop()
         expected = knowledge == "on" or (knowledge == "site" and has_site_documents(_document_store()))
         documents = no_documents_reason(opened) if expected else ""
-        for line in filter(None, (notice, documents)):
+        for line in filter(None, (*limits_in_words(here.scene, at_site.object_limits), notice, documents)):
             console.print(line, markup=False)
-        waiting = Spinner(console, f"planning ({opened.name})")
-        waiting.start()
-        show_answers(opened, AnswerDisplay(waiting))
-        try:
-            planned = ask(instruction, here, opened, recall, look_up, shots=shots, clock=time.perf_counter)
-        finally:
-            waiting.stop()
+        with Spinner(console, f"planning ({opened.name})") as waiting:
+            show_answers(opened, AnswerDisplay(waiting))
+            planned = ask(instruction, at_site, here, opened, recall, look_up, shots=shots, clock=time.perf_counter)
     if json:
         about = {"image": _describe_image(here.camera_image)} if here.camera_image else {}
         print_result(msgspec.json.encode(plan_summary(instruction, planned) | about).decode())
@@ -310,9 +312,13 @@ def _open_documents(here: PlanningContext, consult: ConsultedDocuments) -> Gener
 
 
 @contextmanager
-def _open_planner(name: str, here: PlanningContext) -> Generator[Planner]:
+def _open_planner(name: str, here: PlanningContext, robot: str) -> Generator[Planner]:
     from dualbrain.adaptation.serving.open_planner import open_planner
+    from dualbrain.contracts.registry import is_narrower
+    from dualbrain.robots.loader import load_robot
+    from dualbrain.skills.registry import skill_registry
 
+    registry, own = here.registry, skill_registry(load_robot(robot))
     prefixes = cache_folder() / "prefixes"
     open_private_folder(prefixes)
     opened = open_planner(
@@ -320,10 +326,11 @@ def _open_planner(name: str, here: PlanningContext) -> Generator[Planner]:
         cache_folder(),
         adapters=dualbrain_home() / "adapters",
         robot=here.robot_model.name,
-        registry=here.registry.hash,
+        registry=registry.hash,
         key=os.environ.get("OPENAI_API_KEY", ""),
         threads=planner_threads(control_loop=False),
         prompt_cache=prefixes,
+        narrowed_registries={registry.hash: own.hash} if is_narrower(registry, own) else {},
     )
     try:
         yield opened

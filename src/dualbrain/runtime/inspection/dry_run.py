@@ -16,18 +16,18 @@ from dualbrain.contracts.gate.authorization import PLANNER
 from dualbrain.contracts.gate.gate import Gate
 from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
 from dualbrain.core.text import storable_text
-from dualbrain.grounding.envelope.scene_rules import scene_rules
+from dualbrain.grounding.envelope.object_limits import with_object_limits
+from dualbrain.grounding.envelope.robot_at_site import RobotAtSite
 from dualbrain.grounding.instruction.recalled_steps import fit_recall
 from dualbrain.grounding.instruction.review import Refusal
-from dualbrain.grounding.offline_gate import controller_at_home
-from dualbrain.grounding.vocabulary import planner_grants, scene_names
+from dualbrain.grounding.offline_gate import gate_at_home
+from dualbrain.grounding.vocabulary import scene_names
 from dualbrain.memory.embedding.posture_features import Posture
 from dualbrain.planner.introspection import planner_messages, planner_template, unsupported_fields
 from dualbrain.planner.prompt.full_prompt import MAX_RECALLED, ChatMessage
 from dualbrain.planner.protocol import Planner, has_answer
 from dualbrain.records import Attempt, Proposal, RetrievedContext, Scene
 from dualbrain.robots.interface import home_state
-from dualbrain.robots.loader import load_robot
 from dualbrain.runtime.planning.local_answer import answer_locally, local_proposal
 from dualbrain.runtime.planning.planner_request import (
     PassageRetriever,
@@ -87,20 +87,21 @@ class DryRunResult:
         return isinstance(verdict, Accepted) and verdict.contract.action_sequence[0].skill == "decline"
 
 
-def context_at_home(robot: str, scene: Scene) -> PlanningContext:
-    """The context of `robot` at rest at its home position, with an empty gripper, in `scene`.
-
-    Raises `UnknownNameError` if there is no such robot.
-    """
-    robot_model = load_robot(robot)
+def context_at_home(at_site: RobotAtSite, scene: Scene) -> PlanningContext:
+    """The context of the robot at rest at its home position, with an empty gripper, in `scene` with its limits."""
+    robot_model = at_site.robot_model
     state = home_state(robot_model)
     return PlanningContext(
-        robot_model=robot_model, scene=scene, holding=None, posture=Posture(tuple(state.q.tolist()), state.opening)
+        robot_model=robot_model,
+        scene=with_object_limits(scene, at_site.object_limits),
+        holding=None,
+        posture=Posture(tuple(state.q.tolist()), state.opening),
     )
 
 
 def plan(
     instruction: str,
+    at_site: RobotAtSite,
     context: PlanningContext,
     planner: Planner,
     memory: Retriever | None,
@@ -111,7 +112,8 @@ def plan(
 ) -> DryRunResult:
     """Request a contract from `planner` at most `shots` times, with the gate's last rejection in the prompt.
 
-    The planner is not asked for a stop command or for an instruction that the local layer declines.
+    `context` is that of the robot `at_site` (`context_at_home`); the gate knows grants and obstacles of the site. The
+    planner is not asked for a stop command or for an instruction that the local layer declines.
     """
     answer = answer_locally(instruction, context, planner)
     withheld: tuple[str, ...] = ()
@@ -121,8 +123,7 @@ def plan(
     else:
         recall, retrieval = RetrievedContext(), 0.0
     request = build_request(instruction, context, recall)
-    controller = controller_at_home(context.robot_model.name, context.scene)
-    gate = Gate(context.registry, planner_grants(context.registry), scene_rules(context.scene, controller))
+    gate = gate_at_home(at_site, context.scene)
     taken: list[Shot] = []
     while len(taken) < shots:
         if answer is None:
