@@ -132,6 +132,26 @@ def test_when_every_alternative_is_blocked_the_skill_reports_it_and_gives_up(sta
     assert np.array(cell.path)[1:, 1].max() < 0.0  # never through the wall
 
 
+@pytest.mark.parametrize(("missing", "complete"), [(0.01, True), (0.05, False)])
+def test_a_motion_that_is_blocked_near_its_goal_suffices_where_another_one_follows(missing, complete):
+    """A block below the fingers keeps the tool at least `missing` [m] above its goal."""
+    free = KinematicCell()
+    tool, fall = free.path[0], 0.08
+    centres, radii, _ = free.safety.spheres(free.state.q, free.state.opening)
+    hand = np.linalg.norm(centres - tool, axis=1) < 0.1
+    top = float(np.min((centres[:, 2] - radii)[hand])) - fall + missing
+    block = Box((0.1, 0.1, top / 2)), Pose((tool[0], tool[1], top / 2))
+    for near_suffices in (False, True):
+        cell = KinematicCell(block)
+        goal = cell.goal(tool[0], tool[1], tool[2] - fall)
+        result = cell.carry_out(reach_goal(cell.controller, goal, "approach", 0.2, near_suffices=near_suffices))
+        if near_suffices and complete:
+            assert result is None
+        else:
+            assert result.status is SkillStatus.TAKEN_OVER
+        assert missing - 0.002 < cell.path[-1][2] - goal.position[2] < missing + 0.01
+
+
 def test_the_progress_timeout_does_not_depend_on_the_filter(started):
     """A nominal control that the filter does not change, but that makes no progress, ends too."""
     cell = at_the_right(started)

@@ -6,15 +6,17 @@ import numpy as np
 import pytest
 
 from dualbrain.core.geometry.shapes import Box, HalfSpace, Pose
-from dualbrain.records import Scene, SceneObject
+from dualbrain.records import FailureCause, Scene, SceneObject
 from dualbrain.robots.interface import home_state
 from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.simulation.perception.noisy_perception import PerceptionNoise
+from dualbrain.skills.arm import grasp as grasp_skill
 from dualbrain.skills.arm.controller import ArmController
 from dualbrain.skills.arm.grasp import GRIP_FORCE_STEP, GRIP_RESERVE, max_grip_force
 from dualbrain.skills.arm.load_monitor import DETECTION_TIME, LoadMonitor
-from dualbrain.skills.skill import Observation, SkillStatus
+from dualbrain.skills.arm.waypoints import move_to_height
+from dualbrain.skills.skill import Observation, SkillResult, SkillStatus
 from tests.skills.arm.test_skills_in_simulation import SkillCell, grasp, place
 
 PANDA = load_robot("panda")
@@ -125,6 +127,27 @@ def test_the_grip_force_is_a_multiple_of_that_which_holds_and_breaks_no_glass(se
     least = PANDA.gripper.force_min.value
     assert most <= max(GRIP_RESERVE * least, 1.05 * GRIP_FORCE_STEP * GRIP_RESERVE * NEEDED[seed])
     assert forces["close"][0] == least
+
+
+def block_lifts(monkeypatch, highest):
+    """Let every lift above the tool height `highest` [m] end there without progress."""
+
+    def blocked(arm, height, phase, speed, **options):
+        why = yield from move_to_height(arm, min(height, highest), phase, speed, **options)
+        if why is None and phase == "lift" and height > highest:
+            return SkillResult(SkillStatus.TAKEN_OVER, "lift: no progress", FailureCause.NO_PROGRESS)
+        return why
+
+    monkeypatch.setattr(grasp_skill, "move_to_height", blocked)
+
+
+@pytest.mark.parametrize(("free", "kind"), [(0.025, "taken_over"), (0.06, "succeeded")])
+def test_a_blocked_lift_counts_if_the_load_is_clear_of_its_support(monkeypatch, free, kind):
+    cell = SkillCell(noise=PerceptionNoise())
+    block_lifts(monkeypatch, cell.plant.true_pose("red_cube").position[2] + free)
+    outcome = cell.run(grasp(), place())
+    assert outcome.kind == kind, outcome.reason
+    assert cell.monitor.violations() == ()
 
 
 def test_a_glass_that_slips_at_the_largest_force_is_left_standing_with_an_empty_hand():

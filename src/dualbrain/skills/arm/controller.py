@@ -49,6 +49,8 @@ CLOSING_TIMEOUT = 2.0
 """Time [s] after which fingers that do not both press have nothing between them."""
 EMPTY_OPENING = 5e-4
 """Opening per finger [m] below which the fingers press on each other and not on an object."""
+RESTING_TOLERANCE, PASSING_TOLERANCE = (0.003, 0.02), (0.02, 0.3)
+"""Tolerances of position [m] and rotation [rad] at a goal at which the tool rests, and at one that it passes."""
 TOOL_SPEED_FRACTION = 0.95
 """Fraction of the allowed tool speed that φ uses, because posture and rotation control move the tool as well."""
 MAX_EVASION_HEIGHT = 0.50
@@ -141,15 +143,23 @@ class ArmController:
     # --- sub-routines -------------------------------------------------------------------------------------------
 
     def move_tool(
-        self, goal: ToolGoal, phase: str, speed: float, *, stop: bool = True, timeout: float = PROGRESS_TIMEOUT
+        self,
+        goal: ToolGoal,
+        phase: str,
+        speed: float,
+        *,
+        stop: bool = True,
+        timeout: float = PROGRESS_TIMEOUT,
+        near_suffices: bool = False,
     ) -> SubRoutine:
         """Move the tool to `goal` at up to `speed` [m/s]; with `stop` come to rest there, else pass it.
 
         If a person is about to pass, the arm evades and the sub-routine ends with `YIELDED`. After `timeout` [s]
-        without progress it ends as taken over.
+        without progress it ends as taken over; with `near_suffices`, which is for goals from which another motion
+        follows, it succeeds within `PASSING_TOLERANCE` of the goal.
         """
         speed = min(speed, TOOL_SPEED_FRACTION * self.robot_model.tool_speed.value)
-        near, turned = (0.003, 0.02) if stop else (0.02, 0.3)
+        near, turned = RESTING_TOLERANCE if stop else PASSING_TOLERANCE
         progress = ProgressWatchdog(
             self.observation.active_time, time_limit=4.0 + 3.0 * self._distance(goal) / speed, timeout=timeout
         )
@@ -162,6 +172,8 @@ class ArmController:
             if (height := self.person_threat_height(tool.position)) is not None:
                 return (yield from self.avoid_person(phase, height))
             if why := progress.update(self.observation.active_time, distance + 0.1 * turn):
+                if near_suffices and distance < PASSING_TOLERANCE[0] and turn < PASSING_TOLERANCE[1]:
+                    return None
                 return SkillResult(
                     SkillStatus.TAKEN_OVER,
                     f"{phase}: {why}, {distance * 100:.1f} cm from the goal",

@@ -41,6 +41,8 @@ FRAGILE_FRACTION = 0.8
 """Largest grip force on an object, as a fraction of the force that it is declared to bear."""
 MICRO_LIFT, MICRO_LIFT_PER_ERROR = 0.004, 1.2
 """Height of the micro-lift [m]: a part for exact perception, and a multiple of the error bound of the object."""
+MIN_LIFT = 0.03
+"""Height of the load above its support [m] from which a blocked lift counts as complete."""
 POSITION_TOLERANCE = 0.003
 """Distance from its goal at which a motion of the tool ends [m]."""
 MIN_OBSERVATION_TIME, MAX_OBSERVATION_TIME = 0.2, 0.6
@@ -163,7 +165,7 @@ def _try_alternative(
     if goal is None or margin < 0.0:
         return blocked
     over = yield from pregrasp_goal(arm, goal, obj, clearance)
-    if why := (yield from move_to_height(arm, float(over.position[2]), "descend", speed)):
+    if why := (yield from move_to_height(arm, float(over.position[2]), "descend", speed, near_suffices=True)):
         return why
     return (yield from _descend_to_grasp(arm, obj, goal, clearance, speed))
 
@@ -178,9 +180,15 @@ def _close_and_lift(arm: ArmController, obj: SceneObject, clearance: float, spee
         return why
     if why := (yield from _find_holding_force(arm, name, bound, open_fingers)):
         return why
-    if why := (yield from move_to_height(arm, arm.support_height + clearance + arm.below_tool, "lift", speed)):
+    why = yield from move_to_height(arm, arm.support_height + clearance + arm.below_tool, "lift", speed)
+    if why and not (why.status is SkillStatus.TAKEN_OVER and _height_of_load(arm) > MIN_LIFT):
         return why
     return SkillResult(SkillStatus.DONE, f"holds {name}")
+
+
+def _height_of_load(arm: ArmController) -> float:
+    """Height of the lowest point of the held load above the support [m]; 0 without a load."""
+    return float(arm.observation.tool.position[2]) - arm.below_tool - arm.support_height if arm.holding else 0.0
 
 
 def max_grip_force(robot_model: RobotModel, obj: SceneObject, force: float) -> float:
@@ -243,9 +251,10 @@ def _micro_lift(arm: ArmController, name: str) -> SubRoutine:
     height = before.pose.position[2] - object_geometry.bottom_height(before) + arm.lowest_point(before)
     arm.record_grasp(before)
     goal_height = start + MICRO_LIFT + MICRO_LIFT_PER_ERROR * before.error + POSITION_TOLERANCE
-    if why := (yield from move_to_height(arm, goal_height, "lift", CONTACT_APPROACH_SPEED)):
-        return why
+    why = yield from move_to_height(arm, goal_height, "lift", CONTACT_APPROACH_SPEED)
     lift, arrived, seen = float(arm.observation.tool.position[2]) - start, arm.observation.now, 0.0
+    if why and not (why.status is SkillStatus.TAKEN_OVER and lift >= goal_height - start - POSITION_TOLERANCE):
+        return why
     offsets: list[NDArray[np.float64]] = []
     rises: list[float] = []
     while arm.observation.now - arrived < MAX_OBSERVATION_TIME:
@@ -280,4 +289,4 @@ def _approach(arm: ArmController, above: ToolGoal, speed: float) -> SubRoutine:
         why := (yield from reach_goal(arm, goal_at_height(arm.current_goal(), height), "rise", speed))
     ):
         return why
-    return (yield from follow_waypoints(arm, [above], "approach", speed))
+    return (yield from follow_waypoints(arm, [above], "approach", speed, near_suffices=True))

@@ -91,7 +91,8 @@ def routine(
         return why
     above = goal_at_height(down, height)
     way = yield from _waypoints(arm, above, route)
-    if why := (yield from follow_waypoints(arm, way, "carry", speed)) or _check_load_lost(arm, held.name):
+    why = yield from follow_waypoints(arm, way, "carry", speed, near_suffices=True)
+    if why or (why := _check_load_lost(arm, held.name)):
         return why
     slow_from = goal_at_height(down, min(height, float(down.position[2]) + SLOW_DESCENT_HEIGHT))
     why = yield from descend(arm, above, slow_from, down, "lower", min(speed, 0.2), wait_phase="carry")

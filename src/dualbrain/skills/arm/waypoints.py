@@ -55,25 +55,33 @@ def reach_goal(
     *,
     stop: bool = True,
     timeout: float = PROGRESS_TIMEOUT,
+    near_suffices: bool = False,
 ) -> SubRoutine:
-    """Reach `goal`, and try again after each person who passed."""
+    """Reach `goal`, and try again after each person who passed; `near_suffices` as in `ArmController.move_tool`."""
     while True:
-        why = yield from arm.move_tool(goal, phase, speed, stop=stop, timeout=timeout)
+        why = yield from arm.move_tool(goal, phase, speed, stop=stop, timeout=timeout, near_suffices=near_suffices)
         if why is not YIELDED:
             return why
 
 
-def move_to_height(arm: ArmController, height: float, phase: str, speed: float) -> SubRoutine:
-    """Move vertically to tool height `height` [m]."""
+def move_to_height(
+    arm: ArmController, height: float, phase: str, speed: float, *, near_suffices: bool = False
+) -> SubRoutine:
+    """Move vertically to tool height `height` [m]; `near_suffices` as in `ArmController.move_tool`."""
     up = goal_at_height(arm.current_goal(), height)
     goal = yield from arm.translate_goal(up, up.position)
-    return (yield from reach_goal(arm, goal, phase, speed))
+    return (yield from reach_goal(arm, goal, phase, speed, near_suffices=near_suffices))
 
 
-def follow_waypoints(arm: ArmController, waypoints: Sequence[ToolGoal], phase: str, speed: float) -> SubRoutine:
-    """Pass through `waypoints`; if blocked, take the first clear detour, else the one with most clearance."""
+def follow_waypoints(
+    arm: ArmController, waypoints: Sequence[ToolGoal], phase: str, speed: float, *, near_suffices: bool = False
+) -> SubRoutine:
+    """Pass through `waypoints`; if blocked, take the first clear detour, else the one with most clearance.
+
+    With `near_suffices` a motion that is blocked near the last waypoint has reached it.
+    """
     start, end, left = arm.observation.tool.position.copy(), waypoints[-1], list(DETOURS)
-    why = yield from _follow_once(arm, waypoints, phase, speed, DETOUR_TIMEOUT)
+    why = yield from _follow_once(arm, waypoints, phase, speed, DETOUR_TIMEOUT, near_suffices)
     for timeout in (DETOUR_TIMEOUT, PROGRESS_TIMEOUT):
         if why is None or why.status is not SkillStatus.TAKEN_OVER:
             break
@@ -83,7 +91,7 @@ def follow_waypoints(arm: ArmController, waypoints: Sequence[ToolGoal], phase: s
         detour = detour or left[0]
         left.remove(detour)
         way = yield from _detour_waypoints(arm, start, end, detour)
-        why = yield from _follow_once(arm, way, phase, speed, timeout)
+        why = yield from _follow_once(arm, way, phase, speed, timeout, near_suffices)
     return why
 
 
@@ -142,7 +150,7 @@ def wait_for_people(
     """Stay at `wait_goal` until no person may come within `radius` [m] of `spot`, from above, in `horizon` [s]."""
     start = arm.observation.now
     while True:
-        if why := (yield from reach_goal(arm, wait_goal, phase, min(speed, 0.2))):
+        if why := (yield from reach_goal(arm, wait_goal, phase, min(speed, 0.2), near_suffices=True)):
             return why
         if not person_may_reach(arm.observation.scene, spot, horizon, radius, arm.observation.now):
             return None
@@ -157,11 +165,20 @@ def wait_for_people(
 
 
 def _follow_once(
-    arm: ArmController, waypoints: Sequence[ToolGoal], phase: str, speed: float, timeout: float
+    arm: ArmController,
+    waypoints: Sequence[ToolGoal],
+    phase: str,
+    speed: float,
+    timeout: float,
+    near_suffices: bool,
 ) -> SubRoutine:
     for index, point in enumerate(waypoints):
         last = index == len(waypoints) - 1
-        if why := (yield from reach_goal(arm, point, phase, speed, stop=last, timeout=timeout)):
+        if why := (
+            yield from reach_goal(
+                arm, point, phase, speed, stop=last, timeout=timeout, near_suffices=last and near_suffices
+            )
+        ):
             return why
     return None
 
