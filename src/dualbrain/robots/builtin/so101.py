@@ -18,19 +18,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.robots.assets.meshes import Mesh, convex_hull_mesh, package_mesh, transform_mesh
-from dualbrain.robots.collision_model.coverage import SphereSet
-from dualbrain.robots.collision_model.polytope import sample_surface
-from dualbrain.robots.collision_model.self_collision_sampling import sample_pairs
-from dualbrain.robots.collision_model.sphere_budget import FULL, FitEffort, LinkFit, fit_links
+from dualbrain.robots.builtin.fitted_parts import (
+    N_CONFIGURATIONS,
+    describe_fit,
+    fitted_pairs,
+    fitted_spheres,
+    no_gripper,
+)
+from dualbrain.robots.collision_model.sphere_budget import FULL, FitEffort, fit_links
 from dualbrain.robots.model import (
     Bound,
-    CollisionSphere,
-    Gripper,
     Joint,
     Link,
     Quaternion,
     RobotModel,
-    SelfCollisionPairs,
     Tool,
     TrackingErrorModel,
     Vector,
@@ -124,17 +125,10 @@ WEIGHTS = {
 }
 """Weight of the excess by link: an excess on the hand prevents grasps, one on the fixed base hardly matters."""
 SPHERE_BUDGET = 112
-N_SURFACE_POINTS, N_CONFIGURATIONS, SEED = 1500, 100_000, 0
+SEED = 0
 
 TOOL = Tool("gripper", (-0.0079, -0.000218121, -0.0981274), (0.0, SQRT_HALF, SQRT_HALF, 0.0))
-NO_GRIPPER_SOURCE = "a revolute jaw: no parallel gripper, so that no skill grasps with it"
-GRIPPER = Gripper(
-    opening=Bound(0.0, "m", NO_GRIPPER_SOURCE),
-    force=Bound(0.0, "N", NO_GRIPPER_SOURCE),
-    force_min=Bound(0.0, "N", NO_GRIPPER_SOURCE),
-    pad_below_tool=0.0,
-    finger_thickness=0.0,
-)
+GRIPPER = no_gripper("a revolute jaw: no parallel gripper, so that no skill grasps with it")
 
 
 def make_model(
@@ -144,8 +138,7 @@ def make_model(
     shapes = link_shapes()
     fits = fit_links(shapes, WEIGHTS, SPHERE_BUDGET, effort, SEED)
     for name, fit in fits.items():
-        report_progress(_describe(name, fit))
-    cover = {name: fit.spheres for name, fit in fits.items()}
+        report_progress(describe_fit(name, fit))
     report_progress(f"self pairs: {N_CONFIGURATIONS} random configurations")
     return RobotModel(
         name="so101",
@@ -153,8 +146,8 @@ def make_model(
         licence=LICENCE,
         joints=joints(),
         links=links(),
-        spheres=_collision_spheres(cover),
-        self_pairs=_pairs(cover, shapes),
+        spheres=fitted_spheres(fits),
+        self_pairs=fitted_pairs(joints(), links(), fits, shapes, SEED),
         tool=TOOL,
         gripper=GRIPPER,
         home=HOME,
@@ -226,29 +219,3 @@ def _turned(points: Array, angle: float) -> Array:
     """`points` (p, 3), turned by `angle` [rad] about z."""
     c, s = np.cos(angle), np.sin(angle)
     return points @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
-def _pairs(cover: dict[str, SphereSet], shapes: dict[str, list[Mesh]]) -> SelfCollisionPairs:
-    rng = np.random.default_rng([SEED, len(shapes)])
-    surfaces = {
-        name: np.vstack([sample_surface(mesh, N_SURFACE_POINTS // len(meshes), rng) for mesh in meshes])
-        for name, meshes in shapes.items()
-    }
-    return sample_pairs(joints(), links(), cover, surfaces, n_samples=N_CONFIGURATIONS, rng=rng).pairs
-
-
-def _collision_spheres(cover: dict[str, SphereSet]) -> tuple[CollisionSphere, ...]:
-    """The spheres as records; `fit_links` has rounded them to 10 µm."""
-    found: list[CollisionSphere] = []
-    for name, spheres in cover.items():
-        for centre, radius in zip(spheres.centres, spheres.radii, strict=True):
-            x, y, z = (round(float(value), 5) + 0.0 for value in centre)
-            found.append(CollisionSphere(name, (x, y, z), round(float(radius), 5)))
-    return tuple(found)
-
-
-def _describe(name: str, fit: LinkFit) -> str:
-    return (
-        f"{name}: {len(fit.spheres.radii)} spheres on {fit.n_parts} convex parts, stand-off mean {fit.mean * 1e3:.1f} "
-        f"mm, 95 % {fit.p95 * 1e3:.1f} mm, worst {fit.worst * 1e3:.1f} mm"
-    )
