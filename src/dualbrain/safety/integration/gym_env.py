@@ -108,7 +108,7 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         self._decode_action = decode_action or self._default_decode
         layout = FunctionLayout(self._decode_action, encode_action or self._default_encode)
         given = JointVelocity(layout=layout) if torque is None else JointTorque(drive=torque, layout=layout)
-        step = _find_step_time(env.unwrapped) if step_time is None else _checked_step_time(step_time)
+        step = find_step_time(env.unwrapped) if step_time is None else _checked_step_time(step_time)
         if action_space is None:
             self._check_period(step)
             if torque is None:
@@ -143,7 +143,7 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
             errors.append(float(np.abs(self._joint_state[1] - self.guard.control).max()))
             if terminated or truncated or len(reports) == self._action_repeat:
                 break
-        info = {**info, **_step_info(reports), "applied": applied}
+        info = {**info, **step_info(reports), "applied": applied}
         if self._reports_tracking:
             info["tracking_error"] = max(errors)
         return observation, total, terminated, truncated, info
@@ -206,7 +206,7 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
             )
 
 
-def _find_step_time(env: Any) -> float:
+def find_step_time(env: Any) -> float:
     """The time of one step [s] that an environment states itself.
 
     Gymnasium, gymnasium-robotics and metaworld have `dt`, robosuite and dm_control `control_timestep` (a number or a
@@ -233,8 +233,8 @@ def _checked_step_time(stated: Any) -> float:
     return step
 
 
-def _step_info(reports: Sequence[GuardReport]) -> dict[str, Any]:
-    """Entries of `info` for the reports on one action."""
+def step_info(reports: Sequence[GuardReport]) -> dict[str, Any]:
+    """Entries of `info` for the reports on one action of one arm (`FilteredEnv`)."""
     problems = [report.problem for report in reports if report.problem]
     return {
         "cost": sum(report.delta for report in reports) / len(reports),

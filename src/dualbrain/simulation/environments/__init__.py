@@ -8,16 +8,18 @@ from dualbrain.core.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
     from dualbrain.simulation.environments.guarded_mujoco_env import guard_mujoco_env
+    from dualbrain.simulation.environments.gym_aloha import guard_aloha
     from dualbrain.simulation.environments.mujoco_arm import MujocoArm
     from dualbrain.simulation.environments.mujoco_obstacles import MujocoObstacles
 
 _MODULES = {
+    "simulation.environments.gym_aloha": ("guard_aloha",),
     "simulation.environments.guarded_mujoco_env": ("guard_mujoco_env",),
     "simulation.environments.mujoco_arm": ("MujocoArm",),
     "simulation.environments.mujoco_obstacles": ("MujocoObstacles",),
 }
 """Public names by the module that defines them."""
 
-__all__ = ["MujocoArm", "MujocoObstacles", "guard_mujoco_env"]
+__all__ = ["MujocoArm", "MujocoObstacles", "guard_aloha", "guard_mujoco_env"]
 
 __getattr__, __dir__ = lazy_exports(__name__, _MODULES)
