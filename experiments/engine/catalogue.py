@@ -41,6 +41,7 @@ from experiments.planning.family_sweep import FamilySweep
 from experiments.planning.language import Language
 from experiments.planning.sensitivity_sweep import SensitivitySweep
 from experiments.planning.site_documents import SiteDocuments
+from experiments.robots.aloha.aloha_arms import AlohaArms
 from experiments.robots.cross_embodiment import CrossEmbodiment
 from experiments.robots.franka_limits import FrankaLimits
 from experiments.robots.grasping import Grasping
@@ -105,6 +106,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         NamedAlternatives(),
         Starter(),
         RobosuiteTasks(),
+        AlohaArms(),
         PolicyGuards(),
         DepthObstacles(),
         Ros2Rates(),
