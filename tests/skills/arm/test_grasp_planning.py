@@ -20,7 +20,7 @@ from dualbrain.skills.arm.grasp_planning import (
     slow_descent_goal,
 )
 from dualbrain.skills.kinematics import object_geometry
-from dualbrain.skills.skill import Observation
+from dualbrain.skills.skill import Observation, SkillResult, SkillStatus
 from dualbrain.skills.time_slicing import SUFFICIENT_CLEARANCE, collect, first_clear, run_to_completion
 
 BODY = load_robot("panda")
@@ -31,6 +31,10 @@ CUBE = SceneObject(
 BOTTLE = SceneObject(
     name="bottle", role="object", shape=Box((0.02, 0.03, 0.1)), pose=Pose((0.595, -0.2, 0.1)), error=0.009
 )
+BLOCK = SceneObject(
+    name="block", role="object", shape=Box((0.015, 0.015, 0.02)), pose=Pose((0.575, -0.2, 0.02)), error=0.009
+)
+"""Beside one finger of a grasp "along"."""
 CLEARANCE = 0.15
 
 
@@ -122,3 +126,44 @@ def test_goals_are_ordered_by_the_joint_motion_they_need():
     goals = [ToolGoal(plain.position, plain.rotation, start + np.array([offset, *[0.0] * 6])) for offset in offsets]
     order = [float((goal.posture - start)[0]) for goal in collect(order_by_posture_cost(arm, goals))]
     assert order == pytest.approx([0.0, 0.5, 1.0, 3.0, 4.0])
+
+
+def test_closer_fingers_have_more_clearance_beside_a_neighbour():
+    arm = arm_beside(BLOCK)
+    at = requested_grasp(arm)
+    room = [
+        run_to_completion(descent_clearance(arm, at, CUBE, CLEARANCE, opening=opening))
+        for opening in (0.03, 0.035, 0.04)
+    ]
+    assert room[0] > room[1] > room[2]
+    arm.opening = 0.035
+    assert run_to_completion(descent_clearance(arm, at, CUBE, CLEARANCE)) == room[1]
+
+
+@pytest.mark.parametrize("clear_at", [0.04, 0.032, None])
+def test_the_fingers_come_closer_only_if_needed_and_only_above_the_object(monkeypatch, clear_at):
+    """After a blocked descent a finger may touch the object, which it would push aside if it moved there."""
+    arm, events = arm_beside(BOTTLE), []
+    at, blocked = requested_grasp(arm), SkillResult(SkillStatus.TAKEN_OVER, "descend: no progress")
+
+    def find(_arm, obj, opening, goals, clearance):
+        del obj, goals, clearance
+        events.append(("find", opening, arm.opening))
+        yield from ()
+        return at if clear_at is not None and opening <= clear_at + 1e-9 else None
+
+    def move(name):
+        def moved(*_, **__):
+            events.append((name, arm.opening))
+            yield from ()
+
+        return moved
+
+    monkeypatch.setattr(grasp, "_find_clear_descent", find)
+    monkeypatch.setattr(grasp, "move_to_height", move("rise"))
+    monkeypatch.setattr(grasp, "_descend_to_grasp", move("descend"))
+    result = run_to_completion(grasp._try_alternative(arm, blocked, CUBE, "along", "top", CLEARANCE, 0.2))
+    looks = [("find", 0.04, 0.04)] if clear_at == 0.04 else [("find", 0.04, 0.04), ("find", pytest.approx(0.032), 0.04)]
+    moves = [] if clear_at is None else [("rise", 0.04), ("descend", pytest.approx(clear_at))]
+    assert events == looks + moves
+    assert result is (blocked if clear_at is None else None)

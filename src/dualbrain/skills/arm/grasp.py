@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from itertools import chain
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,7 +31,7 @@ from dualbrain.skills.arm.waypoints import (
 )
 from dualbrain.skills.kinematics import object_geometry
 from dualbrain.skills.skill import SkillResult, SkillRoutine, SkillStatus
-from dualbrain.skills.time_slicing import first_clear
+from dualbrain.skills.time_slicing import SlicedComputation, first_clear
 
 GRIP_FORCE_STEP = 1.5
 """Factor between two grip forces that are tried, from the least force of the gripper to that of the contract."""
@@ -51,6 +54,8 @@ CLEAR_RISE_MARGIN = 0.2
 """The rise of the object, as a fraction of the lift, is clear if it is farther than this from one half."""
 FORCE_RISE_TIME = 0.1
 """Time [s] in which the fingers reach the force with its reserve."""
+FINGER_ROOM = 0.003
+"""Room on each side of an object [m], beyond its error bound, to which the fingers close for a descent that fits."""
 MIN_FINGER_OVERLAP = 0.011
 """Fingers that reach deeper than this below the top of an object, and are off its centre by less, may close [m]."""
 
@@ -157,17 +162,39 @@ def _try_alternative(
     clearance: float,
     speed: float,
 ) -> SubRoutine:
-    """Rise, and descend again with the other finger axis or another approach, if that is predicted to be clear."""
-    goal, margin = yield from first_clear(
-        alternative_grasps(arm, obj, finger_axis, approach),
-        lambda candidate, threshold: descent_clearance(arm, candidate, obj, clearance, threshold),
+    """Rise, and descend again as is predicted to be clear: with another axis or approach, or with the fingers closer.
+
+    The fingers are opened less than specified only if no other descent with the specified opening is clear, and only
+    above the object, which one of them may touch after the blocked descent.
+    """
+    opening = arm.opening
+    goal = yield from _find_clear_descent(
+        arm, obj, opening, alternative_grasps(arm, obj, finger_axis, approach), clearance
     )
-    if goal is None or margin < 0.0:
+    if goal is None:
+        opening = min(opening, 0.5 * object_geometry.grasp_width(obj, finger_axis) + FINGER_ROOM + obj.error)
+        goals = chain(
+            grasp_candidates(arm, obj, finger_axis, approach),
+            alternative_grasps(arm, obj, finger_axis, approach, opening),
+        )
+        goal = yield from _find_clear_descent(arm, obj, opening, goals, clearance)
+    if goal is None:
         return blocked
     over = yield from pregrasp_goal(arm, goal, obj, clearance)
     if why := (yield from move_to_height(arm, float(over.position[2]), "descend", speed, near_suffices=True)):
         return why
+    arm.opening = opening
     return (yield from _descend_to_grasp(arm, obj, goal, clearance, speed))
+
+
+def _find_clear_descent(
+    arm: ArmController, obj: SceneObject, opening: float, goals: Iterable[ToolGoal | None], clearance: float
+) -> SlicedComputation[ToolGoal | None]:
+    """The goal to which a descent with the fingers at `opening` [m each] is predicted to be clear; None without one."""
+    goal, margin = yield from first_clear(
+        goals, lambda candidate, threshold: descent_clearance(arm, candidate, obj, clearance, threshold, opening)
+    )
+    return goal if margin >= 0.0 else None
 
 
 def _close_and_lift(arm: ArmController, obj: SceneObject, clearance: float, speed: float, force: float) -> SkillRoutine:

@@ -59,9 +59,13 @@ def grasp_candidates(arm: ArmController, obj: SceneObject, finger_axis: str, app
 
 
 def alternative_grasps(
-    arm: ArmController, obj: SceneObject, finger_axis: str, approach: str
+    arm: ArmController, obj: SceneObject, finger_axis: str, approach: str, opening: float | None = None
 ) -> SlicedIterator[ToolGoal]:
-    """Poses with the other finger axis or another approach than specified, if the fingers fit."""
+    """Poses with the other finger axis or another approach than specified, if the fingers fit.
+
+    The fingers are at `opening` [m each], by default as specified.
+    """
+    width = 2.0 * (arm.opening if opening is None else opening)
     other = {"along": "across", "across": "along"}[finger_axis]
     for axis, lean in (
         (other, approach),
@@ -70,7 +74,7 @@ def alternative_grasps(
         (finger_axis, "tilted"),
         (other, "tilted"),
     ):
-        if (axis, lean) != (finger_axis, approach) and _fits_in_gripper(arm, obj, axis):
+        if (axis, lean) != (finger_axis, approach) and _fits_in_gripper(obj, axis, width):
             yield from order_by_posture_cost(arm, _grasp_variations(arm, obj, axis, lean))
 
 
@@ -91,21 +95,29 @@ def order_by_posture_cost(arm: ArmController, goals: Iterable[ToolGoal | None]) 
 
 
 def descent_clearance(
-    arm: ArmController, grasp: ToolGoal, obj: SceneObject, clearance: float, threshold: float = -np.inf
+    arm: ArmController,
+    grasp: ToolGoal,
+    obj: SceneObject,
+    clearance: float,
+    threshold: float = -np.inf,
+    opening: float | None = None,
 ) -> SlicedComputation[float]:
     """Least clearance [m] of the descent to `grasp`; minus infinity if the arm cannot descend there.
+
+    The fingers are at `opening` [m each], by default as specified.
 
     The final pose is evaluated first, because a descent without clearance nearly always lacks it there. `threshold` as
     in `ArmController.predict_clearance`.
     """
-    below = yield from arm.predict_clearance(grasp.posture, (), "descend", arm.opening)
+    opening = arm.opening if opening is None else opening
+    below = yield from arm.predict_clearance(grasp.posture, (), "descend", opening)
     if below <= threshold:
         return below
     low = yield from slow_descent_goal(arm, grasp, obj)
     above = yield from arm.translate_goal_if_reachable(low, _passing_position(arm, low, obj, clearance))
     if above is None:
         return -np.inf
-    return (yield from arm.predict_clearance(above.posture, [low, grasp], "descend", arm.opening, threshold=threshold))
+    return (yield from arm.predict_clearance(above.posture, [low, grasp], "descend", opening, threshold=threshold))
 
 
 def pregrasp_goal(
@@ -161,10 +173,10 @@ def vary_goal(
     return None if q is None else ToolGoal(position, turned, q)
 
 
-def _fits_in_gripper(arm: ArmController, obj: SceneObject, axis: str) -> bool:
-    """Whether the fingers at the specified opening fit around `obj` on this axis, and the axis is level."""
+def _fits_in_gripper(obj: SceneObject, axis: str, width: float) -> bool:
+    """Whether fingers that are `width` [m] apart fit around `obj` on this axis, and the axis is level."""
     return (
-        object_geometry.grasp_width(obj, axis) + FINGER_CLEARANCE <= 2.0 * arm.opening
+        object_geometry.grasp_width(obj, axis) + FINGER_CLEARANCE <= width
         and object_geometry.levelness(obj, axis) > 0.7
     )
 
