@@ -267,6 +267,11 @@ class SafetyFilter:
             grasp_changes=self._grasp_changes,
         )
 
+    @property
+    def has_batch(self) -> bool:
+        """Whether `batch` can be called: the base is fixed, and there are no Python barriers."""
+        return not self._needs_state
+
     def kernel_scene(self) -> tuple[Kernel, float]:
         """The compiled kernel with the scene in force, and the stamp of the scene [s], for a control loop in C.
 
@@ -527,7 +532,7 @@ class SafetyFilter:
             ConfigurationError: the shapes do not agree, the base is mobile, or there are Python barriers (both depend
                 on a single state).
         """
-        if self._barriers or self._mobile:
+        if not self.has_batch:
             raise ConfigurationError.stating(
                 f"A batch needs a fixed base and no Python barriers; {self.robot_model.name} has "
                 f"{'a mobile base' if self._mobile else 'Python barriers'}.",

@@ -5,6 +5,8 @@ import pytest
 
 from dualbrain.errors import ConfigurationError
 from dualbrain.safety.cbf.filter import FilterStatus, SafetyFilter
+from dualbrain.safety.integration.policy_guard.guard import PolicyGuard
+from dualbrain.safety.integration.policy_guard.joint_actions import JointVelocity
 from dualbrain.safety.integration.policy_guard.path_braking import brake_along_path, braking_step
 from tests.safety.integration.gym_environments import DERATED_PANDA, EXACT_CONFIG, OBSTACLES, PERIOD, V_MAX, min_h
 from tests.safety.integration.policy_guard.kinematic_arm import GRIPPER, HOME, make_guard, random_action
@@ -84,3 +86,20 @@ def test_the_chosen_control_is_admitted_and_a_faster_one_is_not():
 def test_another_deviation_is_an_error():
     with pytest.raises(ConfigurationError, match="along_path"):
         make_guard("joint velocity", deviation="sideways")
+
+
+class NoRows:
+    """A Python barrier that never constrains."""
+
+    name = "none"
+
+    def rows(self, state, jacobian):
+        del state, jacobian
+        return []
+
+
+def test_python_barriers_are_refused_before_the_first_action():
+    safety = SafetyFilter(DERATED_PANDA, barriers=[NoRows()])
+    PolicyGuard(safety, JointVelocity(), period=PERIOD)
+    with pytest.raises(ConfigurationError, match="nearest"):
+        PolicyGuard(safety, JointVelocity(), period=PERIOD, deviation="along_path")

@@ -146,14 +146,19 @@ class PolicyGuard:
         long as that is safe (`path_braking.py`).
 
         Raises:
-            ConfigurationError: the period or the layout does not fit, or a robot with a mobile base gets other actions
-                than velocities, one per period.
+            ConfigurationError: the period or the layout does not fit; a robot with a mobile base gets other actions
+                than velocities, one per period; or "along_path" with a mobile base or Python barriers.
         """
         self.shadow = safety if isinstance(safety, ShadowFilter) else None
         self.safety = safety.safety if isinstance(safety, ShadowFilter) else safety
         self.space, self.limits, self._brakes_along_path = space, limits, deviation == "along_path"
         if deviation not in DEVIATIONS:
             raise ConfigurationError("deviation of the guard", got=deviation, allowed=" or ".join(DEVIATIONS))
+        if self._brakes_along_path and not self.safety.has_batch:
+            raise ConfigurationError.stating(
+                'deviation="along_path" compares controls at once: it needs a fixed base and no Python barriers.',
+                fix='Guard this filter with deviation="nearest".',
+            )
         self._model = self.safety.robot_model
         self._dt = self._model.period
         self.steps_per_action = self._count_steps(period)
