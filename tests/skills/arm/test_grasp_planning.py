@@ -1,5 +1,7 @@
 """Choice of the grasp: the requested one if it is clear, a slightly different one next to a neighbouring object."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -142,7 +144,7 @@ def test_closer_fingers_have_more_clearance_beside_a_neighbour():
 
 @pytest.mark.parametrize("clear_at", [0.04, 0.032, None])
 def test_the_fingers_come_closer_only_if_needed_and_only_above_the_object(monkeypatch, clear_at):
-    """After a blocked descent a finger may touch the object, which it would push aside if it moved there."""
+    """Fingers that close beside the object could push it aside."""
     arm, events = arm_beside(BOTTLE), []
     at, blocked = requested_grasp(arm), SkillResult(SkillStatus.TAKEN_OVER, "descend: no progress")
 
@@ -167,3 +169,11 @@ def test_the_fingers_come_closer_only_if_needed_and_only_above_the_object(monkey
     moves = [] if clear_at is None else [("rise", 0.04), ("descend", pytest.approx(clear_at))]
     assert events == looks + moves
     assert result is (blocked if clear_at is None else None)
+
+
+def test_fingers_that_press_on_something_stay_where_they_are(monkeypatch):
+    arm, blocked = arm_beside(BOTTLE), SkillResult(SkillStatus.TAKEN_OVER, "descend: no progress")
+    pressing = replace(arm.observation.state, finger_forces=(0.0, 5.0))
+    arm.observe(replace(arm.observation, state=pressing))
+    monkeypatch.setattr(grasp, "move_to_height", None)
+    assert run_to_completion(grasp._try_alternative(arm, blocked, CUBE, "along", "top", CLEARANCE, 0.2)) is blocked

@@ -20,7 +20,7 @@ from dualbrain.skills.arm.grasp_planning import (
     pregrasp_goal,
     slow_descent_goal,
 )
-from dualbrain.skills.arm.load_monitor import MAX_CLOSING, offset_in_tool
+from dualbrain.skills.arm.load_monitor import MAX_CLOSING, MIN_GRIP_FORCE, offset_in_tool
 from dualbrain.skills.arm.waypoints import (
     CONTACT_APPROACH_SPEED,
     descend,
@@ -165,8 +165,10 @@ def _try_alternative(
     """Rise, and descend again as is predicted to be clear: with another axis or approach, or with the fingers closer.
 
     The fingers are opened less than specified only if no other descent with the specified opening is clear, and only
-    above the object, which one of them may touch after the blocked descent.
+    above the object. Fingers that press on something stay where they are: rising, they could drag it off its support.
     """
+    if max(arm.observation.state.finger_forces) >= MIN_GRIP_FORCE:
+        return blocked
     opening = arm.opening
     goal = yield from _find_clear_descent(
         arm, obj, opening, alternative_grasps(arm, obj, finger_axis, approach), clearance
