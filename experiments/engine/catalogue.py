@@ -45,6 +45,7 @@ from experiments.robots.aloha.aloha_arms import AlohaArms
 from experiments.robots.cross_embodiment import CrossEmbodiment
 from experiments.robots.franka_limits import FrankaLimits
 from experiments.robots.grasping import Grasping
+from experiments.robots.robosuite_guard.experiment import RobosuiteGuard
 from experiments.robots.robosuite_tasks import RobosuiteTasks
 from experiments.robots.ros2.rates import Ros2Rates
 from experiments.robots.so101.careless_servos import CarelessServos
@@ -107,6 +108,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         Starter(),
         RobosuiteTasks(),
         AlohaArms(),
+        RobosuiteGuard(),
         PolicyGuards(),
         DepthObstacles(),
         Ros2Rates(),

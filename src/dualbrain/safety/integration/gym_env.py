@@ -7,7 +7,7 @@ the environment.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from math import inf, isclose, isnan, nan
+from math import inf, isclose, nan
 from typing import Any, SupportsFloat
 
 import numpy as np
@@ -21,6 +21,7 @@ from dualbrain.safety.integration.policy_guard.action_layout import FunctionLayo
 from dualbrain.safety.integration.policy_guard.action_space import ActionSpace
 from dualbrain.safety.integration.policy_guard.guard import Deviation, GuardReport, PolicyGuard
 from dualbrain.safety.integration.policy_guard.joint_actions import JointVelocity
+from dualbrain.safety.integration.policy_guard.step_info import step_info
 from dualbrain.safety.integration.policy_guard.torque_actions import JointTorque, TorqueDrive
 from dualbrain.safety.integration.shadow_mode import ShadowFilter
 
@@ -231,15 +232,3 @@ def _checked_step_time(stated: Any) -> float:
     if not 0.0 < step < inf:
         raise ConfigurationError("time of one step of the environment [s]", got=stated, allowed="a positive number")
     return step
-
-
-def step_info(reports: Sequence[GuardReport]) -> dict[str, Any]:
-    """Entries of `info` for the reports on one action of one arm (`FilteredEnv`)."""
-    problems = [report.problem for report in reports if report.problem]
-    return {
-        "cost": sum(report.delta for report in reports) / len(reports),
-        "cost_rows": sum(report.delta_rows for report in reports) / len(reports),
-        "h_min": min((report.h_min for report in reports if not isnan(report.h_min)), default=nan),
-        "status": max(report.status for report in reports).name,
-        "safety": problems[0] if problems else max(reports, key=lambda report: report.delta).explanation,
-    }

@@ -11,15 +11,17 @@ if TYPE_CHECKING:
     from dualbrain.simulation.environments.gym_aloha import guard_aloha
     from dualbrain.simulation.environments.mujoco_arm import MujocoArm
     from dualbrain.simulation.environments.mujoco_obstacles import MujocoObstacles
+    from dualbrain.simulation.environments.robosuite import guard_robosuite, robosuite_robot
 
 _MODULES = {
     "simulation.environments.gym_aloha": ("guard_aloha",),
     "simulation.environments.guarded_mujoco_env": ("guard_mujoco_env",),
     "simulation.environments.mujoco_arm": ("MujocoArm",),
     "simulation.environments.mujoco_obstacles": ("MujocoObstacles",),
+    "simulation.environments.robosuite": ("guard_robosuite", "robosuite_robot"),
 }
 """Public names by the module that defines them."""
 
-__all__ = ["MujocoArm", "MujocoObstacles", "guard_aloha", "guard_mujoco_env"]
+__all__ = ["MujocoArm", "MujocoObstacles", "guard_aloha", "guard_mujoco_env", "guard_robosuite", "robosuite_robot"]
 
 __getattr__, __dir__ = lazy_exports(__name__, _MODULES)

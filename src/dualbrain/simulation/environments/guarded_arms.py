@@ -19,10 +19,11 @@ from dualbrain.safety.cbf.config import FilterConfig
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.obstacles import Obstacle
 from dualbrain.safety.cbf.result import FilterStatus
-from dualbrain.safety.integration.gym_env import find_step_time, step_info
+from dualbrain.safety.integration.gym_env import find_step_time
 from dualbrain.safety.integration.policy_guard.action_layout import ActionLayout
 from dualbrain.safety.integration.policy_guard.guard import Deviation, PolicyGuard
 from dualbrain.safety.integration.policy_guard.joint_actions import JointPosition
+from dualbrain.safety.integration.policy_guard.step_info import step_info
 from dualbrain.simulation.environments.arm_spheres import ArmSpheres, Parts
 from dualbrain.simulation.environments.guarded_mujoco_env import MujocoHandles, mujoco_handles
 from dualbrain.simulation.environments.mujoco_arm import MujocoArm

@@ -37,8 +37,8 @@ class MujocoArm:
         if len(joints) != robot_model.n:
             allowed = f"one for each joint of {robot_model.name}: {', '.join(j.name for j in robot_model.joints)}"
             raise ConfigurationError("joints of the environment", got=list(joints), allowed=allowed)
-        self._joints = np.array([_find(model, mujoco.mjtObj.mjOBJ_JOINT, "joint", name) for name in joints])
-        self.base = _find(model, mujoco.mjtObj.mjOBJ_BODY, "body", base)
+        self._joints = np.array([find_id(model, mujoco.mjtObj.mjOBJ_JOINT, "joint", name) for name in joints])
+        self.base = find_id(model, mujoco.mjtObj.mjOBJ_BODY, "body", base)
         if model.body_weldid[self.base] != 0:
             raise ConfigurationError.stating(
                 f"The body {base!r} moves in the MuJoCo model.", fix="Name the fixed base of the arm."
@@ -56,6 +56,11 @@ class MujocoArm:
     def v(self) -> Array:
         """Joint velocities (n,) [rad/s]."""
         return self.data.qvel[self._v].copy()
+
+    @property
+    def dofs(self) -> NDArray[np.intp]:
+        """The degrees of freedom (n,) of the joints in the MuJoCo model."""
+        return self._v.copy()
 
     @property
     def bodies(self) -> frozenset[int]:
@@ -101,7 +106,8 @@ class MujocoArm:
                 )
 
 
-def _find(model: Any, kind: Any, word: str, name: str) -> int:
+def find_id(model: Any, kind: Any, word: str, name: str) -> int:
+    """The number of the joint or body `name` of a MuJoCo model; raises `UnknownNameError`."""
     found = int(mujoco.mj_name2id(model, kind, name))
     if found < 0:
         count = model.njnt if kind == mujoco.mjtObj.mjOBJ_JOINT else model.nbody
