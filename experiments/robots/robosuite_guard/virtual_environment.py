@@ -33,8 +33,7 @@ def create() -> Path:
     python = ENVIRONMENT.create(_install_suite)
     mark, digest = ENVIRONMENT.folder / "dualbrain-made-from", _source_digest()
     if not mark.exists() or mark.read_text() != digest:
-        ENVIRONMENT.pip("install", "--force-reinstall", "--no-deps", str(ROOT))
-        ENVIRONMENT.pip("install", str(ROOT))  # what it depends on
+        ENVIRONMENT.pip("install", str(ROOT))  # a folder is installed again although its version is there
         mark.write_text(digest)
     return python
 
