@@ -29,14 +29,15 @@ class RobosuiteGuard:
     )
 
     def units(self, options: Options) -> list[WorkUnit]:
-        """All conditions at one seed, then at the next; a condition starts from the same state in every mode."""
+        """All conditions at one seed, then at the next; the clamped ones last. Each starts from one state in every mode."""
         del options
         return [
             WorkUnit(f"{task} {policy} {mode} {seed}", {"task": task, "policy": policy, "mode": mode, "seed": seed})
+            for modes in (("unguarded", "guarded"), ("clamped",))
             for seed in range(N_SEEDS)
             for task in TASKS
             for policy in POLICIES
-            for mode in MODES
+            for mode in modes
         ]
 
     def run(self, parameters: dict[str, Any]) -> Row:
