@@ -13,9 +13,9 @@ from experiments.robots.robosuite_guard.suite import GuardedSuite
 
 TASKS = ("Lift", "Stack", "PickPlaceCan")
 POLICIES = ("careful", "careless", "random")
-MODES = ("unguarded", "clamped", "guarded")
-"""The actions of the policy directly; clamped to 1 cm and 0.1 rad per step; behind `guard_robosuite`."""
-N_SEEDS = 10
+MODES = ("clamped", "unguarded", "guarded")
+"""The actions of the policy clamped to 1 cm and 0.1 rad per step; directly; behind `guard_robosuite`."""
+N_SEEDS, SEEDS_PER_BATCH = 14, 7
 
 
 class RobosuiteGuard:
@@ -29,15 +29,15 @@ class RobosuiteGuard:
     )
 
     def units(self, options: Options) -> list[WorkUnit]:
-        """All conditions at one seed, then at the next; the clamped ones last. Each starts from one state in every mode."""
+        """The guarded, unguarded and clamped episodes of a batch of seeds; a seed is one start state in all modes."""
         del options
         return [
             WorkUnit(f"{task} {policy} {mode} {seed}", {"task": task, "policy": policy, "mode": mode, "seed": seed})
-            for modes in (("unguarded", "guarded"), ("clamped",))
-            for seed in range(N_SEEDS)
+            for first in range(0, N_SEEDS, SEEDS_PER_BATCH)
+            for mode in reversed(MODES)
+            for seed in range(first, first + SEEDS_PER_BATCH)
             for task in TASKS
             for policy in POLICIES
-            for mode in modes
         ]
 
     def run(self, parameters: dict[str, Any]) -> Row:
