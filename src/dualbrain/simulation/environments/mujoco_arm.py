@@ -25,8 +25,19 @@ MAX_AXIS_ERROR, MAX_LEVER_ERROR = 1e-3, 2e-3
 class MujocoArm:
     """The joints of one arm in a MuJoCo model, in the order of the robot model."""
 
-    def __init__(self, model: Any, data: Any, robot_model: RobotModel, joints: Sequence[str], base: str) -> None:
+    def __init__(
+        self,
+        model: Any,
+        data: Any,
+        robot_model: RobotModel,
+        joints: Sequence[str],
+        base: str,
+        *,
+        has_held_base: bool = False,
+    ) -> None:
         """The joints called `joints`, one for each joint of `robot_model`, of the arm whose base is the body `base`.
+
+        `has_held_base`: the base has joints in the model that the environment holds in place.
 
         Raises:
             UnknownNameError: the MuJoCo model has no joint or body of that name.
@@ -39,7 +50,7 @@ class MujocoArm:
             raise ConfigurationError("joints of the environment", got=list(joints), allowed=allowed)
         self._joints = np.array([find_id(model, mujoco.mjtObj.mjOBJ_JOINT, "joint", name) for name in joints])
         self.base = find_id(model, mujoco.mjtObj.mjOBJ_BODY, "body", base)
-        if model.body_weldid[self.base] != 0:
+        if model.body_weldid[self.base] != 0 and not has_held_base:
             raise ConfigurationError.stating(
                 f"The body {base!r} moves in the MuJoCo model.", fix="Name the fixed base of the arm."
             )
@@ -61,6 +72,11 @@ class MujocoArm:
     def dofs(self) -> NDArray[np.intp]:
         """The degrees of freedom (n,) of the joints in the MuJoCo model."""
         return self._v.copy()
+
+    @property
+    def position_addresses(self) -> NDArray[np.intp]:
+        """The entries (n,) of the joints in `qpos`."""
+        return self._q.copy()
 
     @property
     def bodies(self) -> frozenset[int]:

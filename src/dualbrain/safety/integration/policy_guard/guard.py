@@ -212,6 +212,17 @@ class PolicyGuard:
         self._last_command: Array | None = None
         self._changed = False
 
+    def retarget(self, q: ArrayLike) -> None:
+        """Take `q` (n,) [rad] as the commanded configuration, where another controller than the guard changes it.
+
+        Raises:
+            ConfigurationError: `q` does not have n finite entries.
+        """
+        target = as_real_array("q", q, (self._model.n,)).copy()
+        if not np.isfinite(target).all():
+            raise ConfigurationError("q", got=target.tolist(), allowed=f"{self._model.n} finite numbers")
+        self._target = target
+
     def _start_velocity(self, v: ArrayLike) -> Array:
         """The joint velocity `v` at the beginning, one number or (n,), as an array."""
         start = np.broadcast_to(np.asarray(v, float), (self._model.n,))

@@ -1,0 +1,254 @@
+"""The filter in front of an arm whose tool a MuJoCo mocap body drags through a weld, as in metaworld and Fetch.
+
+An action displaces the mocap body. The guard computes the joint motion that carries the tool there, and returns the
+displacement that belongs to the safe part of it. The weld leaves the null space of the arm and the lag of the tool
+uncommanded. Therefore the computed configuration q_c is found again before every action, as the one nearest to the
+measured joints at which the tool is at its commanded position, and the greatest distance d between a point of the arm
+at q_c and at the measured joints is compared with a bound D. All obstacles are enlarged by D.
+
+Guarantee: the computed links keep the distance D from every obstacle, and the measured ones stay off them as long as
+d ≤ D. The bound is checked once per action, not in between. Beyond it the tool comes to rest and `info["safety"]`
+states it; the null space cannot be stopped by any action. Joint limits are left to the simulation, because the null
+space reaches them without a command.
+"""
+
+# MuJoCo ships no type stubs:
+# pyright: reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import msgspec
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.core.geometry.rotations import matrix_to_quaternion
+from dualbrain.core.geometry.validation import check_positive
+from dualbrain.errors import ConfigurationError
+from dualbrain.robots.model import RobotModel
+from dualbrain.safety.cbf.config import FilterConfig
+from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.safety.integration.gym_env import FilteredEnv
+from dualbrain.safety.integration.policy_guard.action_layout import FunctionLayout
+from dualbrain.safety.integration.policy_guard.tool_actions import ToolPose
+from dualbrain.simulation.environments.guarded_mujoco_env import mujoco_handles
+from dualbrain.simulation.environments.mujoco_arm import MAX_LEVER_ERROR, MujocoArm, find_id
+from dualbrain.simulation.environments.mujoco_obstacles import MujocoObstacles
+
+Array = NDArray[np.float64]
+
+IK_STEPS, IK_DAMPING = 12, 0.03
+"""Steps and damping of the inverse kinematics from the measured joints."""
+WIDER = 2.0
+"""Addition to the range of each joint [rad] on both sides."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MocapControl:
+    """How an environment moves its tool.
+
+    `tool` is the body at the end of the weld, `base` the base of the arm, `joints` its joints. One unit of an action is
+    a displacement of `scale` [m] from `reference`: the mocap body, or the tool. `rotation` (w, x, y, z), of any length,
+    is that of the mocap body. `limits(env)` are the corners (2, 3) [m] of the box that bounds the mocap body.
+    """
+
+    tool: str
+    base: str
+    joints: tuple[str, ...]
+    scale: float
+    reference: Literal["mocap", "tool"]
+    rotation: tuple[float, float, float, float]
+    limits: Callable[[Any], Any] = lambda _: [[-np.inf] * 3, [np.inf] * 3]
+    has_held_base: bool = False
+
+
+def guard_mocap_env(
+    env: Any,
+    robot_model: RobotModel,
+    control: MocapControl,
+    *,
+    ignored: Collection[str] = (),
+    deviation: float = 0.02,
+    margin: float = 0.0,
+) -> FilteredEnv:
+    """`env`, which is reset once, with every displacement of its tool replaced by the closest safe one.
+
+    `robot_model` has its tool frame at `control.tool`. Bodies in `ignored` are no obstacles. `deviation` [m] is the
+    bound D of the distance between computed and measured links, and `margin` [m] is added to it.
+
+    Raises:
+        ConfigurationError: no MuJoCo simulation, another arm, or a time step that the period does not divide.
+        UnknownNameError: the MuJoCo model has no joint or body of a name.
+    """
+    check_positive("deviation [m]", deviation)
+    env.reset()
+    return MocapEnv(env, robot_model, control, tuple(ignored), deviation, margin)
+
+
+class MocapEnv(FilteredEnv):
+    """The environment behind the guard; `info["deviation"]` [m] is d before the action."""
+
+    def __init__(
+        self,
+        env: Any,
+        robot_model: RobotModel,
+        control: MocapControl,
+        ignored: Sequence[str],
+        deviation: float,
+        margin: float,
+    ) -> None:
+        """Compile the filter; the parameters are those of `guard_mocap_env`."""
+        self._control, self._bound, self._distance = control, deviation, 0.0
+        model, data = mujoco_handles(env)
+        names = (robot_model, control.joints, control.base)
+        self._arm = MujocoArm(model, data, *names, has_held_base=control.has_held_base)
+        self._obstacles = MujocoObstacles(self._arm, ignored=ignored, margin=margin + deviation)
+        self._ghost = mujoco.MjData(model)
+        self._tool = find_id(model, mujoco.mjtObj.mjOBJ_BODY, "body", control.tool)
+        self._position = data.xpos[self._tool].copy()
+        self._geoms = [g for g in range(model.ngeom) if int(model.geom_bodyid[g]) in self._arm.bodies]
+        super().__init__(
+            env,
+            SafetyFilter(_without_joint_limits(robot_model), FilterConfig(lag_compensation=False, tracking_error=0.0)),
+            state=lambda _: (self._arm.q, self._arm.v),
+            scene=lambda _, __: self._obstacles.observe(),
+            action_space=ToolPose(rotation="quaternion", layout=FunctionLayout(self._decode, self._encode)),
+            deviation="along_path",
+        )
+        self._check_tool()
+
+    def _check_tool(self) -> None:
+        """Refuse a robot model whose tool frame is not at the body that the weld drags."""
+        data, found = self._arm.data, self.safety.tool(self._arm.q)
+        own = self._arm.to_base(data.xpos[self._tool], data.xmat[self._tool].reshape(3, 3))
+        apart = float(np.linalg.norm(own[0] - found.position))
+        turned = float(np.abs(own[1] - found.rotation).max())
+        if apart > MAX_LEVER_ERROR or turned > MAX_LEVER_ERROR:
+            raise ConfigurationError.stating(
+                f"The tool frame of {self.safety.robot_model.name} is {apart * 1e3:.1f} mm from the body "
+                f"{self._control.tool!r}, and its axes differ by {turned:.3g}.",
+                fix=f"Import the robot with `dualbrain robot init --tool {self._control.tool}`.",
+            )
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Reset the environment and the guard."""
+        result = super().reset(seed=seed, options=options)
+        if mujoco_handles(self.env) != (self._arm.model, self._arm.data):
+            raise ConfigurationError.stating(
+                "The reset built another MuJoCo model.", fix="Guard the environment again after each such reset."
+            )
+        self._position = self._reference.copy()
+        self.guard.reset(self._computed_joints(), 0.0)
+        return result
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Filter and execute `action`; `info["deviation"]` [m] is the distance of computed and measured links."""
+        observation, reward, terminated, truncated, info = super().step(action)
+        return observation, reward, terminated, truncated, {**info, "deviation": self._distance}
+
+    def _guarded_action(self, action: Any) -> Any:
+        q = self._computed_joints()
+        self._distance = self._ghost_distance()
+        self.guard.retarget(q)
+        self.safety.observe(self._obstacles.observe(), self._now)
+        v = self.guard.control if self._now else np.zeros(self._n)
+        if self._distance > self._bound:
+            problem = (
+                f"A link is {self._distance * 1e3:.0f} mm from its computed place, allowed are "
+                f"{self._bound * 1e3:.0f} mm; the tool comes to rest. Remedy: move more slowly (`derate`), "
+                "look for a contact, or allow a larger `deviation`"
+            )
+            self.guard.stop(problem, q, v, self._now)
+            return self._encode_position(self.guard.target, action)
+        held = self._position.copy()
+        applied = self.guard(action, q, v, self._now)
+        if self.guard.report.speed_share == 0.0:  # the nearest control turns the tool or its elbow: no action does that
+            self.safety.reset(0.0)
+            applied = self._encode_world(held, action)
+        if applied is action:
+            self._position = self._target_position(action)
+        return applied
+
+    # --- action and tool position ---------------------------------------------------------------------------------
+
+    @property
+    def _reference(self) -> Array:
+        data = self._arm.data
+        return data.mocap_pos[0] if self._control.reference == "mocap" else data.xpos[self._tool]
+
+    def _target_position(self, action: Any) -> Array:
+        low, high = np.asarray(self._control.limits(self.env.unwrapped), float)
+        wanted = self._reference + self._control.scale * np.clip(np.asarray(action, float)[:3], -1.0, 1.0)
+        return np.clip(wanted, low, high)
+
+    def _decode(self, action: Any) -> Array:
+        rotation = np.zeros(9)
+        mujoco.mju_quat2Mat(rotation, self._rotation)
+        position, turned = self._arm.to_base(self._target_position(action), rotation.reshape(3, 3))
+        return np.concatenate([position, matrix_to_quaternion(turned)])
+
+    def _encode(self, values: Array, action: Any) -> Any:
+        turn, origin = self._arm.data.xmat[self._arm.base].reshape(3, 3), self._arm.data.xpos[self._arm.base]
+        return self._encode_world(turn @ values[:3] + origin, action)
+
+    def _encode_world(self, position: Array, action: Any) -> Any:
+        """The action that leads the tool to a position (3,) [m] in the world."""
+        replaced = np.array(action)
+        replaced[:3] = np.clip((position - self._reference) / self._control.scale, -1.0, 1.0)
+        self._position = self._target_position(replaced)
+        return replaced
+
+    def _encode_position(self, q: Array, action: Any) -> Any:
+        """The action that leads the tool to its place at `q`; one without a usable gripper entry is zero there."""
+        usable = np.nan_to_num(np.array(action, float))
+        return self._encode(self.safety.tool(q).position, usable)
+
+    @property
+    def _rotation(self) -> Array:
+        given = np.array(self._control.rotation)
+        return given / np.linalg.norm(given)
+
+    # --- computed and measured links ------------------------------------------------------------------------------
+
+    def _computed_joints(self) -> Array:
+        """The configuration (n,) nearest to the measured one with the tool at its commanded pose."""
+        model, ghost, arm = self._arm.model, self._ghost, self._arm
+        ghost.qpos[:], joints = arm.data.qpos, arm.position_addresses
+        dofs, jacobian, error = arm.dofs, np.zeros((6, model.nv)), np.zeros(6)
+        inverse, turn = np.zeros(4), np.zeros(4)
+        for _ in range(IK_STEPS):
+            mujoco.mj_kinematics(model, ghost)
+            mujoco.mj_comPos(model, ghost)
+            mujoco.mj_jacBody(model, ghost, jacobian[:3], jacobian[3:], self._tool)
+            error[:3] = self._position - ghost.xpos[self._tool]
+            mujoco.mju_negQuat(inverse, ghost.xquat[self._tool])
+            mujoco.mju_mulQuat(turn, self._rotation, inverse)
+            mujoco.mju_quat2Vel(error[3:], turn, 1.0)
+            J = jacobian[:, dofs]
+            ghost.qpos[joints] += J.T @ np.linalg.solve(J @ J.T + IK_DAMPING**2 * np.eye(6), error)
+        mujoco.mj_kinematics(model, ghost)
+        return ghost.qpos[joints].copy()
+
+    def _ghost_distance(self) -> float:
+        """Upper bound [m] of the distance of a point of the arm as computed, where the ghost is, and as measured."""
+        model, data, ghost = self._arm.model, self._arm.data, self._ghost
+        moved = np.linalg.norm(data.geom_xpos[self._geoms] - ghost.geom_xpos[self._geoms], axis=1)
+        chord = np.linalg.norm(data.geom_xmat[self._geoms] - ghost.geom_xmat[self._geoms], axis=1) / np.sqrt(2.0)
+        return float(np.max(moved + chord * model.geom_rbound[self._geoms]))
+
+
+def _without_joint_limits(robot_model: RobotModel) -> RobotModel:
+    """`robot_model` with a range of each joint that no posture leaves."""
+    joints = tuple(
+        msgspec.structs.replace(
+            joint,
+            lower=msgspec.structs.replace(joint.lower, value=joint.lower.value - WIDER),
+            upper=msgspec.structs.replace(joint.upper, value=joint.upper.value + WIDER),
+        )
+        for joint in robot_model.joints
+    )
+    return msgspec.structs.replace(robot_model, joints=joints)
