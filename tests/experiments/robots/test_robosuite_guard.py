@@ -31,7 +31,7 @@ def judged(task, cube=0.5, link=0.5, finger=1.0):
 
 def test_the_judge_counts_contacts_of_the_arm_except_with_the_manipulated_object():
     assert judged("Lift") == {}
-    assert judged("Lift", cube=0.019) == {}, "the cube lies on the table"
+    assert judged("Lift", cube=0.019) == {}, "the cube is on the table"
     assert list(judged("Lift", link=0.049)) == ["link7 and table"]
     assert judged("Lift", link=0.049)["link7 and table"] > 0.0
     assert judged("Lift", cube=0.5, finger=0.538) == {}

@@ -134,7 +134,7 @@ def with_robot(**changes):
     return env
 
 
-class Door(Lift):
+class Unlisted(Lift):
     """A task whose objects the guard does not know."""
 
 
@@ -149,7 +149,7 @@ class Door(Lift):
             with_robot(part_controllers={"right": SimpleNamespace(name="JOINT_VELOCITY")}),
             "JOINT_VELOCITY.*OSC_POSE.*controller_configs",
         ),
-        (Door(), "touch in Door are unknown.*manipulated="),
+        (Unlisted(), "touch in Unlisted are unknown.*manipulated="),
     ],
     ids=["no robosuite", "robot", "two arms", "gripper", "controller", "task"],
 )

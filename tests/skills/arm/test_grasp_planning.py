@@ -144,7 +144,7 @@ def test_closer_fingers_have_more_clearance_beside_a_neighbour():
 
 @pytest.mark.parametrize("clear_at", [0.04, 0.032, None])
 def test_the_fingers_come_closer_only_if_needed_and_only_above_the_object(monkeypatch, clear_at):
-    """Fingers that close beside the object could push it aside."""
+    """Fingers that close beside the object could push it away."""
     arm, events = arm_beside(BOTTLE), []
     at, blocked = requested_grasp(arm), SkillResult(SkillStatus.TAKEN_OVER, "descend: no progress")
 
