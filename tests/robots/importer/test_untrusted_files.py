@@ -94,14 +94,14 @@ def test_a_missing_mesh_or_package_is_reported_with_the_expected_location(tmp_pa
             tmp_path,
             urdf_xml(
                 MESH.format("gone.stl"),
-                MESH.replace('"a"', '"b"').format("package://p/x.stl"),
+                MESH.replace('"a"', '"b"').format("package://absent_arm/x.stl"),
                 joint_xml("j", "a", "b"),
             ),
         )
     )
     with pytest.raises(MissingDependencyError, match="It was expected at"):
         tree.links["a"].shapes[0].load_mesh()
-    with pytest.raises(MissingDependencyError, match=r"'p'.*--packages FOLDER"):
+    with pytest.raises(MissingDependencyError, match=r"'absent_arm'.*--packages FOLDER"):
         tree.links["b"].shapes[0].load_mesh()
 
 
