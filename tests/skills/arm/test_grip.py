@@ -141,7 +141,7 @@ def block_lifts(monkeypatch, highest):
     monkeypatch.setattr(grasp_skill, "move_to_height", blocked)
 
 
-@pytest.mark.parametrize(("free", "kind"), [(0.025, "taken_over"), (0.06, "succeeded")])
+@pytest.mark.parametrize(("free", "kind"), [(0.035, "taken_over"), (0.06, "succeeded")])
 def test_a_blocked_lift_counts_if_the_load_is_clear_of_its_support(monkeypatch, free, kind):
     cell = SkillCell(noise=PerceptionNoise())
     block_lifts(monkeypatch, cell.plant.true_pose("red_cube").position[2] + free)
