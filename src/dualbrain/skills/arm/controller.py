@@ -6,7 +6,7 @@ or the `SkillResult` that ends the skill.
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import replace
 from math import sqrt
 
@@ -151,12 +151,13 @@ class ArmController:
         stop: bool = True,
         timeout: float = PROGRESS_TIMEOUT,
         near_suffices: bool = False,
+        until: Callable[[], bool] | None = None,
     ) -> SubRoutine:
         """Move the tool to `goal` at up to `speed` [m/s]; with `stop` come to rest there, else pass it.
 
         If a person is about to pass, the arm evades and the sub-routine ends with `YIELDED`. After `timeout` [s]
         without progress it ends as taken over; with `near_suffices`, which is for goals from which another motion
-        follows, it succeeds within `PASSING_TOLERANCE` of the goal.
+        follows, it succeeds within `PASSING_TOLERANCE` of the goal. It also succeeds once `until()` is true.
         """
         speed = min(speed, TOOL_SPEED_FRACTION * self.robot_model.tool_speed.value)
         near, turned = RESTING_TOLERANCE if stop else PASSING_TOLERANCE
@@ -167,7 +168,7 @@ class ArmController:
             tool, state, now = self.observation.tool, self.observation.state, self.observation.now
             gap = pose_error(tool, goal.position, goal.rotation)
             distance, turn = gap.distance, gap.angle
-            if distance < near and turn < turned:
+            if (distance < near and turn < turned) or (until is not None and until()):
                 return None
             if (height := self.person_threat_height(tool.position)) is not None:
                 return (yield from self.avoid_person(phase, height))

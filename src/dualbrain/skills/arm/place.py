@@ -11,7 +11,14 @@ from dualbrain.contracts.skill_spec import ContactPermit, NameParameter, SkillSp
 from dualbrain.records import FailureCause
 from dualbrain.robots.model import RobotModel
 from dualbrain.skills import parameters
-from dualbrain.skills.arm.controller import ArmController, ToolGoal, goal_at_height
+from dualbrain.skills.arm.controller import (
+    RESTING_TOLERANCE,
+    YIELDED,
+    ArmController,
+    SubRoutine,
+    ToolGoal,
+    goal_at_height,
+)
 from dualbrain.skills.arm.grasp_planning import order_by_posture_cost, vary_goal
 from dualbrain.skills.arm.waypoints import (
     descend,
@@ -30,6 +37,14 @@ Array = NDArray[np.float64]
 
 SLOW_DESCENT_HEIGHT = 0.04
 """Height above the release height from which a load is lowered slowly [m]."""
+SET_DOWN_SPEED = 0.015
+"""Speed at which a load is lowered onto its support [m/s]: contact with it is felt within 0.2 mm."""
+SET_DOWN_TIMEOUT = 0.5
+"""Time without progress [s] after which a load that is being lowered onto its support is released where it is."""
+MAX_OVERTRAVEL = 0.006
+"""Distance [m] by which a load is lowered at most below the perceived height of its support."""
+MIN_SUPPORT_FORCE = 1.0
+"""Least increase of the upward force on the tool [N] by which the support of a load is felt."""
 RETREAT_HEIGHT = 0.08
 """Height by which the open hand rises before the skill ends [m]."""
 RELEASE_YAWS = (0.0, 0.4, -0.4, 0.8, -0.8, 1.2, -1.2, 1.57)
@@ -95,7 +110,12 @@ def routine(
     if why or (why := _check_load_lost(arm, held.name)):
         return why
     slow_from = goal_at_height(down, min(height, float(down.position[2]) + SLOW_DESCENT_HEIGHT))
-    why = yield from descend(arm, above, slow_from, down, "lower", min(speed, 0.2), wait_phase="carry")
+    while True:
+        why = yield from descend(arm, above, slow_from, down, "lower", min(speed, 0.2), wait_phase="carry")
+        if why is None and release.surface is not None:
+            why = yield from _set_down(arm, down, release.surface)
+        if why is not YIELDED:
+            break
     if why or (why := _check_load_lost(arm, held.name)):
         return why
     yield from arm.open_gripper(arm.robot_model.gripper.opening.value)
@@ -105,6 +125,36 @@ def routine(
     if why and not (why.status is SkillStatus.TAKEN_OVER and risen > MIN_RETREAT_HEIGHT):
         return why
     return _verify_placement(arm, held.name, destination, release)
+
+
+def _set_down(arm: ArmController, down: ToolGoal, surface: float) -> SubRoutine:
+    """Lower the held load from `down` until its support at height `surface` [m] bears it (a guarded motion).
+
+    With force sensing the load is lowered until the upward force on the tool increases, at most to its perception error
+    below the surface. Without, it is released `DROP_HEIGHT` above it. A motion that is blocked has arrived.
+    """
+    assert arm.holding is not None
+    before, depth = _upward_force(arm), 0.0
+    if before is not None:
+        bottom = float(down.position[2]) - arm.below_tool
+        depth = bottom - surface + min(arm.find_object(arm.holding.name).error, MAX_OVERTRAVEL)
+    lowest = goal_at_height(down, float(down.position[2]) - depth - RESTING_TOLERANCE[0])
+    goal = yield from arm.translate_goal(lowest, lowest.position)
+
+    def supported() -> bool:
+        estimate, force = arm.observation.contact_force, _upward_force(arm)
+        if before is None or force is None or estimate is None:
+            return False
+        return force - before > max(MIN_SUPPORT_FORCE, estimate.uncertainty)
+
+    why = yield from arm.move_tool(goal, "lower", SET_DOWN_SPEED, timeout=SET_DOWN_TIMEOUT, until=supported)
+    return None if why and why.status is SkillStatus.TAKEN_OVER else why
+
+
+def _upward_force(arm: ArmController) -> float | None:
+    """Upward component of the contact force at the tool [N]; None without an estimate of it."""
+    estimate = arm.observation.contact_force
+    return None if estimate is None or estimate.place != "tool" else float(estimate.vector[2])
 
 
 def _check_load_lost(arm: ArmController, name: str) -> SkillResult | None:

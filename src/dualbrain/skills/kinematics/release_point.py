@@ -37,13 +37,15 @@ class ReleasePoint:
     """The release of a load at a destination.
 
     `position` (3,) [m] is the lowest point of the load at the release. The object counts as placed within `radius` [m]
-    of `centre` (2,) [m]. `leaning` is whether the hand may lean, so that it fits above a rim.
+    of `centre` (2,) [m]. `leaning` is whether the hand may lean, so that it fits above a rim. `surface` [m] is the
+    height of the surface that bears the load below `position`; None if the load falls into a bowl.
     """
 
     position: Array
     centre: Array
     radius: float
     leaning: bool
+    surface: float | None
 
 
 def receiving_point(scene: Scene, destination: str) -> Array:
@@ -59,20 +61,24 @@ def find_release_point(scene: Scene, destination: str, load: str) -> ReleasePoin
     """The release of the object `load` at `destination`, a container or place of `scene`."""
     point = receiving_point(scene, destination)
     if all(obj.name != destination for obj in scene.objects):
-        return _release_at(point, DROP_HEIGHT, PLACE_RADIUS, leaning=False)
+        return _release_on(point, DROP_HEIGHT, leaning=False)
     container = scene.find(destination)
     if not isinstance(container.shape, Bowl):
-        return _release_at(point, RIM_CLEARANCE, PLACE_RADIUS, leaning=True)
+        return _release_on(point, RIM_CLEARANCE, leaning=True)
     offset, height = _offset_in_bowl(scene, container, container.shape, scene.find(load))
-    release = _release_at(point, RIM_CLEARANCE, container.shape.radius, leaning=True)
-    release.position[:2] += offset
-    release.position[2] = max(release.position[2], height)
-    return release
+    position = np.array([*(point[:2] + offset), max(float(point[2]) + RIM_CLEARANCE, height)])
+    return ReleasePoint(position=position, centre=point[:2], radius=container.shape.radius, leaning=True, surface=None)
 
 
-def _release_at(point: Array, drop_height: float, radius: float, *, leaning: bool) -> ReleasePoint:
-    position = point + np.array([0.0, 0.0, drop_height])
-    return ReleasePoint(position=position, centre=point[:2], radius=radius, leaning=leaning)
+def _release_on(point: Array, drop_height: float, *, leaning: bool) -> ReleasePoint:
+    """The release `drop_height` [m] above `point` (3,) [m] of a surface."""
+    return ReleasePoint(
+        position=point + np.array([0.0, 0.0, drop_height]),
+        centre=point[:2],
+        radius=PLACE_RADIUS,
+        leaning=leaning,
+        surface=float(point[2]),
+    )
 
 
 def _offset_in_bowl(scene: Scene, container: SceneObject, bowl: Bowl, load: SceneObject) -> tuple[Array, float]:
