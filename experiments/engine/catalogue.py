@@ -18,6 +18,7 @@ from experiments.evaluation.failure_examples import FailureExamples
 from experiments.evaluation.free_instructions import FreeInstructionsExperiment
 from experiments.evaluation.gentle_force import GentleForce
 from experiments.evaluation.outcome_confusion import OutcomeConfusion
+from experiments.evaluation.repeated_contracts import RepeatedContracts
 from experiments.gatekeeper.adversary_over_mcp import AdversaryOverMcp
 from experiments.gatekeeper.check_cost import CheckCost
 from experiments.gatekeeper.commander_failure import CommanderFailure
@@ -119,6 +120,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         Clauses(),
         GentleForce(),
         OutcomeConfusion(),
+        RepeatedContracts(),
         DemoSentence(),
     )
 }
