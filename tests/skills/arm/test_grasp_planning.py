@@ -171,7 +171,7 @@ def test_the_fingers_come_closer_only_if_needed_and_only_above_the_object(monkey
     assert result is (blocked if clear_at is None else None)
 
 
-def test_fingers_that_press_on_something_stay_where_they_are(monkeypatch):
+def test_without_force_sensing_fingers_that_press_on_something_stay_where_they_are(monkeypatch):
     arm, blocked = arm_beside(BOTTLE), SkillResult(SkillStatus.TAKEN_OVER, "descend: no progress")
     pressing = replace(arm.observation.state, finger_forces=(0.0, 5.0))
     arm.observe(replace(arm.observation, state=pressing))

@@ -131,6 +131,25 @@ def test_a_grasp_of_a_missing_object_fails_the_two_finger_test():
     assert cell.executor.loop.controller.holding is None
 
 
+@pytest.mark.parametrize("offset", [0.016, 0.028])
+def test_a_finger_that_meets_the_object_from_above_neither_tilts_nor_pushes_it(offset):
+    """The object is perceived beside its place, so that a finger descends onto its top."""
+    x, y, z = SkillCell().plant.true_pose("red_cube").position
+    cell, tilts = SkillCell(ghost=("red_cube", (x + offset, y, z))), []
+    write = cell.plant.write
+
+    def record(command):
+        if cell.executor.loop.phase == "descend":
+            up = cell.plant.data.body("red_cube").xmat[8]
+            tilts.append(np.degrees(np.arccos(min(1.0, up))))
+        write(command)
+
+    cell.plant.write = record
+    outcome = cell.run(grasp(opening=0.06, clearance=0.1))
+    assert outcome.kind != "succeeded"
+    assert max(tilts) < 1.0
+
+
 def test_actions_run_in_order_and_a_failure_ends_the_contract():
     cell = SkillCell()
     outcome = cell.run(("hold", {"duration": 0.5}), place(), ("hold", {"duration": 5.0}))

@@ -56,6 +56,8 @@ FORCE_RISE_TIME = 0.1
 """Time [s] in which the fingers reach the force with its reserve."""
 FINGER_ROOM = 0.003
 """Room on each side of an object [m], beyond its error bound, to which the fingers close for a descent that fits."""
+MAX_DESCENT_FORCE = 5.0
+"""Force [N] with which the hand may press on something while it descends; a larger one could tilt an object."""
 MIN_FINGER_OVERLAP = 0.011
 """Fingers that reach deeper than this below the top of an object, and are off its centre by less, may close [m]."""
 
@@ -149,7 +151,16 @@ def _descend_to_grasp(
     grasp = yield from arm.translate_goal(grasp, grasp.position + np.subtract(now.pose.position, obj.pose.position))
     above = yield from pregrasp_goal(arm, grasp, now, clearance)
     low = yield from slow_descent_goal(arm, grasp, now)
-    why = yield from descend(arm, above, low, grasp, "descend", min(speed, 0.2), wait_phase="approach")
+    why = yield from descend(
+        arm, above, low, grasp, "descend", min(speed, 0.2), wait_phase="approach", until=lambda: _presses_down(arm)
+    )
+    left = float(np.linalg.norm(arm.observation.tool.position - grasp.position))
+    if why is None and left > POSITION_TOLERANCE:
+        why = SkillResult(
+            SkillStatus.TAKEN_OVER,
+            f"descend: the fingers press on something {left * 100:.1f} cm from the goal",
+            FailureCause.NO_PROGRESS,
+        )
     return None if why and why.status is SkillStatus.TAKEN_OVER and _fingers_around(arm, now) else why
 
 
@@ -165,9 +176,10 @@ def _try_alternative(
     """Rise, and descend again as is predicted to be clear: with another axis or approach, or with the fingers closer.
 
     The fingers are opened less than specified only if no other descent with the specified opening is clear, and only
-    above the object. Fingers that press on something stay where they are: rising, they could drag it off its support.
+    above the object. Without force sensing, fingers that press on something stay where they are: they may have tilted
+    it, and it could fall off its support as they rise.
     """
-    if max(arm.observation.state.finger_forces) >= MIN_GRIP_FORCE:
+    if arm.observation.contact_force is None and max(arm.observation.state.finger_forces) >= MIN_GRIP_FORCE:
         return blocked
     opening = arm.opening
     goal = yield from _find_clear_descent(
@@ -301,6 +313,16 @@ def _micro_lift(arm: ArmController, name: str) -> SubRoutine:
     else:
         arm.holding = None
     return None
+
+
+def _presses_down(arm: ArmController) -> bool:
+    """Whether the descending hand presses on something, by its force sensing."""
+    estimate = arm.observation.contact_force
+    return (
+        estimate is not None
+        and estimate.place == "tool"
+        and estimate.vector[2] > max(MAX_DESCENT_FORCE, estimate.uncertainty)
+    )
 
 
 def _fingers_around(arm: ArmController, obj: SceneObject) -> bool:

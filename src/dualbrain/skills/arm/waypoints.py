@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,6 +120,7 @@ def descend(
     speed: float,
     *,
     wait_phase: str,
+    until: Callable[[], bool] | None = None,
 ) -> SubRoutine:
     """Descend from `above` while no person will be there: fast to `slow_from`, then slowly to `goal`.
 
@@ -132,7 +133,7 @@ def descend(
             return why
         why = yield from arm.move_tool(slow_from, phase, speed)
         if why is None:
-            why = yield from arm.move_tool(goal, phase, CONTACT_APPROACH_SPEED)
+            why = yield from arm.move_tool(goal, phase, CONTACT_APPROACH_SPEED, until=until)
         if why is not YIELDED:
             return why
 
