@@ -177,3 +177,15 @@ def test_without_force_sensing_fingers_that_press_on_something_stay_where_they_a
     arm.observe(replace(arm.observation, state=pressing))
     monkeypatch.setattr(grasp, "move_to_height", None)
     assert run_to_completion(grasp._try_alternative(arm, blocked, CUBE, "along", "top", CLEARANCE, 0.2)) is blocked
+
+
+def test_a_descent_that_ends_above_its_goal_is_blocked(monkeypatch):
+    def at_once(*_, **__):
+        yield from ()
+
+    arm = arm_beside(BOTTLE)
+    monkeypatch.setattr(grasp, "_approach", at_once)
+    monkeypatch.setattr(grasp, "descend", at_once)
+    result = run_to_completion(grasp._descend_to_grasp(arm, CUBE, requested_grasp(arm), CLEARANCE, 0.2))
+    assert result.status is SkillStatus.TAKEN_OVER
+    assert "press" in result.reason
