@@ -97,14 +97,15 @@ class Executions:
             return SubmissionReport(id=contract_id, state="rejected", rejected=rejected)
         with self._lock:
             earlier = self._retries.find(contract_id, digest, self._now()) if contract_id else None
-            if isinstance(earlier, Submission):
-                return replace(earlier.report, repeated=True)
-            name = contract_id or f"unread-{token_hex(4)}"
-            if (refused := earlier or _reject_instruction(instruction) or self._busy()) is not None:
-                return SubmissionReport(id=name, state="rejected", rejected=refused)
-            submission = self._begin(name, "checking", digest)
-            if contract_id:
-                self._retries.keep(contract_id, submission)
+            if not isinstance(earlier, Submission):
+                name = contract_id or f"unread-{token_hex(4)}"
+                if (refused := earlier or _reject_instruction(instruction) or self._busy()) is not None:
+                    return SubmissionReport(id=name, state="rejected", rejected=refused)
+                submission = self._begin(name, "checking", digest)
+                if contract_id:
+                    self._retries.keep(contract_id, submission)
+        if isinstance(earlier, Submission):
+            return replace(earlier.wait_for_verdict(VERDICT_TIMEOUT), repeated=True)
         agent = Agent(FixedContractPlanner(client, data), self._resources.memory)
         refused = self._record_start(contract_id, submission) or self._start(
             submission, self._request(instruction, given=True), agent, retried=contract_id
