@@ -24,11 +24,18 @@ def test_a_server_on_this_machine_needs_no_tls(host):
     assert HttpConfig(port=1, token="t" * 20, host=host).url.startswith("http://")
 
 
-@pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.168.1.2", "robot.example.org", ""])
+@pytest.mark.parametrize("host", ["192.168.1.2", "2001:db8::1", "robot.example.org"])
 def test_a_server_for_others_needs_tls(host):
     with pytest.raises(ConfigurationError, match="--tls-cert"):
         HttpConfig(port=1, token="t" * 20, host=host)
     assert HttpConfig(port=1, token="t" * 20, host=host, certificate=PEM, private_key=PEM).url.startswith("https://")
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::", ""])
+@pytest.mark.parametrize("files", [None, PEM])
+def test_a_wildcard_address_is_refused_because_no_request_names_it(host, files):
+    with pytest.raises(ConfigurationError, match="answer no request"):
+        HttpConfig(port=1, token="t" * 20, host=host, certificate=files, private_key=files)
 
 
 def test_half_a_pair_of_tls_files_is_refused():

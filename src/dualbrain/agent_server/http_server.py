@@ -20,7 +20,7 @@ from starlette.routing import BaseRoute
 from dualbrain.agent_server.access_control import LOOPBACK_HOSTS, MCP_PATH, AccessControl, AccessPolicy
 from dualbrain.agent_server.contract_text import MAX_MESSAGE_BYTES
 from dualbrain.agent_server.listener import check_tls_files, open_listener
-from dualbrain.core.untrusted.loopback import is_loopback
+from dualbrain.core.untrusted.loopback import is_loopback, is_wildcard
 from dualbrain.errors import ConfigurationError
 
 STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
@@ -49,10 +49,20 @@ class HttpConfig:
         return open_listener(self.host, self.port)
 
     def __post_init__(self) -> None:
-        """Raise `ConfigurationError` for a host beyond this machine without TLS, and for half a pair of TLS files."""
+        """Raise `ConfigurationError` for a host that cannot be served safely, and for half a pair of TLS files.
+
+        A host beyond this machine needs TLS. A wildcard address is refused: the server answers only requests that are
+        addressed to its host, so that no other web page reaches it (DNS rebinding), and no request names a wildcard.
+        """
         if (self.certificate is None) != (self.private_key is None):
             raise ConfigurationError.stating(
                 "TLS needs both a certificate and a private key.", fix="Name both --tls-cert and --tls-key."
+            )
+        if is_wildcard(self.host):
+            raise ConfigurationError.stating(
+                f"The server would listen on every address ({self.host or 'empty host'}) and answer no request, "
+                "because it answers only requests that name its host.",
+                fix="Name the host name or address by which the clients reach this machine.",
             )
         if self.certificate is None and not is_loopback(self.host):
             raise ConfigurationError.stating(

@@ -61,7 +61,7 @@ def test_a_terminal_gets_an_address_with_the_token_in_its_fragment(run_command, 
 
 
 def test_a_console_for_other_machines_needs_tls(run_command, served):
-    code, _, err = run_command("console", "--host", "0.0.0.0")
+    code, _, err = run_command("console", "--host", "192.0.2.1")
     assert code == ExitCode.SETUP
     assert "without TLS" in err
     assert not served

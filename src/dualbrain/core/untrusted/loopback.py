@@ -1,4 +1,4 @@
-"""Addresses that only processes of this machine reach."""
+"""Addresses that only processes of this machine reach, and addresses that stand for all of its interfaces."""
 
 from __future__ import annotations
 
@@ -11,3 +11,11 @@ def is_loopback(host: str) -> bool:
         return ip_address(host).is_loopback
     except ValueError:
         return host == "localhost"
+
+
+def is_wildcard(host: str) -> bool:
+    """Whether `host` stands for every interface of this machine and is no address of any, such as 0.0.0.0."""
+    try:
+        return ip_address(host).is_unspecified
+    except ValueError:
+        return not host
