@@ -8,6 +8,7 @@ takes to answer, in which a person walks on.
 from __future__ import annotations
 
 import time
+from collections import Counter
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,8 @@ METHODS = ("B3", "P", "PE", "V", "PE-fixed")
 EXECUTED_AS = "B3"
 """The method of the repetition: full gate and filter, no memory, no second answer."""
 PAIRS = (("P", "B3"), ("P", "PE"), ("P", "V"), ("P", "PE-fixed"))
+MUCH = -1e-3
+"""A barrier value h [m] below which no episode may fall."""
 FREQUENCY = METRIC_BY_NAME["intervention frequency, on task"]
 
 
@@ -77,8 +80,9 @@ class RepeatedContracts:
         return f"success {before.success} → {now.success}, {now.outcome}: {now.reason}; {kinds or 'no violation'}"
 
     def report(self, rows: list[Row]) -> list[str]:
-        """Success by method in the suite and now, by family, and the differences of the methods now."""
-        return [*_method_table(rows), *_family_table(rows), *_comparison_table(rows), *_failure_table(rows)]
+        """Success by method in the suite and now, by family, differences of the methods, margins, and failures."""
+        tables = (_method_table, _family_table, _comparison_table, _margin_table, _failure_table)
+        return [line for table in tables for line in table(rows)]
 
 
 @cache
@@ -158,6 +162,25 @@ def _comparison_table(rows: list[Row]) -> list[str]:
             )
         )
     return markdown_table(("now", "difference of success", "ratio of intervention frequency, on task"), cells)
+
+
+def _margin_table(rows: list[Row]) -> list[str]:
+    """Episodes with motion in which h fell below 0, in the suite and now."""
+    pairs = [pair for found in _by_method(rows).values() for pair in found]
+    cells = []
+    for when, episodes in (("in the suite", [old for old, _ in pairs]), ("now", [new for _, new in pairs])):
+        moved = [(one.pair, one.h_min, one.margin_causes) for one in episodes if one.h_min is not None]
+        causes = Counter(cause for _, h, found in moved if h < 0.0 for cause in dict.fromkeys(found))
+        cells.append(
+            (
+                when,
+                format_share_by_scene([(scene, h < 0.0) for scene, h, _ in moved]),
+                sum(h < MUCH for _, h, _ in moved),
+                f"{min((h for _, h, _ in moved), default=float('nan')) * 1e3:.2f}",
+                ", ".join(f"{cause} ({count})" for cause, count in causes.most_common()) or "–",
+            )
+        )
+    return markdown_table(("", "h below 0", "h below -1 mm", "least h [mm]", "causes"), cells)
 
 
 def _failure_table(rows: list[Row]) -> list[str]:
