@@ -116,6 +116,23 @@ def test_a_deviation_beyond_the_bound_brings_the_tool_to_rest_and_is_reported():
     assert np.linalg.norm(inner.data.mocap_pos[0] - before) < 2e-3
 
 
+@pytest.mark.parametrize("rise", [0.11, 0.12])
+def test_a_tool_that_only_a_turn_would_move_away_holds_its_place_until_an_action_leads_away(rise):
+    """The table begins within the bound of the hand: the nearest safe control turns the tool, which no action does."""
+    inner, env = guarded()
+    inner.model.geom("table").pos[2] += rise
+    env.reset(seed=0)
+    before = inner.data.mocap_pos[0].copy()
+    for _ in range(8):
+        info = env.step(np.array([0.0, 0.0, -1.0, 0.3]))[4]
+        assert info["h_min"] < 0.0
+        np.testing.assert_allclose(inner.data.mocap_pos[0], before, atol=1e-12)
+    for _ in range(8):
+        env.step(np.array([0.0, 0.0, 1.0, 0.3]))
+    assert inner.data.mocap_pos[0][2] > before[2] + 0.02
+    assert not inner.touches_table()
+
+
 def test_the_gripper_passes_unchanged_and_so_does_bad_input_not():
     inner, env = guarded()
     env.reset(seed=0)
