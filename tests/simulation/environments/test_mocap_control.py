@@ -19,6 +19,8 @@ SLOW_PANDA = derate(PANDA, period=0.01, max_speed=0.5)
 TOOL = SafetyFilter(PANDA).tool(HOME)
 ROTATION = matrix_to_quaternion(TOOL.rotation)
 JOINTS = tuple(f"arm/joint{k}" for k in range(1, 8))
+WALLS = {"left": 1.0, "right": -1.0}
+"""Walls on both sides, far away until a test moves them."""
 TABLE_TOP = float(TOOL.position[2]) - 0.15
 
 
@@ -72,6 +74,10 @@ def build_model():
     root.worldbody.add_geom(
         name="table", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.4, 0.4, 0.05], pos=[0.7, 0.0, TABLE_TOP - 0.05]
     )
+    for name, side in WALLS.items():
+        root.worldbody.add_geom(
+            name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.2, 0.01, 0.2], pos=[TOOL.position[0], 3.0 * side, 0.5]
+        )
     for actuator in list(root.actuators):
         root.delete(actuator)
     model = root.compile()
@@ -109,28 +115,82 @@ def test_displacements_into_the_table_end_above_it():
 def test_a_deviation_beyond_the_bound_brings_the_tool_to_rest_and_is_reported():
     inner, env = guarded(deviation=1e-4)
     _, info = push_down(inner, env, 40)
-    assert "from its computed place" in info["safety"]
-    assert "Remedy" in info["safety"]
+    assert "A link of the hand" in info["safety"]
+    assert "a larger `deviation`" in info["safety"]
     before = inner.data.mocap_pos[0].copy()
     env.step(np.array([0.0, 0.0, -1.0, 0.3]))
     assert np.linalg.norm(inner.data.mocap_pos[0] - before) < 2e-3
 
 
+def test_each_bound_is_of_its_own_links():
+    _, env = guarded(deviation=0.03, arm_deviation=1e-4)
+    env.reset(seed=0)
+    info = [env.step(np.array([0.0, 0.0, -1.0, 0.3]))[4] for _ in range(40)][-1]
+    assert "A link of the arm" in info["safety"]
+    assert "a larger `arm_deviation`" in info["safety"]
+    assert info["arm_deviation"] > 1e-4
+    assert info["deviation"] < 0.03
+
+
+def test_obstacles_keep_the_bound_of_the_links_that_they_are_enlarged_for():
+    inner, env = guarded(deviation=0.01, arm_deviation=0.04)
+    env.reset(seed=0)
+    env.step(np.zeros(4))
+    hand = {link.name for link in PANDA.links if link.frame == PANDA.n}
+    margins = {(one.parts, one.margin) for one in env.safety.tables.obstacles if "table" in one.name}
+    assert {(frozenset(parts), margin) for parts, margin in margins} == {
+        (frozenset(hand), 0.01),
+        (frozenset(link.name for link in PANDA.links) - hand, 0.04),
+    }
+    assert inner.data.ncon == 0
+
+
+def test_a_tool_beside_which_no_way_leads_away_holds_its_place():
+    """Both walls begin within the bound of the hand: the nearest safe control turns it, which no action does."""
+    inner, env = guarded()
+    for name, side in WALLS.items():
+        inner.model.geom(name).pos[:] = [TOOL.position[0], 0.125 * side, TOOL.position[2]]
+    env.reset(seed=0)
+    before = inner.data.mocap_pos[0].copy()
+    for action in ([0.0, 1.0, 0.0, 0.3], [1.0, -1.0, 0.0, 0.3]) * 8:
+        info = env.step(np.array(action))[4]
+        assert info["h_min"] < 0.0
+        np.testing.assert_allclose(inner.data.mocap_pos[0], before, atol=1e-12)
+
+
 @pytest.mark.parametrize("rise", [0.11, 0.12])
-def test_a_tool_that_only_a_turn_would_move_away_holds_its_place_until_an_action_leads_away(rise):
-    """The table begins within the bound of the hand: the nearest safe control turns the tool, which no action does."""
+def test_a_tool_that_is_too_near_leaves_without_a_turn_against_the_action(rise):
+    """The table begins within the bound of the hand."""
     inner, env = guarded()
     inner.model.geom("table").pos[2] += rise
     env.reset(seed=0)
-    before = inner.data.mocap_pos[0].copy()
-    for _ in range(8):
-        info = env.step(np.array([0.0, 0.0, -1.0, 0.3]))[4]
-        assert info["h_min"] < 0.0
-        np.testing.assert_allclose(inner.data.mocap_pos[0], before, atol=1e-12)
-    for _ in range(8):
-        env.step(np.array([0.0, 0.0, 1.0, 0.3]))
-    assert inner.data.mocap_pos[0][2] > before[2] + 0.02
-    assert not inner.touches_table()
+    before, h = inner.data.mocap_pos[0].copy(), []
+    for _ in range(40):
+        h.append(env.step(np.array([0.0, 0.0, -1.0, 0.3]))[4]["h_min"])
+        np.testing.assert_array_equal(inner.data.mocap_quat[0], ROTATION)
+    assert h[0] < 0.0
+    assert h[-1] > -5e-4
+    assert inner.data.mocap_pos[0][2] > before[2] + 0.005
+
+
+@pytest.mark.parametrize("direction", [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.6, -0.6)])
+def test_a_tool_that_is_driven_at_the_table_slides_along_it_as_fast_as_above_it(direction):
+    def travel(down):
+        inner, env = guarded()
+        env.reset(seed=0)
+        for _ in range(70):
+            env.step(np.array([0.0, 0.0, down, 0.3]))
+        start, touched = inner.data.mocap_pos[0].copy(), False
+        for _ in range(20):
+            info = env.step(np.array([*direction, down, 0.3]))[4]
+            touched |= inner.touches_table()
+            assert ("an obstacle limits" in info["safety"]) == (info["status"] == "MODIFIED") == (down < 0.0)
+        return np.array(direction) @ (inner.data.mocap_pos[0] - start)[:2], touched
+
+    slid, touched = travel(-1.0)
+    free, _ = travel(0.0)
+    assert not touched
+    assert slid > 0.6 * free > 0.02
 
 
 def test_the_gripper_passes_unchanged_and_so_does_bad_input_not():

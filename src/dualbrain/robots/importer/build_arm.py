@@ -61,6 +61,7 @@ class ImportOptions:
     """Options of the user: base, tip and tool links (by name, "" to choose them), locked joints, and fit settings.
 
     `lock` maps joints to constant values [rad or m]; `home` is the home posture, found automatically if it is None.
+    `weights` are those of the excess by link group.
     """
 
     name: str = ""
@@ -72,6 +73,7 @@ class ImportOptions:
     sphere_budget: int = 96
     seed: int = 0
     home: tuple[float, ...] | None = None
+    weights: Mapping[str, float] = field(default_factory=lambda: COVER_WEIGHTS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,7 +221,7 @@ def _fit_with_clearance(
     surfaces = {
         name: sample_surface(concatenate_meshes(meshes), N_SURFACE_POINTS, rng) for name, meshes in shapes.items()
     }
-    weights = {link.name: COVER_WEIGHTS[link.group] for link in links}
+    weights = {link.name: options.weights[link.group] for link in links}
 
     def fit() -> tuple[dict[str, LinkFit], SampledPairs]:
         fits = _fit_spheres(links, shapes, weights, options)

@@ -9,9 +9,9 @@ from dualbrain.core.lazy_exports import lazy_exports
 if TYPE_CHECKING:
     from dualbrain.simulation.environments.guarded_mujoco_env import guard_mujoco_env
     from dualbrain.simulation.environments.gym_aloha import guard_aloha
-    from dualbrain.simulation.environments.gymnasium_robotics import guard_fetch
-    from dualbrain.simulation.environments.metaworld import guard_metaworld
-    from dualbrain.simulation.environments.mocap_control import MocapControl, guard_mocap_env
+    from dualbrain.simulation.environments.mocap.gymnasium_robotics import guard_fetch
+    from dualbrain.simulation.environments.mocap.metaworld import guard_metaworld
+    from dualbrain.simulation.environments.mocap.mocap_control import MocapControl, guard_mocap_env
     from dualbrain.simulation.environments.mujoco_arm import MujocoArm
     from dualbrain.simulation.environments.mujoco_obstacles import MujocoObstacles
     from dualbrain.simulation.environments.robosuite import guard_robosuite, robosuite_robot
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 _MODULES = {
     "simulation.environments.gym_aloha": ("guard_aloha",),
     "simulation.environments.guarded_mujoco_env": ("guard_mujoco_env",),
-    "simulation.environments.gymnasium_robotics": ("guard_fetch",),
-    "simulation.environments.metaworld": ("guard_metaworld",),
-    "simulation.environments.mocap_control": ("MocapControl", "guard_mocap_env"),
+    "simulation.environments.mocap.gymnasium_robotics": ("guard_fetch",),
+    "simulation.environments.mocap.metaworld": ("guard_metaworld",),
+    "simulation.environments.mocap.mocap_control": ("MocapControl", "guard_mocap_env"),
     "simulation.environments.mujoco_arm": ("MujocoArm",),
     "simulation.environments.mujoco_obstacles": ("MujocoObstacles",),
     "simulation.environments.robosuite": ("guard_robosuite", "robosuite_robot"),

@@ -81,11 +81,11 @@ class MujocoArm:
     @property
     def bodies(self) -> frozenset[int]:
         """The bodies of the arm with everything that is attached to them."""
-        members = {self.base}
-        for body in range(self.base + 1, self.model.nbody):  # parents have smaller numbers than their children
-            if int(self.model.body_parentid[body]) in members:
-                members.add(body)
-        return frozenset(members)
+        return carried_bodies(self.model, self.base)
+
+    def bodies_from(self, joint: int) -> frozenset[int]:
+        """The bodies that the joint number `joint` moves."""
+        return carried_bodies(self.model, int(self.model.jnt_bodyid[self._joints[joint]]))
 
     def to_base(self, position: Array, rotation: Array) -> tuple[Array, Array]:
         """A pose in the world, position (3,) [m] and rotation (3, 3), in the frame of the base."""
@@ -120,6 +120,15 @@ class MujocoArm:
                     fix="Check the names and their order, and the base; or import the robot of the environment with "
                     "`dualbrain robot init`.",
                 )
+
+
+def carried_bodies(model: Any, first: int) -> frozenset[int]:
+    """The body `first` of a MuJoCo model with all bodies that are attached to it."""
+    members = {first}
+    for body in range(first + 1, model.nbody):  # parents have smaller numbers than their children
+        if int(model.body_parentid[body]) in members:
+            members.add(body)
+    return frozenset(members)
 
 
 def find_id(model: Any, kind: Any, word: str, name: str) -> int:

@@ -9,9 +9,10 @@ a chain of links; the anchor and the reference position of a joint become part o
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import msgspec
@@ -81,16 +82,29 @@ def _read_tree(file: Path, packages: Sequence[Path]) -> KinematicTree:
         model = spec.compile()
     except (ValueError, RuntimeError) as error:
         raise ConfigurationError(file.name, got=str(error)[:300], allowed="an MJCF that MuJoCo compiles") from error
+    name = model.names[: model.names.index(b"\0")].decode() or file.stem
+    return tree_of_model(model, name, file.name, range(1, model.nbody), lines)
+
+
+def tree_of_model(
+    model: Any, name: str, source: str, bodies: Iterable[int], lines: Mapping[str, str] = MappingProxyType({})
+) -> KinematicTree:
+    """The tree of `bodies` of a compiled `MjModel`, parents first; one whose parent is left out gets the world as its parent.
+
+    `source` names the description, and `lines` the line of each joint in it, for the provenance of limits.
+
+    Raises:
+        ConfigurationError: a number of a joint is not finite, or a shape is of another kind than the filter knows.
+    """
     links: dict[str, TreeLink] = {"world": _link(model, 0, "world")}
     joints: list[TreeJoint] = []
-    for body in range(1, model.nbody):
-        _add_body(model, body, links, joints, lines, file.name)
+    for body in bodies:
+        _add_body(model, body, links, joints, lines, source)
     drawn = [link.name for link in links.values() if link.uses_visual_shapes]
     notes = (f"no collision shapes, visual ones taken instead: {', '.join(drawn)}",) if drawn else ()
-    name = model.names[: model.names.index(b"\0")].decode() or file.stem
     return KinematicTree(
         name=name,
-        source=file.name,
+        source=source,
         licence="not stated by the description",
         links=links,
         joints=tuple(joints),
@@ -162,12 +176,13 @@ def _add_folders(folders: dict[str, str], compiler: Any, where: str) -> None:
 
 
 def _add_body(
-    model: Any, body: int, links: dict[str, TreeLink], joints: list[TreeJoint], lines: dict[str, str], file: str
+    model: Any, body: int, links: dict[str, TreeLink], joints: list[TreeJoint], lines: Mapping[str, str], file: str
 ) -> None:
     """Add the link of `body`, and an intermediate link for each joint of `body` but the last."""
     name = _element_name(model, mujoco.mjtObj.mjOBJ_BODY, body) or f"body{body}"
     at = int(model.body_parentid[body])
-    parent = "world" if at == 0 else _element_name(model, mujoco.mjtObj.mjOBJ_BODY, at) or f"body{at}"
+    parent = _element_name(model, mujoco.mjtObj.mjOBJ_BODY, at) or f"body{at}"
+    parent = parent if at and parent in links else "world"
     pose = _pose(model.body_pos[body], model.body_quat[body])
     first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
     for k in range(count):
@@ -190,7 +205,7 @@ def _add_body(
     links[name] = _link(model, body, name)
 
 
-def _joint(model: Any, j: int, parent: str, child: str, pose: Array, lines: dict[str, str], file: str) -> TreeJoint:
+def _joint(model: Any, j: int, parent: str, child: str, pose: Array, lines: Mapping[str, str], file: str) -> TreeJoint:
     name = _element_name(model, mujoco.mjtObj.mjOBJ_JOINT, j) or f"joint{j}"
     kind = JOINT_KINDS[int(model.jnt_type[j])]
     axis = np.array(model.jnt_axis[j], float)

@@ -4,7 +4,12 @@ An action displaces the mocap body. The guard computes the joint motion that car
 displacement that belongs to the safe part of it. The weld leaves the null space of the arm and the lag of the tool
 uncommanded. Therefore the computed configuration q_c is found again before every action, as the one nearest to the
 measured joints at which the tool is at its commanded position, and the greatest distance d between a point of the arm
-at q_c and at the measured joints is compared with a bound D. All obstacles are enlarged by D.
+at q_c and at the measured joints is compared with a bound D, one for the hand and one for the other links, whose null
+space is free. All obstacles are enlarged by D.
+
+No action turns the tool, so the nearest safe control is of no use. A displacement that an obstacle limits is replaced
+by the nearest one that the rows of the last step admit without a turn (`SafeTranslation`), and the guard brakes along
+that path.
 
 Guarantee: the computed links keep the distance D from every obstacle, and the measured ones stay off them as long as
 d ≤ D. The bound is checked once per action, not in between. Beyond it the tool comes to rest and `info["safety"]`
@@ -32,10 +37,14 @@ from dualbrain.errors import ConfigurationError
 from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.config import FilterConfig
 from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.safety.cbf.obstacles import Obstacle
+from dualbrain.safety.cbf.result import FilterStatus
 from dualbrain.safety.integration.gym_env import FilteredEnv
 from dualbrain.safety.integration.policy_guard.action_layout import FunctionLayout
 from dualbrain.safety.integration.policy_guard.tool_actions import ToolPose
 from dualbrain.simulation.environments.guarded_mujoco_env import mujoco_handles
+from dualbrain.simulation.environments.mocap.arm_model import ArmLimits, make_arm_model
+from dualbrain.simulation.environments.mocap.safe_translation import SafeTranslation
 from dualbrain.simulation.environments.mujoco_arm import MAX_LEVER_ERROR, MujocoArm, find_id
 from dualbrain.simulation.environments.mujoco_obstacles import MujocoObstacles
 
@@ -73,24 +82,35 @@ def guard_mocap_env(
     *,
     ignored: Collection[str] = (),
     deviation: float = 0.02,
+    arm_deviation: float | None = None,
     margin: float = 0.0,
 ) -> FilteredEnv:
     """`env`, which is reset once, with every displacement of its tool replaced by the closest safe one.
 
     `robot_model` has its tool frame at `control.tool`. Bodies in `ignored` are no obstacles. `deviation` [m] is the
-    bound D of the distance between computed and measured links, and `margin` [m] is added to it.
+    bound D of the distance between computed and measured links of the hand, which is all that moves with the last
+    joint; `arm_deviation` [m] is that of the other links, by default the same. `margin` [m] is added to both.
 
     Raises:
         ConfigurationError: no MuJoCo simulation, another arm, or a time step that the period does not divide.
         UnknownNameError: the MuJoCo model has no joint or body of a name.
     """
-    check_positive("deviation [m]", deviation)
+    bounds = (deviation, deviation if arm_deviation is None else arm_deviation)
+    for name, bound in zip(("deviation [m]", "arm_deviation [m]"), bounds, strict=True):
+        check_positive(name, bound)
     env.reset()
-    return MocapEnv(env, robot_model, control, tuple(ignored), deviation, margin)
+    return MocapEnv(env, robot_model, control, tuple(ignored), bounds, margin)
+
+
+def mocap_robot(env: Any, control: MocapControl, name: str, limits: ArmLimits) -> RobotModel:
+    """The robot model `name` of the arm in `env`, which is reset once; `make_arm_model` states the errors."""
+    env.reset()
+    model, data = mujoco_handles(env)
+    return make_arm_model(model, data, name, base=control.base, tool=control.tool, joints=control.joints, limits=limits)
 
 
 class MocapEnv(FilteredEnv):
-    """The environment behind the guard; `info["deviation"]` [m] is d before the action."""
+    """The environment behind the guard; `deviation` and `arm_deviation` [m] in `info` are d of hand and other links."""
 
     def __init__(
         self,
@@ -98,27 +118,29 @@ class MocapEnv(FilteredEnv):
         robot_model: RobotModel,
         control: MocapControl,
         ignored: Sequence[str],
-        deviation: float,
+        bounds: tuple[float, float],
         margin: float,
     ) -> None:
-        """Compile the filter; the parameters are those of `guard_mocap_env`."""
-        self._control, self._bound, self._distance = control, deviation, 0.0
+        """Compile the filter; `bounds` [m] are those of hand and arm, other parameters as for `guard_mocap_env`."""
+        self._control, self._bounds, self._distances, self._has_new_path = control, bounds, (0.0, 0.0), False
         model, data = mujoco_handles(env)
         names = (robot_model, control.joints, control.base)
         self._arm = MujocoArm(model, data, *names, has_held_base=control.has_held_base)
-        self._obstacles = MujocoObstacles(self._arm, ignored=ignored, margin=margin + deviation)
+        self._obstacles = MujocoObstacles(self._arm, ignored=ignored, margin=margin)
+        self._parts = _hand_and_arm(robot_model)
         self._ghost = mujoco.MjData(model)
         self._tool = find_id(model, mujoco.mjtObj.mjOBJ_BODY, "body", control.tool)
         self._position = data.xpos[self._tool].copy()
-        self._geoms = [g for g in range(model.ngeom) if int(model.geom_bodyid[g]) in self._arm.bodies]
+        self._geoms = _geoms_of_hand_and_arm(self._arm)
         super().__init__(
             env,
             SafetyFilter(_without_joint_limits(robot_model), FilterConfig(lag_compensation=False, tracking_error=0.0)),
             state=lambda _: (self._arm.q, self._arm.v),
-            scene=lambda _, __: self._obstacles.observe(),
+            scene=lambda _, __: self._enlarged_obstacles(),
             action_space=ToolPose(rotation="quaternion", layout=FunctionLayout(self._decode, self._encode)),
             deviation="along_path",
         )
+        self._translation = SafeTranslation(self.safety, self.guard.steps_per_action)
         self._check_tool()
 
     def _check_tool(self) -> None:
@@ -142,36 +164,80 @@ class MocapEnv(FilteredEnv):
                 "The reset built another MuJoCo model.", fix="Guard the environment again after each such reset."
             )
         self._position = self._reference.copy()
+        self._translation.reset()
         self.guard.reset(self._computed_joints(), 0.0)
         return result
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Filter and execute `action`; `info["deviation"]` [m] is the distance of computed and measured links."""
+        """Filter and execute `action`; `info` has the distances of computed and measured links [m] before it."""
         observation, reward, terminated, truncated, info = super().step(action)
-        return observation, reward, terminated, truncated, {**info, "deviation": self._distance}
+        hand, arm = self._distances
+        info = {**info, "deviation": hand, "arm_deviation": arm}
+        if self._has_new_path:
+            info["safety"] = (
+                f"an obstacle limits the displacement, and the tool takes the nearest other; {info['safety']}"
+            )
+            info["status"] = FilterStatus.MODIFIED.name if info["status"] == FilterStatus.SAFE.name else info["status"]
+        return observation, reward, terminated, truncated, info
 
     def _guarded_action(self, action: Any) -> Any:
         q = self._computed_joints()
-        self._distance = self._ghost_distance()
+        self._distances = self._ghost_distances()
         self.guard.retarget(q)
-        self.safety.observe(self._obstacles.observe(), self._now)
+        self.safety.observe(self._enlarged_obstacles(), self._now)
         v = self.guard.control if self._now else np.zeros(self._n)
-        if self._distance > self._bound:
-            problem = (
-                f"A link is {self._distance * 1e3:.0f} mm from its computed place, allowed are "
-                f"{self._bound * 1e3:.0f} mm; the tool comes to rest. Remedy: move more slowly (`derate`), "
-                "look for a contact, or allow a larger `deviation`"
-            )
+        self._has_new_path = False
+        if problem := self._deviation_problem():
             self.guard.stop(problem, q, v, self._now)
             return self._encode_position(self.guard.target, action)
         held = self._position.copy()
-        applied = self.guard(action, q, v, self._now)
+        proposed = self._without_approach(action, q)
+        self._has_new_path = proposed is not action
+        applied = self.guard(proposed, q, v, self._now)
+        self._translation.read_rows()
         if self.guard.report.speed_share == 0.0:  # the nearest control turns the tool or its elbow: no action does that
             self.safety.reset(0.0)
-            applied = self._encode_world(held, action)
-        if applied is action:
-            self._position = self._target_position(action)
+            return self._encode_world(held, action)
+        if applied is proposed:
+            self._position = self._target_position(proposed)
         return applied
+
+    def _deviation_problem(self) -> str:
+        """Why the tool comes to rest, or ""."""
+        for name, distance, bound in zip(("hand", "arm"), self._distances, self._bounds, strict=True):
+            if distance > bound:
+                return (
+                    f"A link of the {name} is {distance * 1e3:.0f} mm from its computed place, allowed are "
+                    f"{bound * 1e3:.0f} mm; the tool comes to rest. Remedy: move more slowly (`derate`), "
+                    f"look for a contact, or allow a larger `{'deviation' if name == 'hand' else 'arm_deviation'}`"
+                )
+        return ""
+
+    def _without_approach(self, action: Any, q: Array) -> Any:
+        """The action for the admitted displacement that is nearest to that of `action`, or `action` itself."""
+        try:
+            wanted = self._target_position(action)
+        except (TypeError, ValueError):
+            return action  # the guard refuses it
+        turn = self._arm.data.xmat[self._arm.base].reshape(3, 3)
+        shift = turn.T @ (wanted - self._position)
+        nearest = self._translation.nearest(shift, self.safety.tool(q).jacobian)
+        if nearest is None:
+            return action
+        replaced = np.array(action)
+        replaced[:3] = np.clip((self._position + turn @ nearest - self._reference) / self._control.scale, -1.0, 1.0)
+        return replaced
+
+    def _enlarged_obstacles(self) -> list[Obstacle]:
+        """The obstacles, enlarged by the bound of the links that keep away from them."""
+        found = self._obstacles.observe()
+        if self._bounds[0] == self._bounds[1]:
+            return [msgspec.structs.replace(one, margin=one.margin + self._bounds[0]) for one in found]
+        return [
+            msgspec.structs.replace(one, name=f"{one.name} ({name})", margin=one.margin + bound, parts=parts)
+            for name, bound, parts in zip(("hand", "arm"), self._bounds, self._parts, strict=True)
+            for one in found
+        ]
 
     # --- action and tool position ---------------------------------------------------------------------------------
 
@@ -233,12 +299,33 @@ class MocapEnv(FilteredEnv):
         mujoco.mj_kinematics(model, ghost)
         return ghost.qpos[joints].copy()
 
-    def _ghost_distance(self) -> float:
-        """Upper bound [m] of the distance of a point of the arm as computed, where the ghost is, and as measured."""
+    def _ghost_distances(self) -> tuple[float, float]:
+        """Upper bounds [m] of the distance of a point of hand and arm as computed, where the ghost is, and measured."""
+        hand, arm = (self._ghost_distance(geoms) for geoms in self._geoms)
+        return hand, arm
+
+    def _ghost_distance(self, geoms: Sequence[int]) -> float:
         model, data, ghost = self._arm.model, self._arm.data, self._ghost
-        moved = np.linalg.norm(data.geom_xpos[self._geoms] - ghost.geom_xpos[self._geoms], axis=1)
-        chord = np.linalg.norm(data.geom_xmat[self._geoms] - ghost.geom_xmat[self._geoms], axis=1) / np.sqrt(2.0)
-        return float(np.max(moved + chord * model.geom_rbound[self._geoms]))
+        moved = np.linalg.norm(data.geom_xpos[geoms] - ghost.geom_xpos[geoms], axis=1)
+        chord = np.linalg.norm(data.geom_xmat[geoms] - ghost.geom_xmat[geoms], axis=1) / np.sqrt(2.0)
+        return float(np.max(moved + chord * model.geom_rbound[geoms], initial=0.0))
+
+
+def _hand_and_arm(robot_model: RobotModel) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The links that move with the last joint, and the other ones."""
+    n = robot_model.n
+    hand = tuple(link.name for link in robot_model.links if link.frame == n)
+    return hand, tuple(link.name for link in robot_model.links if link.frame < n)
+
+
+def _geoms_of_hand_and_arm(arm: MujocoArm) -> tuple[list[int], list[int]]:
+    """The geoms that move with the last joint, and the other ones of the arm."""
+    hand = arm.bodies_from(-1)
+    geoms = [g for g in range(arm.model.ngeom) if int(arm.model.geom_bodyid[g]) in arm.bodies]
+    return (
+        [g for g in geoms if int(arm.model.geom_bodyid[g]) in hand],
+        [g for g in geoms if int(arm.model.geom_bodyid[g]) not in hand],
+    )
 
 
 def _without_joint_limits(robot_model: RobotModel) -> RobotModel:
