@@ -89,9 +89,9 @@ def _read_tree(file: Path, packages: Sequence[Path]) -> KinematicTree:
 def tree_of_model(
     model: Any, name: str, source: str, bodies: Iterable[int], lines: Mapping[str, str] = MappingProxyType({})
 ) -> KinematicTree:
-    """The tree of `bodies` of a compiled `MjModel`, parents first; one whose parent is left out gets the world as its parent.
+    """The tree of `bodies` of a compiled `MjModel`, parents first.
 
-    `source` names the description, and `lines` the line of each joint in it, for the provenance of limits.
+    A body whose parent is left out gets the world as its parent. `source` names the description, and `lines` the line of each joint in it, for the provenance of limits.
 
     Raises:
         ConfigurationError: a number of a joint is not finite, or a shape is of another kind than the filter knows.
