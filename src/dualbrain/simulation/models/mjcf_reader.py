@@ -91,7 +91,8 @@ def tree_of_model(
 ) -> KinematicTree:
     """The tree of `bodies` of a compiled `MjModel`, parents first.
 
-    A body whose parent is left out gets the world as its parent. `source` names the description, and `lines` the line of each joint in it, for the provenance of limits.
+    A body whose parent is left out gets the world as its parent. `source` names the description, and `lines` has the
+    line of each joint in it, for the provenance of limits.
 
     Raises:
         ConfigurationError: a number of a joint is not finite, or a shape is of another kind than the filter knows.
