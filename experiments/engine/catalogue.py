@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from benchmarks.guards.depth_obstacles import DepthObstacles
+from benchmarks.guards.mocap_guard.experiment import MocapGuard
 from benchmarks.guards.policy_guards import PolicyGuards
 from experiments.adaptation.ablation_curve import AblationCurve
 from experiments.adaptation.named_alternatives import NamedAlternatives
@@ -110,6 +111,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         RobosuiteTasks(),
         AlohaArms(),
         RobosuiteGuard(),
+        MocapGuard(),
         PolicyGuards(),
         DepthObstacles(),
         Ros2Rates(),

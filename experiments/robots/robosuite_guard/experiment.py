@@ -8,8 +8,9 @@ from statistics import mean
 from typing import Any
 
 from experiments.engine.experiment import Options, Row, WorkUnit
+from experiments.engine.worker_process import WorkerProcess
 from experiments.figures.tables import format_proportion, markdown_table
-from experiments.robots.robosuite_guard.suite import GuardedSuite
+from experiments.robots.robosuite_guard.virtual_environment import create
 
 TASKS = ("Lift", "Stack", "PickPlaceCan")
 POLICIES = ("careful", "careless", "random")
@@ -62,9 +63,9 @@ class RobosuiteGuard:
 
 
 @cache
-def _suite() -> GuardedSuite:
+def _suite() -> WorkerProcess:
     """The suite's process, opened once per worker."""
-    return GuardedSuite()
+    return WorkerProcess("robosuite", create(), "experiments.robots.robosuite_guard.worker")
 
 
 def _key(row: Row) -> tuple[str, str, str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import time
 from typing import Any
@@ -12,7 +11,7 @@ import numpy as np
 import robosuite
 
 from dualbrain.simulation.environments import guard_robosuite
-from experiments.robots.robosuite.pipe_protocol import PipeError, receive, send
+from experiments.engine.worker_process import serve
 from experiments.robots.robosuite_guard.contact_judge import ContactJudge
 from experiments.robots.robosuite_guard.policies import RandomPolicy, ScriptedPolicy
 
@@ -73,17 +72,8 @@ def _record_guard(record: dict[str, Any], info: dict[str, Any], guarded: Any) ->
 
 
 def main() -> None:
-    """Answer requests until the input ends; output of libraries goes to stderr."""
-    answers = os.dup(1)
-    os.dup2(2, 1)
-    send(answers, {"robosuite": robosuite.__version__, "mujoco": mujoco.__version__, "numpy": np.__version__})
-    while True:
-        try:
-            request = receive(0)
-        except PipeError:
-            return
-        assert isinstance(request, dict)
-        send(answers, run_episode(request))
+    """Answer requests until the input ends."""
+    serve({"robosuite": robosuite.__version__, "mujoco": mujoco.__version__, "numpy": np.__version__}, run_episode)
 
 
 if __name__ == "__main__":

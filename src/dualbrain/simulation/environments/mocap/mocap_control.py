@@ -12,9 +12,9 @@ by the nearest one that the rows of the last step admit without a turn (`SafeTra
 that path.
 
 Guarantee: the computed links keep the distance D from every obstacle, and the measured ones stay off them as long as
-d ≤ D. The bound is checked once per action, not in between. Beyond it the tool comes to rest and `info["safety"]`
-states it; the null space cannot be stopped by any action. Joint limits are left to the simulation, because the null
-space reaches them without a command.
+d ≤ D. The bound is checked once per action, not in between. Beyond it the tool comes to rest where it is measured, and
+`info["safety"]` states it; the null space cannot be stopped by any action. Joint limits are left to the simulation,
+because the null space reaches them without a command.
 """
 
 # MuJoCo ships no type stubs:
@@ -130,7 +130,7 @@ class MocapEnv(FilteredEnv):
         self._parts = _hand_and_arm(robot_model)
         self._ghost = mujoco.MjData(model)
         self._tool = find_id(model, mujoco.mjtObj.mjOBJ_BODY, "body", control.tool)
-        self._position = data.xpos[self._tool].copy()
+        self._position, self._residual = data.xpos[self._tool].copy(), np.zeros(3)
         self._geoms = _geoms_of_hand_and_arm(self._arm)
         super().__init__(
             env,
@@ -140,7 +140,7 @@ class MocapEnv(FilteredEnv):
             action_space=ToolPose(rotation="quaternion", layout=FunctionLayout(self._decode, self._encode)),
             deviation="along_path",
         )
-        self._translation = SafeTranslation(self.safety, self.guard.steps_per_action)
+        self._translation, self._is_held = SafeTranslation(self.safety, self.guard.steps_per_action), False
         self._check_tool()
 
     def _check_tool(self) -> None:
@@ -165,6 +165,7 @@ class MocapEnv(FilteredEnv):
             )
         self._position = self._reference.copy()
         self._translation.reset()
+        self._is_held = False
         self.guard.reset(self._computed_joints(), 0.0)
         return result
 
@@ -189,13 +190,14 @@ class MocapEnv(FilteredEnv):
         self._has_new_path = False
         if problem := self._deviation_problem():
             self.guard.stop(problem, q, v, self._now)
-            return self._encode_position(self.guard.target, action)
-        held = self._position.copy()
-        proposed = self._without_approach(action, q)
+            usable = np.nan_to_num(np.array(action, float))
+            return self._encode_world(self._arm.data.xpos[self._tool].copy(), usable)  # the commanded place may be lost
+        held, proposed = self._position.copy(), self._without_approach(action, q)
         self._has_new_path = proposed is not action
         applied = self.guard(proposed, q, v, self._now)
         self._translation.read_rows()
-        if self.guard.report.speed_share == 0.0:  # the nearest control turns the tool or its elbow: no action does that
+        self._is_held = self.guard.report.speed_share == 0.0
+        if self._is_held:  # the nearest control turns the tool or its elbow: no action does that
             self.safety.reset(0.0)
             return self._encode_world(held, action)
         if applied is proposed:
@@ -214,9 +216,13 @@ class MocapEnv(FilteredEnv):
         return ""
 
     def _without_approach(self, action: Any, q: Array) -> Any:
-        """The action for the admitted displacement that is nearest to that of `action`, or `action` itself."""
+        """The action for the admitted displacement that is nearest to that of `action`, or `action` itself.
+
+        A tool that holds its place takes the shortest way that leads away: with its acceleration limits it may not be
+        able to begin another one.
+        """
         try:
-            wanted = self._target_position(action)
+            wanted = self._position if self._is_held else self._target_position(action)
         except (TypeError, ValueError):
             return action  # the guard refuses it
         turn = self._arm.data.xmat[self._arm.base].reshape(3, 3)
@@ -254,12 +260,12 @@ class MocapEnv(FilteredEnv):
     def _decode(self, action: Any) -> Array:
         rotation = np.zeros(9)
         mujoco.mju_quat2Mat(rotation, self._rotation)
-        position, turned = self._arm.to_base(self._target_position(action), rotation.reshape(3, 3))
+        position, turned = self._arm.to_base(self._target_position(action) + self._residual, rotation.reshape(3, 3))
         return np.concatenate([position, matrix_to_quaternion(turned)])
 
     def _encode(self, values: Array, action: Any) -> Any:
         turn, origin = self._arm.data.xmat[self._arm.base].reshape(3, 3), self._arm.data.xpos[self._arm.base]
-        return self._encode_world(turn @ values[:3] + origin, action)
+        return self._encode_world(turn @ values[:3] + origin - self._residual, action)
 
     def _encode_world(self, position: Array, action: Any) -> Any:
         """The action that leads the tool to a position (3,) [m] in the world."""
@@ -267,11 +273,6 @@ class MocapEnv(FilteredEnv):
         replaced[:3] = np.clip((position - self._reference) / self._control.scale, -1.0, 1.0)
         self._position = self._target_position(replaced)
         return replaced
-
-    def _encode_position(self, q: Array, action: Any) -> Any:
-        """The action that leads the tool to its place at `q`; one without a usable gripper entry is zero there."""
-        usable = np.nan_to_num(np.array(action, float))
-        return self._encode(self.safety.tool(q).position, usable)
 
     @property
     def _rotation(self) -> Array:
@@ -281,7 +282,10 @@ class MocapEnv(FilteredEnv):
     # --- computed and measured links ------------------------------------------------------------------------------
 
     def _computed_joints(self) -> Array:
-        """The configuration (n,) nearest to the measured one with the tool at its commanded pose."""
+        """The configuration (n,) nearest to the measured one with the tool at its commanded pose.
+
+        Near a stretched arm the tool stays off by `_residual` (3,) [m], which is in no command.
+        """
         model, ghost, arm = self._arm.model, self._ghost, self._arm
         ghost.qpos[:], joints = arm.data.qpos, arm.position_addresses
         dofs, jacobian, error = arm.dofs, np.zeros((6, model.nv)), np.zeros(6)
@@ -297,6 +301,7 @@ class MocapEnv(FilteredEnv):
             J = jacobian[:, dofs]
             ghost.qpos[joints] += J.T @ np.linalg.solve(J @ J.T + IK_DAMPING**2 * np.eye(6), error)
         mujoco.mj_kinematics(model, ghost)
+        self._residual = ghost.xpos[self._tool] - self._position
         return ghost.qpos[joints].copy()
 
     def _ghost_distances(self) -> tuple[float, float]:
