@@ -28,7 +28,7 @@ OPTION_MODES = {"fetch": "guarded, 12 mm", "metaworld": "guarded, table ignored"
 """The mode of each suite with an option of the guard; only the careful policy runs in it."""
 BOUNDS = {"fetch": (20, 60), "metaworld": (25, 60)}
 """Bounds of the deviation of hand and arm [mm] of the mode "guarded"."""
-FIRST_SEED, N_SEEDS, SEEDS_PER_BATCH = 91_000, 20, 4
+FIRST_SEED, N_SEEDS, SEEDS_PER_BATCH = 91_100, 20, 4
 
 
 class MocapGuard:
@@ -168,9 +168,9 @@ def _totals(rows: list[Row]) -> list[str]:
         if not some:
             continue
         parts = [
-            f"{'guarded' if is_guarded else 'unguarded'} {format_proportion(sum(bool(r['depth']) for r in group), len(group))}"
-            for is_guarded in (False, True)
-            if (group := [row for row in some if (row["mode"] != "unguarded") is is_guarded])
+            f"{name} {format_proportion(sum(bool(row['depth']) for row in group), len(group))}"
+            for name in ("unguarded", "guarded")
+            if (group := [row for row in some if row["mode"].partition(",")[0] == name])
         ]
         pairs = _pairs(some)
         versions = ", ".join(f"{name} {version}" for name, version in some[0]["versions"].items())
@@ -204,12 +204,14 @@ def _exceptions(
                 found.append((row["key"], _contacts(row), "lost" if lost else "", row["stops"], miss, row["last"][:90]))
     if not found:
         return ["No guarded episode had a contact, or failed where the unguarded one succeeded."]
-    head = (
-        "guarded episode",
-        "contacts",
-        "success",
-        "steps of rest",
-        "goal from the tool at the end [mm]",
-        "last report",
-    )
-    return markdown_table(head, found)
+    return markdown_table(_EXCEPTION_HEAD, found)
+
+
+_EXCEPTION_HEAD = (
+    "guarded episode",
+    "contacts",
+    "success",
+    "steps of rest",
+    "goal from the tool at the end [mm]",
+    "last report",
+)
