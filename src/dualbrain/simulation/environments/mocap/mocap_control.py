@@ -12,9 +12,9 @@ by the nearest one that the rows of the last step admit without a turn (`SafeTra
 that path.
 
 Guarantee: the computed links keep the distance D from every obstacle, and the measured ones stay off them as long as
-d ≤ D. The bound is checked once per action, not in between. Beyond it the tool comes to rest where it is measured, and
-`info["safety"]` states it; the null space cannot be stopped by any action. Joint limits are left to the simulation,
-because the null space reaches them without a command.
+d ≤ D. The bound is checked once per action, not in between. Beyond it the tool comes to rest where it was measured
+then, and `info["safety"]` states it; the null space cannot be stopped by any action. Joint limits are left to the
+simulation, because the null space reaches them without a command.
 """
 
 # MuJoCo ships no type stubs:
@@ -141,6 +141,7 @@ class MocapEnv(FilteredEnv):
             deviation="along_path",
         )
         self._translation, self._is_held = SafeTranslation(self.safety, self.guard.steps_per_action), False
+        self._rest_place: Array | None = None
         self._check_tool()
 
     def _check_tool(self) -> None:
@@ -165,7 +166,7 @@ class MocapEnv(FilteredEnv):
             )
         self._position = self._reference.copy()
         self._translation.reset()
-        self._is_held = False
+        self._is_held, self._rest_place = False, None
         self.guard.reset(self._computed_joints(), 0.0)
         return result
 
@@ -188,10 +189,13 @@ class MocapEnv(FilteredEnv):
         self.safety.observe(self._enlarged_obstacles(), self._now)
         v = self.guard.control if self._now else np.zeros(self._n)
         self._has_new_path = False
-        if problem := self._deviation_problem():
+        usable, problem = self._read_action(action)
+        if problem := problem or self._deviation_problem():
             self.guard.stop(problem, q, v, self._now)
-            usable = np.nan_to_num(np.array(action, float))
-            return self._encode_world(self._arm.data.xpos[self._tool].copy(), usable)  # the commanded place may be lost
+            if self._rest_place is None:  # the arm was there, but may be unable to reach the commanded place
+                self._rest_place = self._arm.data.xpos[self._tool].copy()
+            return self._encode_world(self._rest_place, usable)
+        self._rest_place = None
         held, proposed = self._position.copy(), self._without_approach(action, q)
         self._has_new_path = proposed is not action
         applied = self.guard(proposed, q, v, self._now)
@@ -203,6 +207,18 @@ class MocapEnv(FilteredEnv):
         if applied is proposed:
             self._position = self._target_position(proposed)
         return applied
+
+    def _read_action(self, action: Any) -> tuple[Any, str]:
+        """A copy of `action` with zero for each number that is not finite, and why it cannot be used, or ""."""
+        space: Any = self.env.action_space
+        problem = f"The action is not finite, or not of shape {space.shape}; the tool comes to rest. Remedy: check it"
+        try:
+            given = np.array(action, space.dtype)
+        except (TypeError, ValueError):
+            given = np.zeros(0)
+        if given.shape != space.shape:
+            return np.zeros(space.shape, space.dtype), problem
+        return np.nan_to_num(given, posinf=0.0, neginf=0.0), "" if np.isfinite(given).all() else problem
 
     def _deviation_problem(self) -> str:
         """Why the tool comes to rest, or ""."""
@@ -221,10 +237,7 @@ class MocapEnv(FilteredEnv):
         A tool that holds its place takes the shortest way that leads away: with its acceleration limits it may not be
         able to begin another one.
         """
-        try:
-            wanted = self._position if self._is_held else self._target_position(action)
-        except (TypeError, ValueError):
-            return action  # the guard refuses it
+        wanted = self._position if self._is_held else self._target_position(action)
         turn = self._arm.data.xmat[self._arm.base].reshape(3, 3)
         shift = turn.T @ (wanted - self._position)
         nearest = self._translation.nearest(shift, self.safety.tool(q).jacobian)
