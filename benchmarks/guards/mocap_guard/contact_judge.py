@@ -42,7 +42,8 @@ class ContactJudge:
             is_other = hard[geom] and body not in own and body not in free
             self._model.geom_contype[geom] = ARM if is_arm else 0
             self._model.geom_conaffinity[geom] = ARM if is_other else 0
-        self._model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        self._model.body_contype[:] = self._model.body_conaffinity[:] = ARM  # the first test of a pair of bodies
+        self._model.opt.disableflags = int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)  # the first link and a fixed table
 
     def update(self, data: Any) -> None:
         """Judge the present state of the simulation."""

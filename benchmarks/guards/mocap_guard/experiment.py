@@ -28,7 +28,7 @@ OPTION_MODES = {"fetch": "guarded, 12 mm", "metaworld": "guarded, table ignored"
 """The mode of each suite with an option of the guard; only the careful policy runs in it."""
 BOUNDS = {"fetch": (20, 60), "metaworld": (25, 60)}
 """Bounds of the deviation of hand and arm [mm] of the mode "guarded"."""
-FIRST_SEED, N_SEEDS, SEEDS_PER_BATCH = 91_200, 20, 4
+FIRST_SEED, N_SEEDS, SEEDS_PER_BATCH = 91_300, 20, 4
 
 
 class MocapGuard:
