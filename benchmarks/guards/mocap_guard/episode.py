@@ -36,7 +36,7 @@ def run_episode(parameters: dict[str, Any]) -> dict[str, Any]:
     env = task.guard(**OPTIONS[suite][mode]) if guarded else task.env
     times = _timed(env) if guarded else []
     observation = task.start(env, seed)
-    inner = task.env.unwrapped
+    inner: Any = task.env.unwrapped
     ignored = OPTIONS[suite].get(mode, {}).get("ignored", IGNORED[suite])
     judge = ContactJudge(inner.model, first=task.arm_root, robot=task.robot_root, ignored=(*ignored, *OWN[suite]))
     judge.update(inner.data)

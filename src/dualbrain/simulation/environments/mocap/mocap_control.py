@@ -192,8 +192,8 @@ class MocapEnv(FilteredEnv):
         usable, problem = self._read_action(action)
         if problem := problem or self._deviation_problem():
             self.guard.stop(problem, q, v, self._now)
-            if self._rest_place is None:  # the arm was there, but may be unable to reach the commanded place
-                self._rest_place = self._arm.data.xpos[self._tool].copy()
+            measured = self._arm.data.xpos[self._tool].copy()  # the arm may be unable to reach the commanded place
+            self._rest_place = measured if self._rest_place is None else self._rest_place
             return self._encode_world(self._rest_place, usable)
         self._rest_place = None
         held, proposed = self._position.copy(), self._without_approach(action, q)
