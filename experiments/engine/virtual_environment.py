@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import subprocess
 import sys
+import sysconfig
 import venv
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,6 +17,8 @@ from pathlib import Path
 from dualbrain.errors import MissingDependencyError
 
 BUILD = Path(__file__).resolve().parents[2] / "build"
+PRESENT = sysconfig.get_path("purelib")
+"""Packages of the environment that runs this program."""
 MARK = "made-from"
 """File with the digest of the sources of an environment."""
 
@@ -77,6 +80,11 @@ class VirtualEnvironment:
         if subprocess.run(command, check=False, stdout=sys.stderr).returncode != 0:
             fix = "pip could not install it (see its output above); check that a package index is reachable."
             raise MissingDependencyError(f"{self.title} ({' '.join(arguments)})", fix=fix)
+
+    def share_present_packages(self) -> None:
+        """Take what is not installed here, dualbrain included, from the environment that runs this program."""
+        packages = next((self.folder / "venv" / "lib").glob("python*/site-packages"))
+        (packages / "present.pth").write_text(f"import site; site.addsitedir({PRESENT!r})\n")
 
     @property
     def _python(self) -> Path:

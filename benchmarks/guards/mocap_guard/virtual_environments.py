@@ -7,14 +7,11 @@ Everything that a suite does not install, dualbrain included, is taken from the 
 
 from __future__ import annotations
 
-import sysconfig
 from functools import partial
 from pathlib import Path
 
-from experiments.engine.virtual_environment import BUILD, VirtualEnvironment, run_creation
+from experiments.engine.virtual_environment import BUILD, PRESENT, VirtualEnvironment, run_creation
 
-PRESENT = sysconfig.get_path("purelib")
-"""Packages of the present environment."""
 SUITES = {"fetch": "gymnasium-robotics", "metaworld": "metaworld"}
 """Names of the suites in this experiment, and of their packages."""
 ENVIRONMENTS = {
@@ -41,8 +38,7 @@ def create(suite: str) -> Path:
 def _install(suite: str) -> None:
     environment = ENVIRONMENTS[suite]
     environment.pip("install", *environment.packages)
-    packages = next((environment.folder / "venv" / "lib").glob("python*/site-packages"))
-    (packages / "present.pth").write_text(f"import site; site.addsitedir({PRESENT!r})\n")
+    environment.share_present_packages()
 
 
 def _create_all() -> None:

@@ -8,14 +8,11 @@ the environment that creates it: packages of both are taken from requirements.tx
 
 from __future__ import annotations
 
-import sysconfig
 from pathlib import Path
 
-from experiments.engine.virtual_environment import BUILD, VirtualEnvironment, run_creation
+from experiments.engine.virtual_environment import BUILD, PRESENT, VirtualEnvironment, run_creation
 
 REQUIREMENTS = Path(__file__).resolve().parent / "requirements.txt"
-PRESENT = sysconfig.get_path("purelib")
-"""Packages of the present environment."""
 ENVIRONMENT = VirtualEnvironment(
     title="gym-aloha",
     folder=BUILD / "gym_aloha",
@@ -36,8 +33,7 @@ def create() -> Path:
 
 def _install() -> None:
     ENVIRONMENT.pip("install", "-r", str(REQUIREMENTS))
-    packages = next((ENVIRONMENT.folder / "venv" / "lib").glob("python*/site-packages"))
-    (packages / "present.pth").write_text(f"import site; site.addsitedir({PRESENT!r})\n")
+    ENVIRONMENT.share_present_packages()
 
 
 if __name__ == "__main__":
