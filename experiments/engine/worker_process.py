@@ -46,12 +46,21 @@ class WorkerProcess:
         send(self._request_pipe, parameters)
         return {**self._receive(), "versions": self.versions}
 
+    def close(self) -> None:
+        """End the process."""
+        self._process.kill()
+        self._process.wait()
+        for stream in (self._process.stdin, self._process.stdout, self._errors):
+            if stream is not None:
+                stream.close()
+
     def _receive(self) -> dict[str, Any]:
         try:
             answer = receive(self._reply_pipe, UNIT_TIMEOUT_S)
         except PipeError as why:
             self._errors.seek(0)
             tail = self._errors.read().decode("utf-8", "replace")[-STDERR_TAIL_CHARS:].strip()
+            self.close()
             raise PipeError(f"{why}; end of the stderr of {self._title}: {tail or 'empty'}") from None
         assert isinstance(answer, dict)
         return answer
