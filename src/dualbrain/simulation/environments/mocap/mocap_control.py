@@ -193,8 +193,8 @@ class MocapEnv(FilteredEnv):
         if problem := problem or self._deviation_problem():
             self.guard.stop(problem, q, v, self._now)
             measured = self._arm.data.xpos[self._tool].copy()  # the arm may be unable to reach the commanded place
-            self._rest_place = measured if self._rest_place is None else self._rest_place
-            return self._encode_world(self._rest_place, usable)
+            place = self._rest_place = measured if self._rest_place is None else self._rest_place
+            return self._encode_world(place, usable)
         self._rest_place = None
         held, proposed = self._position.copy(), self._without_approach(action, q)
         self._has_new_path = proposed is not action
