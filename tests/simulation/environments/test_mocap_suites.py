@@ -1,5 +1,6 @@
 """`guard_fetch` and `guard_metaworld` without their suites: names, time steps, actions, and the arm in the model."""
 
+import gymnasium
 import mujoco
 import numpy as np
 import pytest
@@ -152,3 +153,28 @@ def test_a_tool_that_the_base_does_not_carry_is_refused(base, tool, error):
     inner = MocapSuite("metaworld")
     with pytest.raises(error, match=tool):
         make_arm_model(inner.model, inner.data, "arm", base=base, tool=tool, joints=inner.joints, limits=LIMITS)
+
+
+@pytest.mark.slow
+def test_the_guard_fits_the_real_fetch():
+    """Gymnasium-robotics with actions toward the table: no finger touches it, and the arm is that of the suite."""
+    suite = pytest.importorskip("gymnasium_robotics")
+    gymnasium.register_envs(suite)
+    env = guard_fetch(gymnasium.make("FetchReach-v4", max_episode_steps=200))
+    env.reset(seed=0)
+    least = min(env.step(np.array([0.3, -0.3, -1.0, 0.0], np.float32))[4]["h_min"] for _ in range(60))
+    assert 0.0 < least < 0.01
+
+
+@pytest.mark.slow
+def test_the_guard_fits_the_real_metaworld():
+    """The wall of metaworld stops the hand, and the arm is that of the suite."""
+    suite = pytest.importorskip("metaworld")
+    benchmark = suite.MT1("reach-wall-v3", seed=0)
+    inner = benchmark.train_classes["reach-wall-v3"]()
+    inner.set_task(benchmark.train_tasks[0])
+    env = guard_metaworld(inner)
+    env.reset()
+    infos = [env.step(np.array([0.0, 1.0, -1.0, 0.0], np.float32))[4] for _ in range(150)]
+    assert 0.0 < min(info["h_min"] for info in infos) < 0.01
+    assert infos[-1]["status"] == "MODIFIED"
