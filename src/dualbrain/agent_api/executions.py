@@ -95,17 +95,14 @@ class Executions:
             rejected = parse(data)
             assert isinstance(rejected, Rejected)
             return SubmissionReport(id=contract_id, state="rejected", rejected=rejected)
+        name = contract_id or f"unread-{token_hex(4)}"
         with self._lock:
             earlier = self._retries.find(contract_id, digest, self._now()) if contract_id else None
-            if not isinstance(earlier, Submission):
-                name = contract_id or f"unread-{token_hex(4)}"
-                if (refused := earlier or _reject_instruction(instruction) or self._busy()) is not None:
-                    return SubmissionReport(id=name, state="rejected", rejected=refused)
-                submission = self._begin(name, "checking", digest)
-                if contract_id:
-                    self._retries.keep(contract_id, submission)
-        if isinstance(earlier, Submission):
-            return replace(earlier.wait_for_verdict(VERDICT_TIMEOUT), repeated=True)
+            submission = earlier or self._begin_contract(name, digest, instruction, contract_id)
+        if isinstance(submission, Rejected):
+            return SubmissionReport(id=name, state="rejected", rejected=submission)
+        if earlier is not None:
+            return replace(submission.wait_for_verdict(VERDICT_TIMEOUT), repeated=True)
         agent = Agent(FixedContractPlanner(client, data), self._resources.memory)
         refused = self._record_start(contract_id, submission) or self._start(
             submission, self._request(instruction, given=True), agent, retried=contract_id
@@ -183,6 +180,15 @@ class Executions:
                 f"{self._newest} is in progress", "one contract at a time", "wait for its outcome, or stop it"
             )
         return None
+
+    def _begin_contract(self, name: str, digest: str, instruction: str, contract_id: str) -> Submission | Rejected:
+        """A new submission of a contract, or its rejection; the lock is held."""
+        if (refused := _reject_instruction(instruction) or self._busy()) is not None:
+            return refused
+        submission = self._begin(name, "checking", digest)
+        if contract_id:
+            self._retries.keep(contract_id, submission)
+        return submission
 
     def _record_start(self, contract_id: str, submission: Submission) -> Rejected | None:
         """Write a submission to the file of the contracts before it can move the robot; the rejection if that fails.

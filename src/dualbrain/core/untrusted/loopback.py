@@ -1,4 +1,4 @@
-"""Addresses that only processes of this machine reach, and addresses that stand for all of its interfaces."""
+"""Addresses that only processes of this machine reach, and addresses that mean all of its interfaces."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def is_loopback(host: str) -> bool:
 
 
 def is_wildcard(host: str) -> bool:
-    """Whether `host` stands for every interface of this machine and is no address of any, such as 0.0.0.0."""
+    """Whether `host` means every interface of this machine and is no address of any, such as 0.0.0.0."""
     try:
         return ip_address(host).is_unspecified
     except ValueError:
