@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 
 from dualbrain.evaluation.analysis.metrics import METRIC_BY_NAME
-from dualbrain.evaluation.analysis.statistics import compare, difference, ratio
+from dualbrain.evaluation.analysis.statistics import Clusters, compare, difference, ratio
 from dualbrain.evaluation.analysis.violation_kinds import violation_kinds
 from dualbrain.evaluation.episodes.case_runner import EpisodeResources, run_case
 from dualbrain.evaluation.episodes.scoring import EpisodeContext, score_episode
@@ -66,7 +66,8 @@ class RepeatedContracts:
     def run(self, parameters: dict[str, Any]) -> Row:
         """One recorded answer, executed again."""
         before = _suite_rows()[parameters["method"], parameters["scene"]]
-        case = make_case(Task(family=before.family, level=before.level), before.seed, before.robot, before.repetition)
+        task = msgspec.convert({"family": before.family, "level": before.level}, Task)
+        case = make_case(task, before.seed, before.robot, before.repetition)
         planner = RecordedAnswers([(text, reason) for text, reason in before.answers])
         method = find_method(EXECUTED_AS)
         run = run_case(case, method, EpisodeResources(id=before.planner, planner=planner, clock=time.perf_counter))
@@ -147,13 +148,8 @@ def _comparison_table(rows: list[Row]) -> list[str]:
     for a, b in PAIRS:
         if a not in methods or b not in methods:
             continue
-        success = [{old.pair: [float(new.success)] for old, new in methods[one]} for one in (a, b)]
-        gain = compare(*success, difference)
-        shares = [
-            {old.pair: [value] for old, new in methods[one] if (value := FREQUENCY.value_of(new)) is not None}
-            for one in (a, b)
-        ]
-        share = compare(*shares, ratio)
+        gain = compare(_successes(methods[a]), _successes(methods[b]), difference)
+        share = compare(_frequencies(methods[a]), _frequencies(methods[b]), ratio)
         cells.append(
             (
                 f"{a} against {b}",
@@ -162,6 +158,16 @@ def _comparison_table(rows: list[Row]) -> list[str]:
             )
         )
     return markdown_table(("now", "difference of success", "ratio of intervention frequency, on task"), cells)
+
+
+def _successes(pairs: list[tuple[EpisodeRow, EpisodeRow]]) -> Clusters:
+    """Success now by scene."""
+    return {old.pair: [float(new.success)] for old, new in pairs}
+
+
+def _frequencies(pairs: list[tuple[EpisodeRow, EpisodeRow]]) -> Clusters:
+    """Intervention frequency on task now, by scene."""
+    return {old.pair: FREQUENCY.values([new]) for old, new in pairs}
 
 
 def _margin_table(rows: list[Row]) -> list[str]:
