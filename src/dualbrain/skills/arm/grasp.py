@@ -158,7 +158,7 @@ def _descend_to_grasp(
     if why is None and left > POSITION_TOLERANCE:
         why = SkillResult(
             SkillStatus.TAKEN_OVER,
-            f"descend: the fingers press on something {left * 100:.1f} cm from the goal",
+            f"descend: no progress, the hand presses on something {left * 100:.1f} cm from the goal",
             FailureCause.NO_PROGRESS,
         )
     return None if why and why.status is SkillStatus.TAKEN_OVER and _fingers_around(arm, now) else why
