@@ -4,7 +4,7 @@ import msgspec
 import pytest
 
 from dualbrain.simulation.perception.noisy_perception import PerceptionNoise
-from dualbrain.skills.arm import place as place_skill
+from dualbrain.skills.arm.controller import ArmController
 from dualbrain.skills.arm.place import MAX_OVERTRAVEL
 from dualbrain.skills.kinematics.release_point import DROP_HEIGHT
 from tests.skills.arm.test_skills_in_simulation import SkillCell, grasp, place
@@ -63,6 +63,6 @@ def test_a_support_far_below_its_perceived_height_is_not_searched_for():
 
 
 def test_without_force_sensing_the_load_is_released_at_the_drop_height(monkeypatch):
-    monkeypatch.setattr(place_skill, "_upward_force", lambda arm: None)
+    monkeypatch.setattr(ArmController, "tool_force", None)
     _, heights = set_down()
     assert DROP_HEIGHT - 0.001 < heights[0] - heights[-1] < DROP_HEIGHT + 0.001

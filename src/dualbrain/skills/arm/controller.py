@@ -30,6 +30,7 @@ from dualbrain.skills.kinematics.object_geometry import CLEARANCE, bottom_height
 from dualbrain.skills.kinematics.resolved_rate import ResolvedRate, pose_error
 from dualbrain.skills.progress_watchdog import PROGRESS_TIMEOUT, ProgressWatchdog
 from dualbrain.skills.skill import (
+    ContactForce,
     HeldObject,
     MotionModel,
     Nominal,
@@ -299,6 +300,12 @@ class ArmController:
     def is_gripping(self) -> bool:
         """Whether both fingers press on an object (two-finger test)."""
         return min(self.observation.state.finger_forces) >= MIN_GRIP_FORCE
+
+    @property
+    def tool_force(self) -> ContactForce | None:
+        """The contact force of this tick if it acts at the tool; None without such an estimate."""
+        estimate = self.observation.contact_force
+        return estimate if estimate is not None and estimate.place == "tool" else None
 
     def find_goal(self, position: Array, rotations: list[Array]) -> SlicedComputation[ToolGoal | None]:
         """The tool goal at `position` with the rotation of least posture cost, or None if it is out of reach."""

@@ -12,7 +12,7 @@ from dualbrain.contracts.skill_spec import ChoiceParameter, ContactPermit, NameP
 from dualbrain.records import FailureCause, SceneObject
 from dualbrain.robots.model import RobotModel
 from dualbrain.skills import parameters
-from dualbrain.skills.arm.controller import ArmController, SubRoutine, ToolGoal, goal_at_height
+from dualbrain.skills.arm.controller import RESTING_TOLERANCE, ArmController, SubRoutine, ToolGoal, goal_at_height
 from dualbrain.skills.arm.grasp_planning import (
     alternative_grasps,
     descent_clearance,
@@ -46,7 +46,7 @@ MICRO_LIFT, MICRO_LIFT_PER_ERROR = 0.004, 1.2
 """Height of the micro-lift [m]: a part for exact perception, and a multiple of the error bound of the object."""
 MIN_LIFT = 0.03
 """Height of the load above its support [m] from which a blocked lift counts as complete."""
-POSITION_TOLERANCE = 0.003
+POSITION_TOLERANCE = RESTING_TOLERANCE[0]
 """Distance from its goal at which a motion of the tool ends [m]."""
 MIN_OBSERVATION_TIME, MAX_OBSERVATION_TIME = 0.2, 0.6
 """Time [s] for which the lifted object is observed: at least, and at most if the measurements do not decide."""
@@ -317,12 +317,8 @@ def _micro_lift(arm: ArmController, name: str) -> SubRoutine:
 
 def _presses_down(arm: ArmController) -> bool:
     """Whether the descending hand presses on something, by its force sensing."""
-    estimate = arm.observation.contact_force
-    return (
-        estimate is not None
-        and estimate.place == "tool"
-        and estimate.vector[2] > max(MAX_DESCENT_FORCE, estimate.uncertainty)
-    )
+    force = arm.tool_force
+    return force is not None and force.vector[2] > max(MAX_DESCENT_FORCE, force.uncertainty)
 
 
 def _fingers_around(arm: ArmController, obj: SceneObject) -> bool:

@@ -134,7 +134,7 @@ def _set_down(arm: ArmController, down: ToolGoal, surface: float) -> SubRoutine:
     below the surface. Without, it is released `DROP_HEIGHT` above it. A motion that is blocked has arrived.
     """
     assert arm.holding is not None
-    before, depth = _upward_force(arm), 0.0
+    before, depth = arm.tool_force, 0.0
     if before is not None:
         bottom = float(down.position[2]) - arm.below_tool
         depth = bottom - surface + min(arm.find_object(arm.holding.name).error, MAX_OVERTRAVEL)
@@ -142,19 +142,13 @@ def _set_down(arm: ArmController, down: ToolGoal, surface: float) -> SubRoutine:
     goal = yield from arm.translate_goal(lowest, lowest.position)
 
     def supported() -> bool:
-        estimate, force = arm.observation.contact_force, _upward_force(arm)
-        if before is None or force is None or estimate is None:
+        force = arm.tool_force
+        if before is None or force is None:
             return False
-        return force - before > max(MIN_SUPPORT_FORCE, estimate.uncertainty)
+        return force.vector[2] - before.vector[2] > max(MIN_SUPPORT_FORCE, force.uncertainty)
 
     why = yield from arm.move_tool(goal, "lower", SET_DOWN_SPEED, timeout=SET_DOWN_TIMEOUT, until=supported)
     return None if why and why.status is SkillStatus.TAKEN_OVER else why
-
-
-def _upward_force(arm: ArmController) -> float | None:
-    """Upward component of the contact force at the tool [N]; None without an estimate of it."""
-    estimate = arm.observation.contact_force
-    return None if estimate is None or estimate.place != "tool" else float(estimate.vector[2])
 
 
 def _check_load_lost(arm: ArmController, name: str) -> SkillResult | None:
