@@ -82,7 +82,7 @@ class VirtualEnvironment:
             raise MissingDependencyError(f"{self.title} ({' '.join(arguments)})", fix=fix)
 
     def share_present_packages(self) -> None:
-        """Take what is not installed here, dualbrain included, from the environment that runs this program."""
+        """Take packages that are missing here, dualbrain included, from the environment that runs this program."""
         packages = next((self.folder / "venv" / "lib").glob("python*/site-packages"))
         (packages / "present.pth").write_text(f"import site; site.addsitedir({PRESENT!r})\n")
 

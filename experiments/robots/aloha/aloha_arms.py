@@ -7,8 +7,8 @@ from statistics import mean
 from typing import Any
 
 from experiments.engine.experiment import Options, Row, WorkUnit
+from experiments.engine.worker_process import WorkerProcess
 from experiments.figures.tables import format_proportion, markdown_table
-from experiments.robots.aloha.aloha_process import AlohaProcess
 from experiments.robots.aloha.judge import KINDS
 from experiments.robots.aloha.virtual_environment import create
 
@@ -71,10 +71,9 @@ class AlohaArms:
 
 
 @cache
-def _open_process() -> AlohaProcess:
+def _open_process() -> WorkerProcess:
     """The process of gym-aloha, opened once per worker."""
-    create()
-    return AlohaProcess()
+    return WorkerProcess("gym-aloha", create(), "experiments.robots.aloha.worker")
 
 
 def unwanted(row: Row) -> list[str]:

@@ -9,7 +9,6 @@ The cameras are not rendered: the policies and the guard need no images.
 from __future__ import annotations
 
 from collections import Counter
-from importlib import metadata
 from typing import Any
 
 import gymnasium
@@ -96,7 +95,6 @@ def run_episode(parameters: dict[str, Any]) -> dict[str, Any]:
         "peaks": {kind: round(force, 2) for kind, force in judge.peaks.items()},
         "times": {kind: round(time, 3) for kind, time in judge.times.items()},
         "speed": round(fastest, 3),
-        "versions": {name: metadata.version(name) for name in ("gym-aloha", "mujoco", "dm_control", "numpy")},
     }
     if isinstance(env, GuardedArms):
         row |= {"status": dict(status), "h_min": round(h_min, 5), "cost": round(float(np.mean(changes)), 4)}

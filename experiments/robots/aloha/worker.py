@@ -1,22 +1,16 @@
-"""The process in gym-aloha's environment: one line of parameters in (JSON), one line with the row of an episode out.
-
-`aloha_process.py` runs it as `python -m experiments.robots.aloha.worker`.
-"""
+"""The process in gym-aloha's environment: `python -m experiments.robots.aloha.worker`."""
 
 from __future__ import annotations
 
-import json
-import sys
+from importlib import metadata
 
+from experiments.engine.worker_process import serve
 from experiments.robots.aloha.episode import run_episode
 
 
 def main() -> None:
-    """Answer every line of stdin until it ends."""
-    answers, sys.stdout = sys.stdout, sys.stderr  # stdout carries nothing but rows
-    for line in sys.stdin:
-        answers.write(json.dumps(run_episode(json.loads(line))) + "\n")
-        answers.flush()
+    """Answer requests until the input ends."""
+    serve({name: metadata.version(name) for name in ("gym-aloha", "mujoco", "dm_control", "numpy")}, run_episode)
 
 
 if __name__ == "__main__":

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import tempfile
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -13,22 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.core.geometry.shapes import Pose
-from experiments.robots.robosuite.pipe_protocol import PipeError, receive, send
+from experiments.engine.piped_process import PipedProcess
 from experiments.robots.robosuite.virtual_environment import ENVIRONMENT
 
 Array = NDArray[np.float64]
 
-ROOT = Path(__file__).resolve().parents[3]
-SINGLE_THREAD_ENV = {
-    "OMP_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-    "MUJOCO_GL": "disable",
-    "PYTHONWARNINGS": "ignore",
-}
 RESPONSE_TIMEOUT_S = 300.0
 """Time limit of an answer, for a busy machine [s]."""
-STDERR_TAIL_CHARS = 600
-"""Characters of stderr in the message about a suite process that has ended."""
 
 
 class State(msgspec.Struct, frozen=True, eq=False, kw_only=True):
@@ -67,47 +54,33 @@ class SuiteProcess:
 
     def __init__(self) -> None:
         """Start the process; raises `MissingDependencyError` without its environment."""
-        python = ENVIRONMENT.interpreter()
-        environment = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "PYTHONHOME")}
-        self._errors = tempfile.TemporaryFile()  # noqa: SIM115  (lives as long as the process, see close)
-        self._process = subprocess.Popen(
-            [str(python), "-m", "experiments.robots.robosuite.worker"],
-            cwd=ROOT,
-            env=environment | SINGLE_THREAD_ENV | {"PYTHONPATH": str(ROOT)},
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self._errors,
-            bufsize=0,
-        )
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._request_pipe, self._reply_pipe = self._process.stdin.fileno(), self._process.stdout.fileno()
+        self._process = PipedProcess("the suite", ENVIRONMENT.interpreter(), "experiments.robots.robosuite.worker")
         self._cubes: list[str] = []
-        self.versions: dict[str, str] = self._receive_dict()["versions"]
+        self.versions: dict[str, str] = self._process.receive_dict(RESPONSE_TIMEOUT_S)["versions"]
 
     def open(self, task: str, seed: int) -> TaskSetup:
         """Set up `task` with `seed`."""
-        send(self._request_pipe, {"do": "open", "task": task, "seed": seed})
-        opened = msgspec.convert(self._receive_dict(), TaskSetup)
+        self._process.send({"do": "open", "task": task, "seed": seed})
+        opened = msgspec.convert(self._process.receive_dict(RESPONSE_TIMEOUT_S), TaskSetup)
         self._cubes = opened.cubes
         return opened
 
     def grip_sites(self, postures: Array) -> Array:
         """The suite's grip site at `postures` (k, 7): position and rotation matrix, (k, 12), in the base frame."""
-        send(self._request_pipe, {"do": "sites", "postures": postures.tolist()})
-        return np.array(self._receive_dict()["sites"])
+        self._process.send({"do": "sites", "postures": postures.tolist()})
+        return np.array(self._process.receive_dict(RESPONSE_TIMEOUT_S)["sites"])
 
     def step(self, u: Array, closed: bool) -> State:
         """Apply u (7,) [rad/s] for one period, with the fingers closing or opening; returns the state after it."""
-        send(self._request_pipe, np.r_[u, 1.0 if closed else -1.0])
-        answer = self._receive()
+        self._process.send(np.r_[u, 1.0 if closed else -1.0])
+        answer = self._process.receive(RESPONSE_TIMEOUT_S)
         assert not isinstance(answer, dict)
         return self.parse_state(answer)
 
     def limit_report(self) -> dict[str, Any]:
         """The success, breaches and torque saturation since the task was opened."""
-        send(self._request_pipe, {"do": "account"})
-        return self._receive_dict()
+        self._process.send({"do": "account"})
+        return self._process.receive_dict(RESPONSE_TIMEOUT_S)
 
     def parse_state(self, numbers: Array | list[float]) -> State:
         """The state from the numbers of a step."""
@@ -123,21 +96,4 @@ class SuiteProcess:
 
     def close(self) -> None:
         """End the process."""
-        self._process.kill()
-        self._process.wait()
-        for stream in (self._process.stdin, self._process.stdout, self._errors):
-            if stream is not None:
-                stream.close()
-
-    def _receive_dict(self) -> dict[str, Any]:
-        answer = self._receive()
-        assert isinstance(answer, dict)
-        return answer
-
-    def _receive(self) -> dict[str, Any] | Array:
-        try:
-            return receive(self._reply_pipe, RESPONSE_TIMEOUT_S)
-        except PipeError as why:
-            self._errors.seek(0)
-            tail = self._errors.read().decode("utf-8", "replace")[-STDERR_TAIL_CHARS:].strip()
-            raise PipeError(f"{why}; end of the suite's stderr: {tail or 'empty'}") from None
+        self._process.close()

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from robosuite import macros
 from robosuite.controllers import load_composite_controller_config
 
+from experiments.engine.pipe_protocol import PipeError, receive, send
 from experiments.robots.robosuite.limit_monitor import LimitMonitor
-from experiments.robots.robosuite.pipe_protocol import PipeError, receive, send
 
 Array = NDArray[np.float64]
 

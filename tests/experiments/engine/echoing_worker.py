@@ -1,4 +1,4 @@
-"""A worker that echoes its parameters, and ends at `{"end": true}`; it prints what is no message."""
+"""A worker that echoes its parameters, and ends at `{"end": true}`; it prints text that is no message."""
 
 import sys
 

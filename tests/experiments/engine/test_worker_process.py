@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from experiments.engine.pipe_protocol import PipeError
 from experiments.engine.worker_process import WorkerProcess
-from experiments.robots.robosuite.pipe_protocol import PipeError
 
 
 def test_a_worker_answers_every_unit_with_its_versions_and_reports_its_end():
@@ -15,6 +15,8 @@ def test_a_worker_answers_every_unit_with_its_versions_and_reports_its_end():
         assert worker.run({"number": number}) == {"echo": {"number": number}, "versions": {"suite": "1.2"}}
     with pytest.raises(PipeError, match=r"(?s)stderr of the suite.*the end of it"):
         worker.run({"end": True})
+    with pytest.raises(PipeError, match="has been ended"):
+        worker.run({"number": 3})
 
 
 def test_a_worker_that_does_not_start_is_an_error():

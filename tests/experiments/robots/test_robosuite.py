@@ -13,11 +13,11 @@ from dualbrain.errors import ConfigurationError, MissingDependencyError
 from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import SafetyFilter
 from experiments.engine.experiment import Options
+from experiments.engine.pipe_protocol import HEADER, MAX_MESSAGE_BYTES, PipeError, receive, send
 from experiments.robots.robosuite import suite_process
 from experiments.robots.robosuite.episode import MAX_JOINT_SPEED as POLICY_MAX_JOINT_SPEED
 from experiments.robots.robosuite.episode import EpisodeRecord
 from experiments.robots.robosuite.limit_monitor import LOWER, MAX_JOINT_SPEED, UPPER, LimitMonitor
-from experiments.robots.robosuite.pipe_protocol import HEADER, MAX_MESSAGE_BYTES, PipeError, receive, send
 from experiments.robots.robosuite.policies import SPEED_PROFILES, TASKS, BangBangPolicy, WaypointPolicy, grasp_rotation
 from experiments.robots.robosuite.scene import static_obstacles
 from experiments.robots.robosuite.suite_process import SuiteObject, SuiteProcess
