@@ -10,6 +10,7 @@ from dualbrain.records import Scene, SceneObject
 from dualbrain.robots.interface import home_state
 from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.safety.contact_force.estimate import ContactForce
 from dualbrain.skills.arm import grasp
 from dualbrain.skills.arm.controller import ArmController, ToolGoal
 from dualbrain.skills.arm.grasp_planning import (
@@ -189,3 +190,22 @@ def test_a_descent_that_ends_above_its_goal_is_blocked(monkeypatch):
     result = run_to_completion(grasp._descend_to_grasp(arm, CUBE, requested_grasp(arm), CLEARANCE, 0.2))
     assert result.status is SkillStatus.TAKEN_OVER
     assert "press" in result.reason
+
+
+@pytest.mark.parametrize(
+    ("upward", "uncertainty", "place", "presses"),
+    [
+        (6.0, 2.0, "tool", True),
+        (4.0, 2.0, "tool", False),
+        (6.0, 7.0, "tool", False),
+        (-9.0, 2.0, "tool", False),
+        (9.0, 2.0, "panda_link3", False),
+    ],
+)
+def test_the_hand_presses_if_the_force_at_the_tool_exceeds_limit_and_error(upward, uncertainty, place, presses):
+    arm, force = arm_beside(BOTTLE), (0.0, 0.0, upward)
+    estimate = ContactForce(
+        stamp=0.0, vector=force, magnitude=abs(upward), place=place, uncertainty=uncertainty, load=0.0, felt_load=0.0
+    )
+    arm.observe(replace(arm.observation, contact_force=estimate))
+    assert grasp._presses_down(arm) is presses
