@@ -27,7 +27,7 @@ from experiments.evaluation.gentle_force import episode_of, run_force_episode
 from experiments.figures.tables import format_share_by_scene, markdown_table
 
 FAMILIES = ("fragile_transfer", "clutter_grasp", "edge_rescue", "dynamic_obstacle")
-FIRST_SEED, N_SEEDS = 81_000, 25
+FIRST_SEED, N_SEEDS = 83_000, 25
 FORCE_RANGE = (5.0, 60.0)
 METHOD = "B3"
 

@@ -48,7 +48,7 @@ def test_only_suite_paper_uses_the_scenes_on_which_memory_was_developed():
         suite = load_suite(name)
         return set(range(suite.first, suite.first + suite.seeds))
 
-    others = set(builtin_suites()) - {"paper", "first", "smoke"}  # these two test no hypothesis
+    others = set(builtin_suites()) - {"paper", "smoke"}  # the latter tests no hypothesis
     assert others >= {"scenes", "cross", "ablations", "refusals", "attacks", "large", "eyes"}
     for name in others:
         assert not scenes("paper") & scenes(name), name

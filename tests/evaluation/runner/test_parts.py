@@ -47,7 +47,7 @@ def without_times(rows):
     return [msgspec.structs.replace(row, wall_s=0.0) for row in rows]
 
 
-@pytest.mark.parametrize("name", ["paper", "cross", "refusals", "first"])
+@pytest.mark.parametrize("name", ["paper", "cross", "refusals", "reuse"])
 @pytest.mark.parametrize("count", [1, 3, 4, None], ids=["1", "3", "4", "most"])
 def test_parts_divide_the_units_and_hold_all_methods_of_a_cluster(name, count):
     suite = load_suite(name)

@@ -66,8 +66,8 @@ def evaluate(
     Parameters
     ----------
     suite
-        Name of a built-in suite (smoke, first, paper, cross, scenes, large, ablations, adaptation, reuse, refusals,
-        attacks, eyes), or a TOML file.
+        Name of a built-in suite (smoke, paper, cross, scenes, embodiments, large, ablations, adaptation, reuse,
+        refusals, attacks, eyes), or a TOML file.
     methods
         Only these methods, for example B1,B2,B3. Also available: G, B4, M, M-reuse, P, PE, PE-fixed, V, Full, the
         adversarial A1-A3, B3-depth, B1-free, and the ablations. Further methods can be added to the same --out later.
