@@ -122,7 +122,7 @@ def test_methods_with_a_single_run_cause_a_warning(tmp_path, capsys, monkeypatch
         command = ["evaluate", "--methods", "B1,B3", "--planner", "template", "--out", str(tmp_path), *more]
         assert run_command_line([*command, "--suite", "smoke", "--episodes", "5"]) == 0
         assert warning in capsys.readouterr().err
-    assert run_command_line(["evaluate", "--methods", "B1", "--suite", "first", "--dry-run"]) == 0
+    assert run_command_line(["evaluate", "--methods", "B1", "--suite", "scenes", "--dry-run"]) == 0
     assert "fewer than two runs" not in capsys.readouterr().err
     suite = load_suite("refusals")
     assert [suite.n_clusters(name) for name in ("B1", "P")] == [6 * 20, 3 * 20]

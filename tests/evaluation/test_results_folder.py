@@ -51,7 +51,7 @@ def test_an_episode_is_repeated_with_the_suite_of_its_results(tmp_path, capsys):
     key = load_results(tmp_path)[0][0].key
     for name in ("config.json", "fly.jsonl"):  # the repository contains only the table
         (tmp_path / name).unlink()
-    assert run_command_line(["evaluate", "--suite", "first", "--out", str(tmp_path), "--again", key]) == 0
+    assert run_command_line(["evaluate", "--suite", "scenes", "--out", str(tmp_path), "--again", key]) == 0
     assert "as recorded" in capsys.readouterr().err
     assert run_command_line(["evaluate", "--out", str(tmp_path), "--again", "nothing"]) == 5
     assert key in capsys.readouterr().err
