@@ -191,7 +191,10 @@ def test_a_goal_states_whether_contracts_can_state_it_and_whether_it_ends_at_hom
     assert goal.ends_at_home == at_home
 
 
-ACCOUNTED_FOR = ("do not", "don't", "never", "leave the", "except", "exept", "other than", "both", "four", "any three")
+ACCOUNTED_FOR = (
+    *("do not", "don't", "dont", "never", "leave the", "except", "exept", "other than", "both", "four", "any three"),
+    "two blocks",
+)
 """Words of exclusions and numbers that a goal contains: what may not move, which objects are meant, and how many."""
 
 

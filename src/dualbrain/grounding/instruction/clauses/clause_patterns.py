@@ -98,7 +98,7 @@ BY_CONSTRUCTION = re.compile(
     r"|bump|hit|collide"
     r"|disturb|squeeze|shake|tip|topple|slip|touch|spill)\b|\byou (?:have|did) not (?:\w+ ){1,8}?yet\b"
     r"|\bnot let (?:it|them|the (?:\w+ ){1,3}?) ?(?:slip|fall|drop|tip|break|topple)\b|\bit is not , then\b"
-    r"|\bnot have to\b"
+    r"|\bnot have to\b|\bi never (?!want|like|allow|let|put)"
     r"|\b(?:not|never) (?:go|move|drive|travel|grip|press|squeeze|hold|exceed|use)(?: it| the \w+)? x{4,}"
 )
 """Negations that every contract observes, or that ask for nothing."""
@@ -159,7 +159,7 @@ ALLOWED_WITHOUT = re.compile(
     r"^without (?:touching|bumping|knocking|hitting|breaking|dropping|damaging|disturbing|colliding|hurting|scratching"
     r"|crushing|disrupting|harming|spilling|moving|squeezing|shaking|tipping) (?:into |with |over |down )?"
     r"(?:it|anything|anyone|anybody|something|anything else|any other|the others|others|the other|people)\b"
-    r"|^without (?:you|me|fail|fuss|noise|a (?:sound|word|scratch|fuss|doubt|problem)|making (?:any )?(?:noise"
+    r"|^without (?:my|his|her|our|your) (?:reading )?(?:glasses|specs|spectacles|help)\b|^without (?:you|me|fail|fuss|noise|a (?:sound|word|scratch|fuss|doubt|problem)|making (?:any )?(?:noise"
     r"|sound|mess)"
     r"|haste|hurry|rush|rushing|hurrying|delay|any|problems?|dropping|damage|breaking|contact)\b"
 )

@@ -44,10 +44,12 @@ DIRECTIONS: dict[str, Direction] = {
 """Directions in the frame of the robot; "away from me" points to the robot, which faces the person."""
 PLACING = re.compile(rf"(?:{goal_words.PLACING_VERBS}) (.+)")
 LIFTING = re.compile(
-    rf"(?:{goal_words.LIFTING_VERBS}) (.+?)(?: up| in your hand| in the air| (?:off|from) the (?:table|desk|bench))*"
+    rf"(?:{goal_words.LIFTING_VERBS}) (.+?)"
+    r"(?: up| there| in your hand| in the air| (?:off|from) the (?:table|desk|bench)"
+    rf"|(?: by)?(?: about| roughly)? {goal_words.NUMBER} ?{goal_words.LENGTH}(?: up| high)?)*"
 )
 BELONGING = re.compile(
-    r" (?:all )?(?:belongs?|goes?|(?:should|must|has to|have to|needs? to) (?:all )?(?:stand|go|end up|lie|be)"
+    r" (?:all )?(?:belongs?|goes?|lives?|comes?|(?:can|could|may|wants? to) go|(?:should|must|had better|has to|have to|needs? to) (?:all )?(?:stand|go|end up|lie|be)"
     r"(?: put| placed| moved| tidied away| stored)?)(?: over)? "
 )
 """Between an object and its destination: "the tin belongs in the bowl"."""
@@ -75,22 +77,63 @@ INTO_WITH = re.compile(r"(?:off )?((?:into|in|onto|on|to) .+?) with (.+)")
 LETTING = re.compile(r"let (?:go of )?(.+?) (?:(?:drop|fall|slide|go|down) )?((?:into|in|onto|on|at) .+)")
 CARRYING = re.compile(r"(?:carry|bring|move|take) (?:it|them)(?: across| over| along| with you| there)+")
 GATHERING = re.compile(rf"(?:{goal_words.GATHERING_VERBS}) (.+)")
-GIVEN_PUSH = re.compile(r"^give (.+?) an? (?:small |little |gentle |short )?(?:push|nudge|shove)(?= )")
+GIVEN_PUSH = re.compile(r"^give (.+?) an? (?:[a-z]+ ){0,2}?(?:push|nudge|shove)(?= )")
 DISTANCE = re.compile(
     r" (?:about |roughly |some |by |for )*(?:\d{1,3}(?:\.\d{1,3})?|[a-z]+) ?"
     r"(?:cm|centimet(?:er|re)s?|mm|millimet(?:er|re)s?)\b"
 )
 """The distance of a push, which contracts state."""
+HOLD_TIME = re.compile(rf",? {goal_words.DURATION}$")
 KEEPING = re.compile(r"(?:leave|keep) (.+?) (?:where it is|where they are|in its place|alone|as it is)")
 DRIVING = re.compile(
-    r"(?:go|drive|move|come|head|travel|roll|return|run|bring yourself|make your way|stop|stand|go and stand)"
-    r"(?: on| back| over)* (?:to|at|by|for) (.+?)(?: first)?"
+    r"(?:(?:go|drive|move|come|head|travel|roll|return|run|bring|make your way|stop|stand|go and stand|carry on|continue"
+    r"|proceed|end|finish|scoot)(?: yourself| on| back| over| off| down| along| up| straight| out)*"
+    r"(?: to| at| by| for| into| down)|visit|(?:(?:back|over|off|on|down|straight) )*to) (.+?)(?: first| now)?"
 )
 UNDIRECTED = re.compile(
-    r"(?:and )?(?:(?:hold|keep holding)(?: on to)? (?:it|them)|keep hold of (?:it|them)|keep it"
+    r"(?:and )?(?:(?:hold|keep holding|keep|hold up|lift up|keep up)(?: on to)? (?:it|them)|keep hold of (?:it|them)|keep it"
     r"|(?:do not|don't) let (?:it|them) go|(?:do not|don't) let go(?: of (?:it|them))?)"
-    r"(?: there| up| in the air| in (?:your|the) hand)*"
+    r"(?: there| up| in the air| like that| in (?:your|the) (?:hand|gripper)| still| steady| quiet| quietly| motionless)*"
 )
+PARTICIPLES = {
+    "put": "put",
+    "set": "set",
+    "placed": "place",
+    "moved": "move",
+    "brought": "bring",
+    "taken": "take",
+    "carried": "carry",
+    "dropped": "drop",
+    "pushed": "push",
+    "shoved": "shove",
+    "slid": "slide",
+    "nudged": "nudge",
+    "shifted": "shift",
+    "lifted": "lift",
+    "picked": "pick",
+    "stood": "stand",
+    "laid": "lay",
+    "tidied": "tidy",
+    "transferred": "transfer",
+}
+_PARTICIPLE = "|".join(PARTICIPLES)
+PASSIVE = (
+    re.compile(
+        rf"(?:could|can|might|may|would|will|should|must) (?P<object>.+?) be (?P<verb>{_PARTICIPLE}) (?P<rest>.+)"
+    ),
+    re.compile(
+        r"(?:(?:i|we|(?:my |our |the )?[a-z]+) )?(?:would like|wants?|needs?|'d like|would love|'d love|likes?)(?: to have)? "
+        rf"(?P<object>.+?) (?P<verb>{_PARTICIPLE}) (?P<rest>.+)"
+    ),
+    re.compile(
+        rf"(?P<object>.+?) (?:is to|should|must|has to|have to|needs to|wants to|can|could) be (?P<verb>{_PARTICIPLE}) (?P<rest>.+)"
+    ),
+)
+"""Requests in the passive: "could the tin be pushed towards the bowl", "I want the tin put in the bowl"."""
+SIDE_ALONE = re.compile(r"(?:the |your )?(left|right|front|back|middle)(?:[- ]hand side| hand side)?")
+SHIFTED = re.compile(r"(?:shift|drag) .+ (?:to|on|at) (?:the |your )?(?:left|right|front|back)")
+PURPOSE = re.compile(r" for (?!a |an |one |now\b|later\b|the (?:moment|time))[a-z' ]{2,30}$")
+"""The person or the use at the end of a placement: "in the bowl for my neighbour"."""
 
 Conditions = tuple[tuple[Condition, ...], tuple[str, ...]]
 """Conditions of a clause, and the objects that it names."""
@@ -124,6 +167,8 @@ def _openings(text: str) -> list[str]:
 
 def read_clause(text: str, scene: Scene, vocabulary: Vocabulary, last: tuple[str, ...]) -> Conditions | Goal | Unread:
     """The conditions of the clause `text`; a `Goal` if it is to be declined. "it" refers to the objects `last`."""
+    if passive := next((match for one in PASSIVE if (match := one.fullmatch(text))), None):
+        text = f"{PARTICIPLES[passive['verb']]} {passive['object']} {passive['rest']}"
     for form in FORMS:
         found = form(text, scene, vocabulary, last)
         if found is not None:
@@ -180,6 +225,12 @@ def _observed(
     form = OBSERVING.fullmatch(text)
     if form is None:
         return None
+    if form.group(1) in PRONOUNS:
+        return (
+            ((Observed(last[0]),), last)
+            if len(last) == 1
+            else Unread(f'"{form.group(1)}" does not refer to one object.')
+        )
     found = vocabulary.resolve_reference(form.group(1))
     if not isinstance(found, Found):
         return _unresolved(found)
@@ -205,7 +256,8 @@ def _pushed(
 
 def _pushed_relative(words: str, vocabulary: Vocabulary, last: tuple[str, ...]) -> Conditions | Goal | Unread | None:
     form = re.fullmatch(
-        r"(.+?) (?:over )?(towards?|closer to|in the direction of|away from|to|against|into|in) (.+)", words
+        r"(.+?) (?:(?:over|up|along|across|back) )*(towards?|closer to|in (?:the )?direction of|away from|to|against|into|in) (.+)",
+        words,
     )
     if form is None:
         return None
@@ -221,20 +273,22 @@ def _pushed_relative(words: str, vocabulary: Vocabulary, last: tuple[str, ...]) 
 def _placed(
     text: str, scene: Scene, vocabulary: Vocabulary, last: tuple[str, ...]
 ) -> Conditions | Goal | Unread | None:
+    if SHIFTED.fullmatch(text):
+        return Unread(f'"{text}" may state a direction or a place.')
     form = PLACING.fullmatch(text)
     return _placements(form.group(1), vocabulary, last) if form else None
 
 
 def _placements(words: str, vocabulary: Vocabulary, last: tuple[str, ...]) -> Conditions | Goal | Unread | None:
-    """One placement, or two that are joined by "and"."""
+    """One placement, or several in a list."""
     found = _placement(words, vocabulary, last)
     if isinstance(found, tuple):
         return found
-    for joint in re.finditer(r",? and ", words):  # "X in Y and Z on W"
-        parts = [_placement(one, vocabulary, last) for one in (words[: joint.start()], words[joint.end() :])]
-        if all(isinstance(one, tuple) for one in parts):
-            pairs = [one for one in parts if isinstance(one, tuple)]
-            return tuple(c for one in pairs for c in one[0]), tuple(n for one in pairs for n in one[1])
+    for joint in re.finditer(r",? and |, ", words):  # "X in Y, Z on W and V in U"
+        head = _placement(words[: joint.start()], vocabulary, last)
+        rest = _placements(words[joint.end() :], vocabulary, last) if isinstance(head, tuple) else None
+        if isinstance(head, tuple) and isinstance(rest, tuple):
+            return (*head[0], *rest[0]), (*head[1], *rest[1])
     return found
 
 
@@ -273,6 +327,7 @@ def _stated(
 
 
 def _held(text: str, scene: Scene, vocabulary: Vocabulary, last: tuple[str, ...]) -> Conditions | Goal | Unread | None:
+    text = HOLD_TIME.sub("", text)
     if UNDIRECTED.fullmatch(text):
         return ((Held(last),), last) if last else Unread('"it" refers to nothing.')
     form = LIFTING.fullmatch(text)
@@ -298,12 +353,15 @@ def _gathered(text: str, scene: Scene, vocabulary: Vocabulary, last: tuple[str, 
 
 def _driven(text: str, scene: Scene, vocabulary: Vocabulary, last: tuple[str, ...]) -> Conditions | Unread | None:
     form = DRIVING.fullmatch(text)
-    if form is None:
+    if form is None and not vocabulary.drives:
         return None
-    found = vocabulary.resolve_reference(form.group(1))
+    phrase = form.group(1) if form else text
+    found = vocabulary.resolve_reference(phrase)
+    if form is None and not isinstance(found, Found):
+        return None
     if isinstance(found, Found) and found.names[0] in vocabulary.places:
         return (RobotEnds("drive", found.names[0]),), last
-    return Unread(f'"{form.group(1)}" is no place of the scene.')
+    return Unread(f'"{phrase}" is no place of the scene.')
 
 
 FORMS: tuple[Form, ...] = (
@@ -327,7 +385,8 @@ FORMS: tuple[Form, ...] = (
 def _placement(words: str, vocabulary: Vocabulary, last: tuple[str, ...]) -> Conditions | Goal | Unread | None:
     """The placement "NOUN PHRASE PREPOSITION REFERENCE", at the first preposition after which both parts resolve."""
     first: Goal | Unread | None = None
-    for relation, phrase, rest in _splits(re.sub(r" (?:down|up|back|over|away|round|around)(?= (?!from))", "", words)):
+    words = re.sub(r" (?:down|up|back|over|away|round|around)(?= (?!from)|$)", "", words)
+    for relation, phrase, rest in _splits(words) or _listed(words):
         objects = _objects(phrase, vocabulary, last)
         references = _references(rest, relation, vocabulary, last)
         if isinstance(objects, Found) and isinstance(references, tuple):
@@ -338,6 +397,14 @@ def _placement(words: str, vocabulary: Vocabulary, last: tuple[str, ...]) -> Con
         failure = objects if not isinstance(objects, Found) else references
         first = first or (failure if isinstance(failure, Goal | Unread) else None)
     return first
+
+
+def _listed(words: str) -> list[tuple[Relation, str, str]]:
+    """The parts of "the tin, table_left" and "the tin left", placements without a preposition."""
+    phrase, comma, rest = words.rpartition(", ")
+    if not comma and re.search(r" (?:left|right)$", words):  # "the tin left"
+        phrase, comma, rest = words.rpartition(" ")
+    return [("at", phrase, rest)] if comma and "," not in phrase else []
 
 
 def _splits(words: str) -> list[tuple[Relation, str, str]]:
@@ -383,7 +450,12 @@ def _references(
         return Unread(f'"between {phrase}" does not name two objects.')
     if phrase in ("the table", "table") and relation in ("on", "off", "under"):
         return Unread(f'"{relation} the table" does not state where.')
+    if (side := SIDE_ALONE.fullmatch(phrase)) and relation in ("at", "on"):
+        place = vocabulary.place_on_side(side[1])
+        return (place,) if place else Unread(f'"{phrase}" does not mean one place.')
     one = vocabulary.resolve_reference(phrase)
+    if not isinstance(one, Found) and (shorter := PURPOSE.sub("", phrase)) != phrase:
+        return _references(shorter, relation, vocabulary, last)
     return one.names if isinstance(one, Found) else _unresolved(one)
 
 

@@ -91,13 +91,15 @@ class Goal:
     """All `conditions` hold at the end, and no object except `movable` has moved.
 
     With `decline`, a reason, the instruction is to be declined; nothing else carries it out. With `ordered`, the
-    placements are to be done in the order of `conditions`.
+    placements are to be done in the order of `conditions`. The robot waits `pauses` times between or after them. A base visits the places `visits`, in this order, before its last place.
     """
 
     conditions: tuple[Condition, ...] = ()
     decline: str = ""
     movable: frozenset[str] = field(default_factory=frozenset)
     ordered: bool = False
+    pauses: int = 0
+    visits: tuple[str, ...] = ()
 
     @property
     def beyond_contracts(self) -> str:

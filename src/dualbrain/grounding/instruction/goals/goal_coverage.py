@@ -47,7 +47,9 @@ class _Effects:
     pushed: dict[str, str] = field(default_factory=dict[str, str])
     observed: set[str] = field(default_factory=set[str])
     homes: bool = False
+    waits: bool = False
     driven_to: str = ""
+    visited: list[str] = field(default_factory=list[str])
 
     @property
     def moved(self) -> frozenset[str]:
@@ -78,6 +80,12 @@ def find_uncovered(
     for condition in goal.conditions:
         if hint := _missing(condition, goal, effects, scene):
             return _rejected("a plan without it", "a contract that carries out the whole instruction", hint)
+    if unvisited := _unvisited(goal.visits, effects.visited):
+        hint = f"the instruction asks the robot to drive to {_words(unvisited)} before"
+        return _rejected("a plan without it", "a contract that carries out the whole instruction", hint)
+    if goal.pauses and not effects.waits:
+        hint = "the instruction asks the robot to wait"
+        return _rejected("a plan without it", "a contract that carries out the whole instruction", hint)
     if others := sorted(effects.moved - goal.movable - {holding}):
         return _rejected(others[0], sorted(goal.movable), f"the instruction does not ask to move {_words(others[0])}")
     return _wrong_order(goal, effects) if goal.ordered else None
@@ -151,10 +159,13 @@ def _add_effect(effects: _Effects, skill: str, parameters: Mapping[str, str]) ->
             effects.observed.add(parameters.get("target", ""))
         case "drive_to":
             effects.driven_to = parameters.get("place", "")
+            effects.visited.append(effects.driven_to)
         case "drive_to_pose":
             effects.driven_to = ""
         case "home":
             effects.homes = True
+        case "hold" | "stop":
+            effects.waits = True
         case _:
             pass
 
@@ -200,6 +211,12 @@ def _is_placed(name: str, condition: Placed, effects: _Effects, scene: Scene) ->
     if effects.placed.get(name):
         return (effects.placed[name] in condition.references) == (condition.relation != "off")
     return name not in effects.moved and is_there(name, condition, scene)
+
+
+def _unvisited(asked: Sequence[str], visited: Sequence[str]) -> str:
+    """The first place of `asked` that `visited` lacks in this order; "" if it has all of them."""
+    rest = iter(visited)
+    return next((place for place in asked if place not in rest), "")
 
 
 def _too_long(goal: Goal, scene: Scene, holding: str | None) -> str:

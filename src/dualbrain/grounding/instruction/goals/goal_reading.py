@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from dualbrain.grounding.instruction.goals import goal_words
 from dualbrain.grounding.instruction.goals.clause_forms import read_clause, refused_clause
@@ -19,24 +19,28 @@ from dualbrain.grounding.instruction.goals.goal import (
     Unmoved,
     Unread,
 )
-from dualbrain.grounding.instruction.goals.noun_phrases import Vocabulary
+from dualbrain.grounding.instruction.goals.noun_phrases import Found, Vocabulary
+from dualbrain.grounding.instruction.goals.remarks import without_remarks
 from dualbrain.grounding.outcome.spatial_relations import is_container_empty
 from dualbrain.records import Scene
 
+PAUSE = re.compile(rf"\b(?:wait|pause)\b|\b{goal_words.DURATION}$")
+"""A clause that asks for a pause, alone or while the robot holds an object."""
 MAX_CHARACTERS = 400
 """A longer instruction is not read."""
 COMMAND = (
     r"(?:put|place|move|set|drop|bring|stand|lay|take|get|carry|transfer|pick|grasp|grab|lift|hold|raise|hand|give|pass|"
     r"push|shove|slide|nudge|go|return|drive|come|retract|park|stop|halt|wait|rest|keep|look|hover|fetch|stack|do not|"
     r"don't|never|leave|let|store|park|collect|gather|relocate|dump|lower|grip|begin|start|head|turn|point|show|find|"
-    r"stay|clear|run)\b"
+    r"stay|clear|run|stick|pop|hover|see|check|peek|visit|finish|end|freeze|shift|pause|proceed|remain|relocate)\b"
 )
 CLAUSE_ENDS = re.compile(
     r" {0,2}[.;!?]+(?!\d) {0,2}"
-    r"|,? {0,2}\b(?:and,? )?(?:then|after that|afterwards|once that is done|when that is done"
-    r"|later(?=,? \w)|next,? (?=take|put))\b,? {0,2}"
-    rf"|,? {{1,2}}(?:and|but) {{1,2}}(?={COMMAND})|, {{0,2}}(?={COMMAND})"
+    r"|,? {0,2}\b(?:and,? )?(?:then|after that|afterwards|(?:once|when|after) (?:that is done|you have finished(?: that| it)?|you are done(?: with that| with it)?)"
+    r"|later(?=,? \w)|next(?! to\b| time\b| week\b))\b,? {0,2}"
+    rf"|,? {{1,2}}(?:and|but) {{1,2}}(?:you )?(?={COMMAND})|, {{0,2}}(?:you )?(?={COMMAND})"
 )
+REFERRING = re.compile(r"\b(?:it|them|that|those|these|this)\b(?! \w+(?:_| (?:bowl|table)))")
 CONDITIONAL = re.compile(
     r"if (?:the )?(.+?) is (free|empty|occupied|full),? (?:then )?(.+?)(?:,? (?:else|otherwise),? (.+))?"
 )
@@ -61,10 +65,12 @@ NOTHING_ELSE = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class _Clauses:
-    """Conditions read so far, and the objects to which "it" and "them" refer."""
+    """Conditions and pauses read so far, and the objects to which "it" and "them" refer."""
 
     conditions: tuple[Condition, ...] = ()
     last: tuple[str, ...] = ()
+    pauses: int = 0
+    visits: tuple[str, ...] = ()
 
 
 def read_goal(instruction: str, scene: Scene) -> Goal | Unread:
@@ -80,19 +86,34 @@ def corrected_instruction(instruction: str, scene: Scene) -> str:
 def _read(instruction: str, scene: Scene) -> tuple[Goal | Unread, str]:
     """The goal, and the words from which it was read: `instruction`, or its corrected form."""
     text = " ".join(instruction.lower().replace("\u2019", "'").split())
-    if reason := _unreadable(text):
-        return Unread(reason), instruction
+    if not text or len(text) > MAX_CHARACTERS:
+        return Unread(_unreadable(text)), instruction
     vocabulary = Vocabulary(scene)
     if reason := refused_clause(text):
         return Goal(decline=reason), instruction
-    goal = _read_text(vocabulary.join_names(text), scene, vocabulary)
     corrected = vocabulary.correct_spelling(text)
-    if corrected == text or refused_clause(corrected) or not (isinstance(goal, Unread) or goal.decline):
-        return goal, instruction
-    other = _read_text(vocabulary.join_names(corrected), scene, vocabulary)
-    if isinstance(other, Unread) or other.decline:
-        return goal, instruction
-    return other, corrected  # "bowll" is no absent thing
+    short = without_remarks(instruction, (*scene.graspable, *scene.receptive))
+    candidates = (
+        (text, instruction),
+        (corrected, corrected),
+        (short, instruction),
+        (vocabulary.correct_spelling(short), corrected),
+    )
+    first: Goal | Unread | None = None
+    for words, shown in dict.fromkeys(candidates):
+        goal = _read_words(words, scene, vocabulary)
+        if isinstance(goal, Goal) and not goal.decline:
+            return goal, shown
+        first = first or goal  # "bowll" is no absent thing
+    return first or Unread("There is no instruction."), instruction
+
+
+def _read_words(text: str, scene: Scene, vocabulary: Vocabulary) -> Goal | Unread:
+    if reason := _unreadable(text):
+        return Unread(reason)
+    if reason := refused_clause(text):
+        return Goal(decline=reason)
+    return _read_text(vocabulary.join_names(text), scene, vocabulary)
 
 
 def _unreadable(text: str) -> str:
@@ -119,20 +140,38 @@ def _read_text(text: str, scene: Scene, vocabulary: Vocabulary) -> Goal | Unread
         text = f"{swapped.group(2)}, then {swapped.group(1)}"
     text = _in_order(text.rstrip(" .!"))
     read = _Clauses()
-    for clause in CLAUSE_ENDS.split(text):
-        words = strip_fillers(clause)
-        if not words:
+    clauses = [words for clause in CLAUSE_ENDS.split(text) if (words := strip_fillers(clause))]
+    for number, words in enumerate(clauses):
+        if topic := _topic(words, clauses[number + 1 :], vocabulary):
+            read = replace(read, last=topic)
             continue
         found = read_clause(words, scene, vocabulary, read.last)
         if isinstance(found, Unread | Goal):
             return found
         conditions, last = found
-        read = _Clauses(_combine(read.conditions, conditions), last or read.last)
+        pauses = read.pauses + (PAUSE.search(words) is not None and conditions != (RobotEnds("rest"),))
+        visits = read.visits + _left_places(read.conditions, conditions)
+        read = _Clauses(_combine(read.conditions, conditions), last or read.last, pauses, visits)
     if not read.conditions:
         return Unread("The instruction contains no request that the goal parser knows.")
     conditions = _observe_moved(read.conditions)
     ordered = re.search(r"\b(?:then|after that|afterwards|once|when) \b", text) is not None
-    return Goal(conditions, movable=_movable(conditions), ordered=ordered)
+    pauses = 0 if conditions == (RobotEnds("still"),) else read.pauses
+    return Goal(conditions, movable=_movable(conditions), ordered=ordered, pauses=pauses, visits=read.visits)
+
+
+def _topic(words: str, following: Sequence[str], vocabulary: Vocabulary) -> tuple[str, ...]:
+    """The objects that a clause only names, for a pronoun in the next one: "the brown can, push it to the bowl"."""
+    if not following or REFERRING.search(following[0]) is None:
+        return ()
+    found = vocabulary.resolve_object(words)
+    return found.names if isinstance(found, Found) and found.count is None else ()
+
+
+def _left_places(before: Sequence[Condition], new: Sequence[Condition]) -> tuple[str, ...]:
+    """The place to which `before` asks to drive, if `new` asks to end elsewhere."""
+    ends = any(isinstance(one, RobotEnds) for one in new)
+    return tuple(one.place for one in before if isinstance(one, RobotEnds) and one.place) if ends else ()
 
 
 def _in_order(text: str) -> str:
@@ -190,6 +229,8 @@ def _combine(before: Sequence[Condition], new: Sequence[Condition]) -> tuple[Con
     kept = [one for one in before if not (isinstance(one, Held | Placed) and set(one.objects) <= placed)]
     pushed = {name for one in new if isinstance(one, Pushed) for name in one.objects}
     kept = [one for one in kept if not (isinstance(one, Unmoved) and set(one.objects) <= pushed)]
+    if new:  # "wait, then go home": it is still before, not at the end
+        kept = [one for one in kept if one != RobotEnds("still")]
     if any(isinstance(one, RobotEnds) for one in new):  # only the last end of the robot remains
         kept = [one for one in kept if not isinstance(one, RobotEnds)]
     return tuple(dict.fromkeys((*kept, *new)))

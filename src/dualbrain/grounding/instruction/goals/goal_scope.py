@@ -51,6 +51,8 @@ def goal_scope(goal: Goal | Unread, scene: Scene, holding: str | None = None) ->
         more_skills, more_names = _needs(condition, everything)
         skills |= more_skills
         names |= more_names
+    if goal.pauses:
+        skills |= STANDING
     if holding is not None and holding not in names:  # the hand has to be emptied first, anywhere
         skills |= {"place", "release"}
         names |= set(everything.receptive)

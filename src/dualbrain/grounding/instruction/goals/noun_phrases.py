@@ -28,6 +28,14 @@ MIN_CORRECTED = 4
 """Least length of a word whose spelling is corrected [letters]."""
 MAX_WORDS = 2
 """An object that is not in the scene is recognised by an adjective and a noun at most."""
+_COLOUR = "|".join(sorted(COLOURS))
+NOT_COLOUR = re.compile(
+    rf"(?P<head>.+?) (?:that|which)(?: is not|'s not| isn't) (?:the )?(?P<colour>{_COLOUR})(?: one)?"
+)
+LOCATIVE = re.compile(
+    r" (?:(?:that is |standing |lying |sitting |right |over )*(?:there|here|on the table)|there is|we have|you see)$"
+)
+"""The end of a noun phrase that states that the object is in the scene."""
 EVERYTHING = ("everything", "all", "all of it", "all things", "all objects", "all items", "all the things")
 
 
@@ -89,8 +97,9 @@ class Vocabulary:
         thing = " ".join(word for word in place.split("_") if word != side)
         found = (
             rf"\b{side}{SIDE_PARTS} (?:of|on|at) (?:the |my |our |your )?{thing}\b",
-            rf"\b{side} {thing}(?: side)?\b",
-            rf"\b{thing} {side}(?: side)?\b",
+            rf"\b{side}(?:[- ]hand)? {thing}(?: side)?\b",
+            rf"\b{thing} (?:on|to) (?:the |your )?{side}(?:[- ]hand side)?\b(?! of\b)",
+            rf"\b{thing}(?:'s| 's)? {side}(?: side)?\b",
         )
         if sum(side in other.split("_") for other in self.places) == 1:
             found += (rf"\b(?<=the ){side}(?:[- ]hand)? (?:side|half|end)\b(?! of\b)",)
@@ -98,6 +107,11 @@ class Vocabulary:
             found += (rf"\b(?<=the ){alone}",) if self.drives else ()
             found += (rf"\b(?<=to the ){alone}",) if side == "front" else ()
         return found
+
+    def place_on_side(self, side: str) -> str | None:
+        """The only place that has `side` ("left", "front") in its name; None if there are several, or none."""
+        found = [name for name in self.places if side in name.split("_")]
+        return found[0] if len(found) == 1 else None
 
     def correct_spelling(self, text: str) -> str:
         """`text` with common misspellings of function words, and words one letter away from a name, corrected."""
@@ -125,7 +139,20 @@ def _resolve(
         return Found(tuple(obj.name for obj in all_objects)) if all_objects else Absent(phrase)
     if excepted := re.fullmatch(r"(.+?) (?:except(?: for)?|but not|other than) (.+)", phrase):
         return _without(*(_resolve(one, objects, places, all_objects=all_objects) for one in excepted.groups()))
+    phrase = LOCATIVE.sub("", re.sub(r"^(the |that |this )only ", r"\1", phrase))
+    if other := NOT_COLOUR.fullmatch(phrase):
+        every = f"all {other['head'].removeprefix('the ').removeprefix('that ')}"
+        excluded = _resolve_one(f"all {other['colour']} {other['head'].split()[-1]}", objects, places)
+        left = _without(_resolve_one(every, objects, places), excluded)
+        return left if not isinstance(left, Found) or len(left.names) == 1 else Unclear(f'"{phrase}" may be several')
+    phrase = re.sub(
+        rf"^(the |that |this |a )?(.+?) (?:that|which)(?: is|'s) (?:the )?({_COLOUR})(?: one)?$", r"\1\3 \2", phrase
+    )
+    if " and " in phrase:
+        phrase = phrase.removeprefix("both ")
     parts = [part for part in re.split(r",? and |, ", phrase) if part]
+    noun = parts[-1].split()[-1] if parts else ""
+    parts = [f"{part} {noun}" if re.sub(r"^the ", "", part) in COLOURS else part for part in parts]
     if len(parts) > 1:
         return _united([_resolve(part, objects, places, all_objects=all_objects) for part in parts])
     return _resolve_one(phrase, objects, places)

@@ -26,10 +26,11 @@ _GROUP = re.compile(
 
 
 _NEGATED = re.compile(
-    rf"\b(?P<noun>(?:the|that|this) (?:\w+ ){{0,2}}?\w+) (?P<not>(?:that|which) (?:is|are) (?:not|neither) "
-    rf"(?P<excluded>(?:an? |the )?\w+(?: (?:or|nor) (?:an? |the )?\w+)?)){_NEXT}"
+    rf"(?:\b|(?<=^))(?P<noun>(?:(?:the|that|this) |(?:^|(?<=[.,;:!?] )))(?:\w+ ){{0,2}}?\w+) "
+    r"(?P<not>(?:that|which) (?:is|are) (?:not|neither) "
+    rf"(?P<excluded>(?:an? |the )?\w+(?: (?:or|nor|and not) (?:an? |the )?\w+)?)){_NEXT}"
 )
-_ARTICLES = frozenset({"a", "an", "the", "or", "nor"})
+_ARTICLES = frozenset({"a", "an", "the", "or", "nor", "and", "not"})
 
 
 def mask_negated_descriptions(text: str, scene: SceneWords) -> str:
@@ -83,7 +84,11 @@ def _is_contrast(stated: str, match: re.Match[str], scene: SceneWords) -> bool:
         return scene.has_destination(stated)
     mentions = scene.mentions(stated, scene.graspable)
     excluded = scene.mentions(match["noun"], scene.graspable)
-    if not mentions or not excluded or any(one.several or len(one.names) != 1 for one in mentions):
+    if not mentions or not excluded or any(one.several for one in mentions):
         return False
     named = {name for one in mentions for name in one.names}
+    if len(mentions) == 1 and all(len(one.names) == 1 for one in excluded):  # "the bottle, not the orange one"
+        return len(named - {name for one in excluded for name in one.names}) == 1
+    if any(len(one.names) != 1 for one in mentions):
+        return False
     return all(named.isdisjoint(one.names) for one in excluded)

@@ -9,13 +9,13 @@ from dualbrain.grounding.instruction.clauses.scene_words import PLACEHOLDER, Sce
 SIDE = r"(?:left|right|front|back|middle|center)"
 SIDE_PART = r"(?: hand)?(?: (?:side|part|half|end|area|section|hand side))?"
 _DESTINATION = re.compile(
-    rf"\b(?:over )?(?:to|on|onto|at|towards) (?:the|your) (?P<side>{SIDE})(?P<part>{SIDE_PART})"
+    rf"\b(?:over )?(?:to|on|onto|at|towards) (?:(?:the|your) |(?={SIDE} (?:hand )?side\b))(?P<side>{SIDE})(?P<part>{SIDE_PART})"
     r"\b(?! (?:of|edge|corner|hand|side|most|one|in front|behind|until|as far)\b)"
 )
 _SEGMENT_START = re.compile(r"[,.;:!?]| and | then ")
 _NO_PLACING = re.compile(
     r"\b(?:pick|picks|lift|grab|grasp|hold|raise|seize|grip|turn|rotate|look|looks|face|faces|facing|point|points|lean"
-    r"|tilt|reach|swing|fetch|get|veer|steer|bend|which|that is|that are|that lies|that stands|far|whatever)\b"
+    r"|tilt|(?<!of )reach|swing|fetch|get|veer|steer|bend|which|that is|that are|that lies|that stands|far|whatever)\b"
 )
 _PUSH = re.compile(r"\b(?:push|shove|slide|nudge|drag|roll|pull|shift)\b")
 _AMOUNT = re.compile(

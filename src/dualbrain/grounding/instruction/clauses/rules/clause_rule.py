@@ -14,6 +14,7 @@ ClauseKind = Literal[
     "exclusion",
     "relative place",
     "orientation",
+    "motion",
     "handing over",
     "alternative",
     "comparison",

@@ -1,4 +1,4 @@
-"""Orientations of an object."""
+"""Orientations of an object, and forms of a motion such as shaking."""
 
 from __future__ import annotations
 
@@ -42,6 +42,24 @@ ORIENTATIONS: tuple[ClauseRule, ...] = (
             r"\b(?:its|the|their|with) (?:\w+ ){0,3}?(?:side|end|edge|label|handle|lid|opening|spout|neck|logo|face|tip"
             r"|mouth|cap|corner|base|bottom|picture|writing)s? (?:\w+ )?(?:faces?|facing|points?|pointing|turned"
             r"|looks?|looking|is up|is down|upwards?|downwards?|uppermost|parallel)\b"
+        ),
+    ),
+    ClauseRule(
+        "orientation",
+        re.compile(
+            r"\b(?:dead|perfectly|absolutely|exactly|completely) (?:level|horizontal|vertical|straight up)\b"
+            r"|\bkeep (?:it|them|that|this|the (?:\w+ ){1,3}?)(?:level|horizontal|vertical)\b"
+        ),
+    ),
+    ClauseRule(
+        "motion",
+        re.compile(
+            r"(?:^|[,.;:!?] |\b(?:and|then|please|you|to|now|just|with|by|while) )(?:shake|shaking|stir|swirl|wiggle|wobble"
+            r"|twirl|jiggle|juggle|bounce|wave|rattle|dance|whirl)\b"
+            r"|\b(?:give|with) (?:(?!the left\b|the right\b)\w+ ){0,4}?an? (?:\w+ ){0,2}?"
+            r"(?:shake|stir|swirl|wiggle|wobble|twirl|jiggle|bounce|rattle|whirl)\b"
+            r"|\bzig ?zag\w*\b|\bin an? (?:\w+ ){0,3}?(?:loop|spiral|arc|curve|figure of eight|wave)\b"
+            r"|\bwith (?:an? )?(?:\w+ )?(?:round|circular|swirling|wavy|rocking|shaking) (?:movement|motion)s?\b"
         ),
     ),
 )

@@ -1,0 +1,157 @@
+"""Remarks in an instruction: parts that state something about people or the present, and ask for nothing.
+
+"My hands are full, so could you put the tin in the bowl? It's for my neighbour." asks for one placement. If the goal
+parser does not know the form of an instruction, it reads the instruction again without remarks and numbers.
+
+A part is a remark if it has the form of a statement, names nothing in the scene, and has no word of a wish, an
+obligation, a permission, an order in time or a condition. A part in doubt is no remark, and the goal is then not read.
+"""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Collection
+
+from dualbrain.grounding.instruction.clauses.clause_patterns import POLITE_CONDITION
+from dualbrain.grounding.instruction.goals import goal_words
+from dualbrain.grounding.instruction.names import SIDES, singular
+from dualbrain.grounding.instruction.words import normalise
+
+_PRONOUN = r"(?:i|we|he|she|they|it|that|this|there|everyone|everybody|somebody|someone|nobody)(?:'(?:s|m|re|ve|d|ll))?"
+_OWNED = r"(?:my|our|his|her|their|mr|mrs|ms|dr|the|a|an|those|these)"
+_SUBJECT = rf"(?:{_PRONOUN}\b|{_OWNED} \w)"
+_BOUNDARY = re.compile(
+    r" ?[.!?;:,()](?!\d) ?"
+    rf"|(?: |^)(?=(?:because|cause|cos|since|so|and|but) (?:that )?{_SUBJECT})"
+)
+"""The end of a part: a punctuation mark, or a conjunction in front of a subject."""
+_OPENING = re.compile(
+    r"(?:(?:oh|ah|well|right|now|ok|okay|yes|yeah|no|look|actually|honestly|sorry|and|but|so(?: that)?|because|cause|cos"
+    r"|since|anyway|hey|you know|you see|apparently|unfortunately|sadly|obviously|i (?:think|believe|guess|suppose"
+    r"|am afraid|hope)) )+"
+)
+_FINITE = (
+    r"(?:is|are|am|was|were|has|have|had|will|would|can|could|does|do|did|needs?|keeps?|kept|comes?|came|went|got|gets?"
+    r"|looks?|hurts?|aches?|broke|spilled|spilt|left|sent|asked|said|arrived|works?|sleeps?|plays?|eats?|wants?|likes?|arrives?|starts?|begins?|ends?|says?|thinks?|feels?|forgets?|forgot"
+    r"|always|never|takes?|sits?|stands?|lies|gave|made|makes?|bought|lost|finished|closes?|opens?|rings?|sounds?|smells?)"
+)
+_STATEMENT = re.compile(
+    rf"{_PRONOUN} \w+|{_OWNED} (?:\w+ ){{1,4}}?{_FINITE}\b|{_OWNED} (?:\w+ ){{0,3}}?\w+'s \w+"
+    r"|\w+ (?:always|never|still|just|already|usually|often) \w+|(?:\w+ ){1,2}?(?:is|was|has|had) \w+|\w+'s (?:\w+ing|here|there|got|been|on|at|in|not|just|about|gone) ?"
+)
+"""The beginning of a statement: a pronoun, a noun phrase with a verb, or a name with "is"."""
+_DEPENDENCE = re.compile(
+    r"\b(?:if|unless|until|when|whenever|once|while|before|after|afterwards|as long|only|except|instead|rather|otherwise"
+    r"|else|first|then|later|next|where|wherever|which|whether|or|either|neither|nor|without|but|last|assuming|provided|providing|suppose|supposing|given|in case|as)\b"
+)
+"""Words by which a request can depend on the part, or by which the part continues a request."""
+_DEMAND = re.compile(
+    r"\b(?:should|shall|must|ought|supposed|allowed|permitted|forbidden|let|please|make sure|ensure|goes|belongs?|stays?"
+    r"|remains?|leave|keep|mean|means|meant|order|orders|tell|tells|expect|prefers?|insists?|decided"
+    r"|(?:has|have|needs?|wants?|is|are|like|likes|would like|would love|time) to (?:be|go|stay|have|get|end|stand|lie)"
+    r"|(?:want|wants|need|needs|like|likes|love|wish|asked|asks|ask) (?:for )?(?:it|them|that|this|these|those|you|one|some"
+    r"|all|both|everything|nothing)(?: (?:in|on|at|to|here|there|put|moved|done|back|away)\b|$))"
+)
+"""Words of a wish, an order or a permission: the part may be a request itself."""
+_OWN_DUTY = re.compile(r"^(?:i|we) (?:must|should|ought to|have to|need to|had to|have got to) (?!have\b)")
+"""An obligation of the speaker, which is none of the robot."""
+_OWN_ACTION = re.compile(
+    r"(?:we|it|that|this|they) (?:can |could |will |now |just |then |may )*"
+    rf"(?:{goal_words.PLACING_VERBS}|{goal_words.LIFTING_VERBS}|{goal_words.PUSHING_VERBS})s?\b"
+)
+"""A request as a statement: "we put the tins in the bowl now"."""
+_NEGATED_THING = re.compile(r"(?:it|that|this|they|there|the|those|these)\b.*\b(?:not|never|no|nothing)\b")
+_ABOUT_A_THING = re.compile(
+    r"(?P<topic>(?:the |that |this |my |our )?(?:[a-z]+ ){0,2}[a-z]+) (?:is|was|looks|came|comes|has|nearly|almost|still)"
+    r" (?P<rest>[a-z' ]+)"
+)
+_PRONOUN_OBJECT = re.compile(r"\b(?:it|that)\b(?! is\b| was\b)")
+_SOCIAL = re.compile(rf"(?:{goal_words.SOCIAL})(?: (?:{goal_words.SOCIAL}))*")
+_POLITE = re.compile(
+    rf"(?:{POLITE_CONDITION.pattern})(?: (?:kind|good|nice|to|for me|to you|a (?:second|moment|minute)))*"
+)
+_NUMBER = (
+    r"(?:\d{1,4}(?:[.,]\d{1,3})?|a|an|one|two|three|four|five|six|seven|eight|nine|ten|eleven|twelve|fifteen|twenty|thirty"
+    r"|forty|fifty|half an?)"
+)
+_LENGTH = r"(?:cm|mm|m|centimet(?:er|re)s?|millimet(?:er|re)s?|met(?:er|re)s?|inch(?:es)?)"
+_BOUND = (
+    r"(?:(?:at most|no more than|not more than|less than|under|up to|about|around|roughly|exactly|only|just|max) )?"
+)
+_VALUES = re.compile(
+    rf",? ?(?:\b(?:at|with|using|by) )?(?:\ba )?(?:\b(?:top |low )?(?:speed|velocity|pace) (?:of |at )?)?{_BOUND}"
+    rf"\b{_NUMBER} ?{_LENGTH} ?(?:/|per|an?) ?(?:s|sec|second)\b(?: speed)?"
+    rf"|,? ?(?:\b(?:with|using|at) )?(?:\ba )?(?:\b(?:grip(?:ping)? force|grip|force|pressure) (?:of )?)?{_BOUND}"
+    rf"\b{_NUMBER} ?(?:n|newtons?)\b(?: of (?:grip|force|pressure|grip force))?"
+    rf"|,? ?\b(?:with|at|and) (?:a )?(?:clearance |height )?(?:of )?{_BOUND}{_NUMBER} ?{_LENGTH} (?:of )?"
+    r"(?:clearance|high|up|above the table|off the table|over the table)\b"
+)
+"""Numbers that a parameter of a skill takes: a speed, a force, a height."""
+
+
+def without_remarks(instruction: str, names: Collection[str]) -> str:
+    """The normal form of `instruction` without its remarks, courtesies and numbers; `names` are those of the scene."""
+    text = re.sub(r"\b(mr|mrs|ms|dr) \.", r"\1", normalise(instruction).text)
+    text = _POLITE.sub(" ", re.sub(r"(?<!\d )\bn\b(?! ?[/.\d])", "and", _without_accents(text)))
+    text = _VALUES.sub(" ", text)
+    known = _scene_words(names)
+    kept, position = "", 0
+    for start, end in _parts(text):
+        part = text[start:end]
+        topic = _topic(part, text[end:], known)
+        if topic or is_remark(part, known):
+            kept += f"{text[position:start]} {topic}"
+            position = end
+    return _tidy(kept + text[position:])
+
+
+def is_remark(part: str, known: Collection[str]) -> bool:
+    """Whether one `part` of an instruction, without punctuation, asks for nothing; `known` are words of the scene."""
+    words = _OPENING.sub("", part.strip(), count=1)
+    if _SOCIAL.fullmatch(part.strip()) or _SOCIAL.fullmatch(words):
+        return True
+    if not _STATEMENT.match(words) or any(singular(word) in known for word in re.findall(r"[a-z]+", words)):
+        return False
+    if _DEPENDENCE.search(words) or _DEMAND.search(_OWN_DUTY.sub("", words)) or _NEGATED_THING.match(words):
+        return False
+    return _OWN_ACTION.match(words) is None
+
+
+def _topic(part: str, following: str, known: Collection[str]) -> str:
+    """The subject of a remark about a thing, for a pronoun after it: "the glass is new, so grip it with 3 N"."""
+    match = _ABOUT_A_THING.fullmatch(_OPENING.sub("", part.strip(), count=1))
+    if match is None or not is_remark(f"that is {match['rest']}", known) or not _PRONOUN_OBJECT.search(following):
+        return ""
+    return f"{match['topic']}, "
+
+
+def _without_accents(text: str) -> str:
+    """`text` with the letters of ASCII in place of their accented forms."""
+    decomposed = unicodedata.normalize("NFKD", text.replace("\u00df", "ss"))
+    return "".join(one for one in decomposed if not unicodedata.combining(one))
+
+
+def _scene_words(names: Collection[str]) -> frozenset[str]:
+    """Words that may name something in the scene: parts of `names`, their synonyms, colors, sides, general nouns."""
+    parts = {part for name in names for part in name.lower().split("_") if not part.isdigit()} - {"table"}
+    similar = {word for group in goal_words.SYNONYMS if not parts.isdisjoint(group) for word in group}
+    general = goal_words.GENERIC_NOUNS | goal_words.GENERAL_CONTAINERS | {"other", "rest", "everything", "anything"}
+    return frozenset(parts | similar | goal_words.COLOURS | set(SIDES) | general)
+
+
+def _parts(text: str) -> list[tuple[int, int]]:
+    """Start and end of the parts of `text` between punctuation marks and conjunctions in front of a subject."""
+    found: list[tuple[int, int]] = []
+    start = 0
+    for match in _BOUNDARY.finditer(text):
+        found.append((start, match.start()))
+        start = match.end()
+    return [(first, last) for first, last in (*found, (start, len(text))) if text[first:last].strip()]
+
+
+def _tidy(text: str) -> str:
+    """`text` with single spaces, and with one punctuation mark where several are left."""
+    text = re.sub(r" +(?=[.!?;:,)])", "", " ".join(text.split()))
+    text = re.sub(r"[,;:](?=[.!?;:,])|(?<=[.!?])[.!?;:,]+", "", text)
+    return re.sub(r"^[.!?;:, ]+|(?<=[.!?;:,]) (?:and|but|so)(?=[.!?;:,])", "", text).strip()
