@@ -19,6 +19,7 @@ from dualbrain.evaluation.analysis.failure_taxonomy import (
 )
 from dualbrain.evaluation.results.episode_row import EpisodeRow
 from dualbrain.records import ActionResult, FailureCause, Outcome, Violation
+from dualbrain.runtime.planning.local_answer import UNGRASPABLE
 from dualbrain.safety.supervisor.checks import CHECKS
 from dualbrain.skills.arm.load_monitor import LoadEvent
 from tests.evaluation.sample_rows import COLLISION, TOOL_SPEED, episode_row
@@ -54,6 +55,7 @@ SHAKEN = Violation(kind="shaken_load", start=1.0, duration=0.1, peak=12.0, bodie
         ({"moved": False, "on_task": False}, "contract refused"),
         ({"outcome": "stopped", "reason": "KeyError: 'ghost'"}, "program error"),
         ({"moved": False, "on_task": False, "declined": True}, "needless decline"),
+        ({"moved": False, "declined": True, "reason": f"{UNGRASPABLE} egg: it is wide."}, "beyond the hand"),
         ({"on_task": False, "outcome": "taken_over"}, "instruction misread"),
         (CLAIMED | {"violations": (CRUSHED,)}, "excessive force"),
         ({"violations": (CRUSHED, SHAKEN), "outcome": "taken_over"}, "excessive force"),
@@ -120,6 +122,10 @@ FAILED = {"success": False, "claimed": False, "outcome": "failed", "progress": 0
         ),
         ({"contract": "", "outcome": "rejected", "answers": []}, "contract refused"),
         ({"contract": "", "outcome": "declined", "declined": True}, "needless decline"),
+        (
+            {"contract": "", "outcome": "declined", "declined": True, "reason": f"{UNGRASPABLE} egg: it is wide."},
+            "beyond the hand",
+        ),
         ({"outcome": "stopped", "reason": "KeyError: 'ghost'"}, "program error"),
         ({"physics_warnings": 2}, "simulator"),
         ({"progress": 0.75, "reason": f"{TIME_LIMIT_REASON}, 60 s"}, "motion blocked"),

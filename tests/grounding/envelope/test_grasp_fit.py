@@ -1,6 +1,7 @@
 """The grasps that the decoder admits are those whose axis, opening and force the gate accepts."""
 
 import json
+import re
 from functools import cache
 
 import jsonschema_rs
@@ -15,7 +16,7 @@ from dualbrain.contracts.parameter_domains import ParameterDomain
 from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.schema import decoding_schema, first_skills
 from dualbrain.core.geometry.shapes import Box, Cylinder, Pose, Sphere
-from dualbrain.grounding.envelope.grasp_fit import parameter_domains
+from dualbrain.grounding.envelope.grasp_fit import parameter_domains, why_ungraspable
 from dualbrain.grounding.envelope.scene_rules import scene_rules, skill_order
 from dualbrain.grounding.offline_gate import controller_at_home
 from dualbrain.grounding.vocabulary import scene_names
@@ -85,6 +86,26 @@ def test_no_grasp_that_fits_is_lost_and_no_other_is_admitted(target, other, robo
     params = GRASP | {"object": "red_cube", "finger_axis": axis, "opening": width, "force": force.lower}
     admitted = is_admitted(schema_of(perceived, registry), contract_with(robot, params))
     assert admitted == fits(perceived, robot, params)
+
+
+@settings(max_examples=150, deadline=None)
+@given(objects("tin"), st.sampled_from(sorted(ROBOTS)))
+def test_a_reason_is_stated_for_exactly_the_objects_that_no_grasp_fits(target, robot):
+    domains = parameter_domains(msgspec.structs.replace(scene(target, bowl()), robot=robot), ROBOTS[robot])
+    named = {name for part in domains["grasp"] for name in part.admitted["object"]}
+    assert (why_ungraspable(target, ROBOTS[robot]) == "") == ("tin" in named)
+
+
+@pytest.mark.parametrize(
+    ("obj", "robot", "reason"),
+    [
+        (box("egg", 0.5, 0.0, fragile_limit=20.0), "ur5e", "bears 20 N.*at least 20 N.*25 N or more"),
+        (box("egg", 0.5, 0.0, fragile_limit=20.0), "panda", "^$"),
+        (box("chest", 0.6, -0.4, (0.06, 0.06, 0.04)), "panda", "130 mm.* 80 mm"),
+    ],
+)
+def test_the_reason_states_the_force_or_the_width(obj, robot, reason):
+    assert re.search(reason, why_ungraspable(obj, ROBOTS[robot]))
 
 
 def test_an_opening_in_millimetres_that_noise_makes_too_small_is_in_neither():

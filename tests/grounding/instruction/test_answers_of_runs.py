@@ -61,6 +61,18 @@ def test_the_refusal_of_a_clause_quotes_it_in_the_outcome(tmp_path):
     assert '"to the left of the bowl"' in story.episode.outcome.reason
 
 
+@pytest.mark.parametrize(("robot", "asked"), [("ur5e", False), ("panda", True)])
+def test_an_object_that_the_hand_would_break_is_declined_with_the_force_before_a_planner_is_asked(robot, asked):
+    at_site, spec = open_robot_at_site(robot), open_scene("fragile:80000", robot)
+    glass = next(obj for obj in spec.objects if obj.name == "clear_glass")
+    context = context_at_home(at_site, scene_from_spec(spec))
+    planner = ScriptedPlanner([MOVE])
+    words = "put the clear glass on the left side of the table"
+    found = plan(words, at_site, context, planner, None, lambda *_: (), shots=1, clock=time.monotonic)
+    assert bool(planner.requests) == asked
+    assert (f"bears {glass.fragile_limit:.0f} N" in found.refusal) != asked
+
+
 @pytest.mark.parametrize("words", ["asdf qwer zxcv", "put the banana in the bowl", "make the visitor cry"])
 def test_motion_that_the_words_do_not_ask_for_is_rejected(words, tmp_path):
     story = run_session(run_config(tmp_path, instruction=words), MOVE, contract_text(("push", PUSH)))

@@ -67,7 +67,7 @@ def uncovered(instruction, *steps, holding=None):
         ("put the red cube left of the bowl", [CUBE, LEFT], '"left of"'),
         ("put the red cube on the yellow block", [CUBE, LEFT], '"on"'),
         ("hand me the red cube", [CUBE, BOWL], "a person takes"),
-        ("push the red cube to the left", [("push", {"object": "red_cube", "destination": "table_left"})], '"left"'),
+        ("push the tin to the right", [("push", {"object": "green_tin", "destination": "table_right"})], '"right"'),
         ("put everything in the bowl", [CUBE, BOWL], f"at most {MAX_ACTIONS}"),
     ],
 )

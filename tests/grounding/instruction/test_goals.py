@@ -44,8 +44,9 @@ OTHERS = ("red_cube", "yellow_block", "green_tin", "clear_glass")
         # pushes
         ("push the red cube away from me", (Pushed(CUBE, "backward"),)),
         ("push the red cube away from you", (Pushed(CUBE, "forward"),)),
-        ("push the red cube to the left", (Pushed(CUBE, "left"),)),
-        ("push the red cube to the right", (Pushed(CUBE, "right"),)),
+        ("push the red cube to the left", (Pushed(CUBE, "toward", "table_left"),)),
+        ("push the red cube to the right", (Pushed(CUBE, "toward", "table_right"),)),
+        ("push the tin to the right", (Pushed(TIN, "right"),)),  # table_right is behind it rather than on its right
         ("push the red cube toward the bowl", (Pushed(CUBE, "toward", "blue_bowl"),)),
         ("push the red cube away from the bowl", (Pushed(CUBE, "away_from", "blue_bowl"),)),
         # several clauses
@@ -180,7 +181,8 @@ def test_words_that_the_parser_does_not_account_for_are_not_read(instruction, pa
         ("put the red cube in the bowl, then go home", "", True),
         ("put the red cube left of the bowl", '"left of"', False),
         ("hand me the red cube", "a person takes", False),
-        ("push the red cube to the left", '"left"', False),
+        ("push the tin to the right", '"right"', False),
+        ("push the red cube to the left", "", False),
         ("push the red cube toward the bowl", "", False),
     ],
 )
@@ -193,7 +195,7 @@ def test_a_goal_states_whether_contracts_can_state_it_and_whether_it_ends_at_hom
 
 ACCOUNTED_FOR = (
     *("do not", "don't", "dont", "never", "leave the", "except", "exept", "other than", "both", "four", "any three"),
-    "two blocks",
+    *("two blocks", "push the red cube to the left", "slide the cube to the right"),
 )
 """Words of exclusions and numbers that a goal contains: what may not move, which objects are meant, and how many."""
 

@@ -3,7 +3,7 @@
 The first class whose rule holds is that of the episode. The order is that of the causes:
 
 1. everything outside the decisions of the robot: simulator, operator, communication, perception;
-2. the plan: refused, not readable, declined, misread;
+2. the plan: refused, not readable, declined (rightly because of the hand, or needlessly), misread;
 3. harm: force, rough handling, collisions, a lost load. Harm precedes the end of the motion: a glass that broke is
    the failure, also if the robot reports success;
 4. the ways in which the motion can end;
@@ -24,6 +24,7 @@ from dualbrain.evaluation.analysis.violation_kinds import BROKEN, DROPPED, TOOL_
 from dualbrain.evaluation.results.episode_row import EpisodeRow
 from dualbrain.planner.protocol import is_answer
 from dualbrain.records import FailureCause, Violation
+from dualbrain.runtime.planning.local_answer import UNGRASPABLE
 from dualbrain.safety.supervisor.actions import Cause
 from dualbrain.safety.supervisor.checks import CHECKS
 
@@ -235,6 +236,13 @@ FAILURE_TAXONOMY = (
         definition="a skill could not interpret accepted values, or the program raised another error",
         paper_class="invalid contract",
         holds=_is_program_error,
+    ),
+    FailureClass(
+        name="beyond the hand",
+        definition="the instruction was declined, because the hand cannot grasp the object or presses harder than "
+        "it bears",
+        paper_class="actuator",
+        holds=lambda evidence: evidence.declined and evidence.reason.startswith(UNGRASPABLE),
     ),
     FailureClass(
         name="needless decline",

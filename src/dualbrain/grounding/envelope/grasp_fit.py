@@ -77,6 +77,27 @@ def ungraspable(goal: Goal, scene: Scene, domains: ParameterDomains, holding: st
     return tuple(name for name in needed if name not in graspable)
 
 
+def why_ungraspable(obj: SceneObject, registry: SkillRegistry) -> str:
+    """Why no grasp of `obj` fits the hand of `registry`, as a clause for people; "" if one fits."""
+    parameters = {parameter.name: parameter for parameter in registry.skill("grasp").parameters}
+    axes, opening, force = parameters["finger_axis"], parameters["opening"], parameters["force"]
+    assert isinstance(axes, ChoiceParameter)
+    assert isinstance(opening, NumberParameter)
+    assert isinstance(force, NumberParameter)
+    if not bears_force(obj, force.lower):
+        return (
+            f"it bears {obj.fragile_limit:.0f} N, and this hand, which presses with at least {force.lower:.0f} N, may "
+            f"grasp what bears {force.lower / FRAGILE_FRACTION:.0f} N or more"
+        )
+    level = [axis for axis in axes.choices if is_level(obj, axis)]
+    if not level:
+        return "it lies so that the fingers can close along none of its axes"
+    least = min(least_opening(obj, axis) for axis in level)
+    if least > opening.upper:
+        return f"it needs an opening of {least * 1000:.0f} mm, and this hand opens {opening.upper * 1000:.0f} mm"
+    return ""
+
+
 def _grasped(condition: Condition, scene: Scene, holding: str | None) -> tuple[str, ...]:
     """The objects that every contract for `condition` grasps."""
     match condition:

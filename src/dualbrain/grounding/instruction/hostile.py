@@ -105,7 +105,7 @@ _RULES: tuple[tuple[HostileKind, re.Pattern[str]], ...] = (
         "safety",
         re.compile(
             rf"\b(?:{_SWITCH})\b[^.;!?]{{0,40}}?\b{_PARTS}\b|\b{_HANDLE}{_WITHIN_OBJECT} {_PARTS}\b"
-            rf"|\b{_PARTS} (?:\w+ )?(?:off|out)\b"
+            rf"|\b(?!check out (?:the|that|this|these|those|a|an|my|how|what)\b){_PARTS} (?:\w+ )?(?:off|out)\b"
             r"|\brelease the brakes\b|\bdelete your memory\b|\bwithout (?:any )?limits\b|\blet go of everything\b"
             r"|\bemergency stop was not\b"
         ),

@@ -12,6 +12,9 @@ from dualbrain.contracts.contract import Action, Context, Contract
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.skill_spec import NumberParameter
 from dualbrain.control.executor import Executor
+from dualbrain.grounding.envelope.grasp_fit import parameter_domains, ungraspable, why_ungraspable
+from dualbrain.grounding.instruction.goals.goal import Goal
+from dualbrain.grounding.instruction.goals.goal_reading import read_goal
 from dualbrain.grounding.instruction.review import Refusal, StopCommand, refuse_hostile, review_instruction
 from dualbrain.grounding.instruction.stop_commands import is_stop_command
 from dualbrain.planner.introspection import planner_languages
@@ -24,6 +27,8 @@ LOCAL_PLANNER = "local instruction check"
 """The author recorded for the contracts of the local layer."""
 STOPPED = "stopped: the robot is at rest"
 """The reason of the outcome of a stop command."""
+UNGRASPABLE = "The instruction is declined, because the hand cannot grasp the"
+"""The beginning of the reason of a refusal because of the hand."""
 STOP_TIME = 0.5
 """Time at rest after a stop command for which the gate accepts no contract [s]."""
 
@@ -31,13 +36,32 @@ STOP_TIME = 0.5
 def answer_locally(
     instruction: str, context: PlanningContext, planner: Planner, check: InstructionCheck = "all"
 ) -> StopCommand | Refusal | None:
-    """The answer of the local layer to `instruction`; None if `planner` is to be asked."""
+    """The answer of the local layer to `instruction`; None if `planner` is to be asked.
+
+    An instruction whose objects the hand cannot grasp is declined here with the reason, because only a decline is left
+    to a planner.
+    """
     if check == "given_contract":
         return StopCommand() if is_stop_command(instruction) else refuse_hostile(instruction)
     languages = planner_languages(planner)
-    return review_instruction(
+    review = review_instruction(
         instruction, context.registry, context.scene.receptive, context.scene.graspable, languages=languages
     )
+    return review if review is not None or check != "all" else _refuse_grasp(instruction, context)
+
+
+def _refuse_grasp(instruction: str, context: PlanningContext) -> Refusal | None:
+    """The refusal of an instruction whose goal needs a grasp that the hand cannot make; None for all others."""
+    scene, registry = context.scene, context.registry
+    goal = read_goal(instruction, scene)
+    if not isinstance(goal, Goal) or goal.decline:
+        return None
+    names = ungraspable(goal, scene, parameter_domains(scene, registry), context.holding)
+    if not names:
+        return None
+    name, why = names[0].replace("_", " "), why_ungraspable(scene.find(names[0]), registry)
+    reason = f"{UNGRASPABLE} {name}: {why}. Use another hand, or ask for something that needs no grasp of it."
+    return Refusal(kind="grasp", reason=reason, quote=name, brief=f"{name}: {why}")
 
 
 def local_proposal(answer: StopCommand | Refusal, registry: SkillRegistry, contract_id: str) -> Proposal:

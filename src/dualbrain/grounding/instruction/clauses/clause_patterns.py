@@ -98,7 +98,8 @@ BY_CONSTRUCTION = re.compile(
     r"|bump|hit|collide"
     r"|disturb|squeeze|shake|tip|topple|slip|touch|spill)\b|\byou (?:have|did) not (?:\w+ ){1,8}?yet\b"
     r"|\bnot let (?:it|them|the (?:\w+ ){1,3}?) ?(?:slip|fall|drop|tip|break|topple)\b|\bit is not , then\b"
-    r"|\bnot have to\b|\bi never (?!want|like|allow|let|put)"
+    r"|\bnot have to\b|\bi (?:have )?never (?!want|like|allow|let|put)"
+    r"|\b(?:can|could) not (?:see|reach|find|get at|read|bend|lift|carry|walk|stand|tell|remember|hear)\b"
     r"|\b(?:not|never) (?:go|move|drive|travel|grip|press|squeeze|hold|exceed|use)(?: it| the \w+)? x{4,}"
 )
 """Negations that every contract observes, or that ask for nothing."""
@@ -112,7 +113,7 @@ KEPT = re.compile(
 LOOKING = re.compile(r"\b(?:look|hover|above|over|point|approach|check|stay above|find)\b")
 LIFTING = re.compile(r"\b(?:pick|take|grasp|lift|grab|off the table|hold|raise|keep|grip)\b")
 PUSHING = re.compile(rf"{PUSHES}|\bcloser\b|\btowards\b")
-STANDING = re.compile(rf"\bnot (?:move|drive|go)(?: for (?:\w+ )?{NUMBER}| any (?:further|farther|more))?\b")
+STANDING = re.compile(rf"\bnot (?:move|drive|go|budge|stir)(?: for (?:\w+ )?{NUMBER}| any (?:further|farther|more))?\b")
 ORDERED = re.compile(r"\bnot (?:\w+ ){1,8}(?:before|until) (?:you have|the|it)\b|\bbut not until\b|\bonly when it\b")
 
 CONDITION_WORD = re.compile(
@@ -159,7 +160,8 @@ ALLOWED_WITHOUT = re.compile(
     r"^without (?:touching|bumping|knocking|hitting|breaking|dropping|damaging|disturbing|colliding|hurting|scratching"
     r"|crushing|disrupting|harming|spilling|moving|squeezing|shaking|tipping) (?:into |with |over |down )?"
     r"(?:it|anything|anyone|anybody|something|anything else|any other|the others|others|the other|people)\b"
-    r"|^without (?:my|his|her|our|your) (?:reading )?(?:glasses|specs|spectacles|help)\b|^without (?:you|me|fail|fuss|noise|a (?:sound|word|scratch|fuss|doubt|problem)|making (?:any )?(?:noise"
+    r"|^without (?:my|his|her|our|your) (?:reading )?(?:glasses|specs|spectacles|help)\b|^without (?:you|me|fail"
+    r"|fuss|noise|a (?:sound|word|scratch|fuss|doubt|problem)|making (?:any )?(?:noise"
     r"|sound|mess)"
     r"|haste|hurry|rush|rushing|hurrying|delay|any|problems?|dropping|damage|breaking|contact)\b"
 )

@@ -198,6 +198,8 @@ def _orders(sentence: str, scene: SceneWords) -> Iterator[tuple[int, int, Clause
         if alone := patterns.NAME_ALONE.search(clause):
             unknown = scene.graspable and alone["article"] and not scene.mentions(clause, scene.names)
             own = own or not unknown
+        if clause.startswith("after that ") and scene.mentions(clause.removeprefix("after that "), scene.graspable):
+            own = True
         foreign = patterns.OTHERS.search(clause) and not clause.startswith(("before they come", "before we start"))
         if foreign or not own:
             yield match.start(), end, "time"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from dualbrain.grounding.instruction.goals import goal_words
 from dualbrain.grounding.instruction.goals.goal import (
@@ -49,7 +49,8 @@ LIFTING = re.compile(
     rf"|(?: by)?(?: about| roughly)? {goal_words.NUMBER} ?{goal_words.LENGTH}(?: up| high)?)*"
 )
 BELONGING = re.compile(
-    r" (?:all )?(?:belongs?|goes?|lives?|comes?|(?:can|could|may|wants? to) go|(?:should|must|had better|has to|have to|needs? to) (?:all )?(?:stand|go|end up|lie|be)"
+    r" (?:all )?(?:belongs?|goes?|lives?|comes?|(?:can|could|may|wants? to) go|(?:should|must|had better|has to"
+    r"|have to|needs? to) (?:all )?(?:stand|go|end up|lie|be)"
     r"(?: put| placed| moved| tidied away| stored)?)(?: over)? "
 )
 """Between an object and its destination: "the tin belongs in the bowl"."""
@@ -86,14 +87,17 @@ DISTANCE = re.compile(
 HOLD_TIME = re.compile(rf",? {goal_words.DURATION}$")
 KEEPING = re.compile(r"(?:leave|keep) (.+?) (?:where it is|where they are|in its place|alone|as it is)")
 DRIVING = re.compile(
-    r"(?:(?:go|drive|move|come|head|travel|roll|return|run|bring|make your way|stop|stand|go and stand|carry on|continue"
+    r"(?:(?:go|drive|move|come|head|travel|roll|return|run|bring|make your way|stop|stand|go and stand|carry on"
+    r"|continue"
     r"|proceed|end|finish|scoot)(?: yourself| on| back| over| off| down| along| up| straight| out)*"
     r"(?: to| at| by| for| into| down)|visit|(?:(?:back|over|off|on|down|straight) )*to) (.+?)(?: first| now)?"
 )
 UNDIRECTED = re.compile(
-    r"(?:and )?(?:(?:hold|keep holding|keep|hold up|lift up|keep up)(?: on to)? (?:it|them)|keep hold of (?:it|them)|keep it"
+    r"(?:and )?(?:(?:hold|keep holding|keep|hold up|lift up|keep up)(?: on to)? (?:it|them)|keep hold of (?:it"
+    r"|them)|keep it"
     r"|(?:do not|don't) let (?:it|them) go|(?:do not|don't) let go(?: of (?:it|them))?)"
-    r"(?: there| up| in the air| like that| in (?:your|the) (?:hand|gripper)| still| steady| quiet| quietly| motionless)*"
+    r"(?: there| up| in the air| like that| in (?:your|the) (?:hand|gripper)| still| steady| quiet| quietly"
+    r"| motionless)*"
 )
 PARTICIPLES = {
     "put": "put",
@@ -109,6 +113,8 @@ PARTICIPLES = {
     "slid": "slide",
     "nudged": "nudge",
     "shifted": "shift",
+    "go": "put",
+    "be": "put",
     "lifted": "lift",
     "picked": "pick",
     "stood": "stand",
@@ -116,22 +122,29 @@ PARTICIPLES = {
     "tidied": "tidy",
     "transferred": "transfer",
 }
-_PARTICIPLE = "|".join(PARTICIPLES)
+_PARTICIPLE = "|".join(PARTICIPLES.keys() - {"go", "be"})
 PASSIVE = (
     re.compile(
         rf"(?:could|can|might|may|would|will|should|must) (?P<object>.+?) be (?P<verb>{_PARTICIPLE}) (?P<rest>.+)"
     ),
     re.compile(
-        r"(?:(?:i|we|(?:my |our |the )?[a-z]+) )?(?:would like|wants?|needs?|'d like|would love|'d love|likes?)(?: to have)? "
+        r"(?:could|can|might|may|would|should|shall) (?P<object>.+?) (?P<verb>go|be) (?P<rest>(?:in|into|on|onto|to"
+        r"|at|over) .+)"
+    ),
+    re.compile(
+        r"(?:(?:i|we|(?:my |our |the )?[a-z]+) )?(?:would like|would need|wants?|needs?|'d like|would love|'d love"
+        r"|likes?)(?: to have)? "
         rf"(?P<object>.+?) (?P<verb>{_PARTICIPLE}) (?P<rest>.+)"
     ),
     re.compile(
-        rf"(?P<object>.+?) (?:is to|should|must|has to|have to|needs to|wants to|can|could) be (?P<verb>{_PARTICIPLE}) (?P<rest>.+)"
+        rf"(?P<object>.+?) (?:is to|should|must|has to|have to|needs to|wants to|can"
+        rf"|could) be (?P<verb>{_PARTICIPLE}) (?P<rest>.+)"
     ),
 )
 """Requests in the passive: "could the tin be pushed towards the bowl", "I want the tin put in the bowl"."""
-SIDE_ALONE = re.compile(r"(?:the |your )?(left|right|front|back|middle)(?:[- ]hand side| hand side)?")
-SHIFTED = re.compile(r"(?:shift|drag) .+ (?:to|on|at) (?:the |your )?(?:left|right|front|back)")
+SIDE_ALONE = re.compile(
+    r"(?:the |your )?(left|right|front|back|middle)(?:[- ]hand)?(?: (?:side|half|end|part|area|zone|section))?"
+)
 PURPOSE = re.compile(r" for (?!a |an |one |now\b|later\b|the (?:moment|time))[a-z' ]{2,30}$")
 """The person or the use at the end of a placement: "in the bowl for my neighbour"."""
 
@@ -250,18 +263,43 @@ def _pushed(
     for phrase, direction in DIRECTIONS.items():
         if words.endswith(f" {phrase}"):
             objects = _objects(words.removesuffix(phrase).strip(), vocabulary, last)
-            return ((Pushed(objects.names, direction),), objects.names) if isinstance(objects, Found) else objects
+            if not isinstance(objects, Found):
+                return objects
+            if place := _place_that_way(objects.names, direction, scene, vocabulary):
+                return (Pushed(objects.names, "toward", place),), objects.names
+            return (Pushed(objects.names, direction),), objects.names
     return _pushed_relative(words, vocabulary, last)
+
+
+def _place_that_way(names: Sequence[str], direction: Direction, scene: Scene, vocabulary: Vocabulary) -> str | None:
+    """The place on the side `direction` (left or right), if it is that way from all objects `names`; else None.
+
+    That way: the direction from the object to the place is within 45 degrees of the side. Left of the robot is +y.
+    """
+    name = vocabulary.place_on_side(direction)
+    place = next((one for one in scene.places if one.name == name), None)
+    if place is None or direction not in ("left", "right"):
+        return None
+    sign = 1.0 if direction == "left" else -1.0
+    offsets = [
+        (place.position[0] - one.pose.position[0], sign * (place.position[1] - one.pose.position[1]))
+        for one in scene.objects
+        if one.name in names
+    ]
+    return place.name if all(aside > abs(ahead) for ahead, aside in offsets) else None
 
 
 def _pushed_relative(words: str, vocabulary: Vocabulary, last: tuple[str, ...]) -> Conditions | Goal | Unread | None:
     form = re.fullmatch(
-        r"(.+?) (?:(?:over|up|along|across|back) )*(towards?|closer to|in (?:the )?direction of|away from|to|against|into|in) (.+)",
+        r"(.+?) (?:(?:over|up|along|across|back) )*(towards?|closer to|in (?:the )?direction of|away from|to"
+        r"|against|into|in) (.+)",
         words,
     )
     if form is None:
         return None
     objects, reference = _objects(form.group(1), vocabulary, last), vocabulary.resolve_reference(form.group(3))
+    if (side := SIDE_ALONE.fullmatch(form.group(3))) and (place := vocabulary.place_on_side(side[1])):
+        reference = Found((place,))
     if not isinstance(objects, Found):
         return objects
     if not isinstance(reference, Found):
@@ -273,8 +311,6 @@ def _pushed_relative(words: str, vocabulary: Vocabulary, last: tuple[str, ...]) 
 def _placed(
     text: str, scene: Scene, vocabulary: Vocabulary, last: tuple[str, ...]
 ) -> Conditions | Goal | Unread | None:
-    if SHIFTED.fullmatch(text):
-        return Unread(f'"{text}" may state a direction or a place.')
     form = PLACING.fullmatch(text)
     return _placements(form.group(1), vocabulary, last) if form else None
 
@@ -385,7 +421,7 @@ FORMS: tuple[Form, ...] = (
 def _placement(words: str, vocabulary: Vocabulary, last: tuple[str, ...]) -> Conditions | Goal | Unread | None:
     """The placement "NOUN PHRASE PREPOSITION REFERENCE", at the first preposition after which both parts resolve."""
     first: Goal | Unread | None = None
-    words = re.sub(r" (?:down|up|back|over|away|round|around)(?= (?!from)|$)", "", words)
+    words = re.sub(r" (?:down|up|back|over|away|round|around|out|along|across)(?= (?!from|of)|$)", "", words)
     for relation, phrase, rest in _splits(words) or _listed(words):
         objects = _objects(phrase, vocabulary, last)
         references = _references(rest, relation, vocabulary, last)

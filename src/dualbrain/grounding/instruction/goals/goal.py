@@ -91,7 +91,8 @@ class Goal:
     """All `conditions` hold at the end, and no object except `movable` has moved.
 
     With `decline`, a reason, the instruction is to be declined; nothing else carries it out. With `ordered`, the
-    placements are to be done in the order of `conditions`. The robot waits `pauses` times between or after them. A base visits the places `visits`, in this order, before its last place.
+    placements are to be done in the order of `conditions`. On the way the robot waits `pauses` times, and a base visits
+    the places `visits` in this order.
     """
 
     conditions: tuple[Condition, ...] = ()

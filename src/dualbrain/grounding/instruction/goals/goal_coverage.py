@@ -77,15 +77,10 @@ def find_uncovered(
         return None
     if reason := goal.decline or goal.beyond_contracts or _too_long(goal, scene, holding):
         return _rejected("a plan", ["decline"], f"the instruction is to be declined: {reason}")
-    for condition in goal.conditions:
-        if hint := _missing(condition, goal, effects, scene):
+    hints = [_missing(condition, goal, effects, scene) for condition in goal.conditions]
+    for hint in (*hints, _missing_on_the_way(goal, effects)):
+        if hint:
             return _rejected("a plan without it", "a contract that carries out the whole instruction", hint)
-    if unvisited := _unvisited(goal.visits, effects.visited):
-        hint = f"the instruction asks the robot to drive to {_words(unvisited)} before"
-        return _rejected("a plan without it", "a contract that carries out the whole instruction", hint)
-    if goal.pauses and not effects.waits:
-        hint = "the instruction asks the robot to wait"
-        return _rejected("a plan without it", "a contract that carries out the whole instruction", hint)
     if others := sorted(effects.moved - goal.movable - {holding}):
         return _rejected(others[0], sorted(goal.movable), f"the instruction does not ask to move {_words(others[0])}")
     return _wrong_order(goal, effects) if goal.ordered else None
@@ -211,6 +206,13 @@ def _is_placed(name: str, condition: Placed, effects: _Effects, scene: Scene) ->
     if effects.placed.get(name):
         return (effects.placed[name] in condition.references) == (condition.relation != "off")
     return name not in effects.moved and is_there(name, condition, scene)
+
+
+def _missing_on_the_way(goal: Goal, effects: _Effects) -> str:
+    """A hint about a place or a pause before the end of `goal` that the contract leaves out; "" if it has all."""
+    if unvisited := _unvisited(goal.visits, effects.visited):
+        return f"the instruction asks the robot to drive to {_words(unvisited)} before"
+    return "the instruction asks the robot to wait" if goal.pauses and not effects.waits else ""
 
 
 def _unvisited(asked: Sequence[str], visited: Sequence[str]) -> str:

@@ -55,12 +55,16 @@ NUMBER = (
 LENGTH = r"(?:cm|mm|centimet(?:er|re)s?|millimet(?:er|re)s?|met(?:er|re)s?|inch(?:es)?)"
 DURATION = rf"(?:for |of )?(?:(?:about|around|roughly|some|like|just) )*{NUMBER} ?(?:s|secs?|seconds?)(?: or so)?"
 PLACING_VERBS = (
-    "put|place|move|set|drop|bring|stand|lay|transfer|carry(?! on)|take|get|deposit|shift|stow|pop|stick|collect|gather|"
+    "put|place|move|set|drop|bring|stand|lay|transfer|carry(?! on)|take|get|deposit|shift|stow|pop|stick|collect"
+    "|gather|"
     "sort|throw|tidy|drag|transport|insert|position|return|leave|stack|bring over|put away|store|park|relocate|dump|"
     "lower|load|add|clear|chuck|plonk|plop"
 )
 """Verbs of a placement; with a destination none of them determines how the object gets there."""
-LIFTING_VERBS = "pick up|pick|take up|grasp|grab|grip|lift up|lift|take hold of|take|hold up|hold on to|hold|raise|get hold of|fetch"
+LIFTING_VERBS = (
+    "pick up|pick|take up|grasp|grab|grip|lift up|lift|take hold of|take|hold up|hold on to|hold|raise"
+    "|get hold of|fetch"
+)
 GATHERING_VERBS = "collect|gather up|gather|find|pick out|start with|begin with|take care of"
 """Verbs that name objects for a later clause."""
 HANDING_VERBS = "hand|give|pass|bring|hand over|fetch|get"
@@ -68,9 +72,11 @@ PUSHING_VERBS = "push|shove|slide|nudge|scoot|budge"
 OBSERVING_PHRASES = (
     "look at|have a look at|hover over|hover above|point at|point to|check on|move above|move your hand above|"
     "hold your hand over|go over|go above|show me|inspect|"
-    "have a (?:quick |good |close |closer )?(?:look|peek) (?:at|on)|look on|(?:position|put|place|bring|hold|move) yourself (?:right |just )?(?:over|above)|"
+    "have a (?:quick |good |close |closer )?(?:look|peek) (?:at|on)|look on|(?:position|put|place|bring|hold|move) "
+    "yourself (?:right |just )?(?:over|above)|"
     rf"hover {NUMBER} ?{LENGTH} (?:over|above)|"
-    "(?:go )?see|peek at|glance at|take a (?:quick |good |close |closer )?look at|check out|check|view|"
+    "(?:go )?see|peek at|glance at|take a (?:quick |good |close |closer )?look at|take a (?:quick |good |close "
+    "|closer )?(?:look|peek) on|take a peek at|check out|check|view|"
     "(?:position|put|place|bring|hold|move) (?:your|the) (?:hand|gripper|fingers|arm) (?:right |just )?(?:over|above)"
 )
 
@@ -93,8 +99,8 @@ PREPOSITIONS: tuple[tuple[str, Relation], ...] = (
 
 NUMBERS = {"one": 1, "two": 2, "three": 3, "four": 4, "five": 5, "six": 6, "1": 1, "2": 2, "3": 3, "4": 4, "5": 5}
 HOME_CLAUSES = (
-    r"(?:go|return|move|drive|come|get|travel|retreat|head|finish|end|run)"
-    r"(?: the arm| your arm| yourself| back| up| off| on| straight| over)*(?: to| at)?(?: the| your| its)?"
+    r"(?:go|return|move|drive|come|get|travel|retreat|head|finish|end|run|retire|withdraw|park)"
+    r"(?: the arm| your arm| yourself| back| up| off| on| straight| over)*(?: to| at| in| into)?(?: the| your| its)?"
     r"(?: home| resting| rest| start| starting| initial| parking)+(?: posture| position| pose| place)?",
     r"(?:retract|park)(?: the| your)? (?:arm|robot)",
     r"go (?:back )?to where you (?:started|began|were)",
@@ -104,13 +110,17 @@ HOME_CLAUSES = (
     r"(?:get|move)(?: the arm| your arm)? out of (?:the|my) way(?:, back home)?",
     r"the arm should be at rest",
     r"we are done for now, go and rest",
-    r"(?:arm )?(?:(?:back|off|straight|on) )*(?:to |in |into )?(?:the |your )?home(?: position| pose| posture)?(?: you go)?",
+    r"(?:arm )?(?:(?:back|off|straight|on) )*(?:to |in |into )?(?:the |your )?home(?: position| pose"
+    r"| posture)?(?: you go)?",
+    r"homing(?: move| motion)?",
 )
 REST_CLAUSES = (r"(?:have a |take a )?(?:rest|break)", r"relax", r"stay at rest")
 """Requests that a robot carries out by standing still as well as by going home."""
 WAITING_CLAUSE = (
-    r"(?:wait|pause|make a pause|make a break|freeze|rest|hold|stand|stay|stop|keep|remain|do nothing|do not move|don't move|take a break)"
-    rf"(?: still| put| there| here| steady| where you are| like that| right there| motionless| quiet| perfectly still)* {DURATION}"
+    r"(?:wait|pause|make a pause|make a break|freeze|rest|hold|stand|stay|stop|keep|remain|do nothing|(?:do not"
+    r"|don't) (?:move|budge|stir)|take a break)"
+    rf"(?: still| put| there| here| steady| where you are| like that| right there| with (?:it|them)| motionless"
+    rf"| quiet| perfectly still)* {DURATION}"
 )
 STILL_CLAUSES = (
     WAITING_CLAUSE,

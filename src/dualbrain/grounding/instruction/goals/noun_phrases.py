@@ -33,7 +33,8 @@ NOT_COLOUR = re.compile(
     rf"(?P<head>.+?) (?:that|which)(?: is not|'s not| isn't) (?:the )?(?P<colour>{_COLOUR})(?: one)?"
 )
 LOCATIVE = re.compile(
-    r" (?:(?:that is |standing |lying |sitting |right |over )*(?:there|here|on the table)|there is|we have|you see)$"
+    r" (?:(?:that is |standing |lying |sitting |right |over )*(?:there|here|on the table)|there is"
+    r"|we have(?: here)?|you see)$"
 )
 """The end of a noun phrase that states that the object is in the scene."""
 EVERYTHING = ("everything", "all", "all of it", "all things", "all objects", "all items", "all the things")

@@ -27,7 +27,8 @@ _BOUNDARY = re.compile(
 )
 """The end of a part: a punctuation mark, or a conjunction in front of a subject."""
 _OPENING = re.compile(
-    r"(?:(?:oh|ah|well|right|now|ok|okay|yes|yeah|no|look|actually|honestly|sorry|and|but|so(?: that)?|because|cause|cos"
+    r"(?:(?:oh|ah|well|right|now|ok|okay|yes|yeah|no|look|actually|honestly|sorry|and|but|so(?: that)?|because"
+    r"|cause|cos"
     r"|since|anyway|hey|you know|you see|apparently|unfortunately|sadly|obviously|i (?:think|believe|guess|suppose"
     r"|am afraid|hope)) )+"
 )
@@ -38,19 +39,25 @@ _FINITE = (
 )
 _STATEMENT = re.compile(
     rf"{_PRONOUN} \w+|{_OWNED} (?:\w+ ){{1,4}}?{_FINITE}\b|{_OWNED} (?:\w+ ){{0,3}}?\w+'s \w+"
-    r"|\w+ (?:always|never|still|just|already|usually|often) \w+|(?:\w+ ){1,2}?(?:is|was|has|had) \w+|\w+'s (?:\w+ing|here|there|got|been|on|at|in|not|just|about|gone) ?"
+    r"|[a-z]+ (?:wants|needs|says|said|asked|loves|likes|thinks|told|works|comes) \w+|\w+ (?:always|never|still"
+    r"|just|already|usually|often) \w+|(?:\w+ ){1,2}?(?:is|are|was|were|has|had) \w+|\w+'s (?:\w+ing|here|there|got"
+    r"|been|on|at|in|not|just|about|gone) ?"
 )
 """The beginning of a statement: a pronoun, a noun phrase with a verb, or a name with "is"."""
 _DEPENDENCE = re.compile(
-    r"\b(?:if|unless|until|when|whenever|once|while|before|after|afterwards|as long|only|except|instead|rather|otherwise"
-    r"|else|first|then|later|next|where|wherever|which|whether|or|either|neither|nor|without|but|last|assuming|provided|providing|suppose|supposing|given|in case|as)\b"
+    r"\b(?:if|unless|until|when|whenever|once|while|before|after|afterwards|as long|only|except|instead|rather"
+    r"|otherwise"
+    r"|else|(?<!my )(?<!our )first|then|later|next|where|wherever|which|whether|or|either|neither|nor|without|but"
+    r"|last|assuming|provided|providing|suppose|supposing|given|in case|as)\b"
 )
 """Words by which a request can depend on the part, or by which the part continues a request."""
 _DEMAND = re.compile(
-    r"\b(?:should|shall|must|ought|supposed|allowed|permitted|forbidden|let|please|make sure|ensure|goes|belongs?|stays?"
+    r"\b(?:should|shall|must|ought|supposed|allowed|permitted|forbidden|let|please|make sure|ensure|goes|belongs?"
+    r"|stays?"
     r"|remains?|leave|keep|mean|means|meant|order|orders|tell|tells|expect|prefers?|insists?|decided"
     r"|(?:has|have|needs?|wants?|is|are|like|likes|would like|would love|time) to (?:be|go|stay|have|get|end|stand|lie)"
-    r"|(?:want|wants|need|needs|like|likes|love|wish|asked|asks|ask) (?:for )?(?:it|them|that|this|these|those|you|one|some"
+    r"|(?:want|wants|need|needs|like|likes|love|wish|asked|asks|ask) (?:for )?(?:it|them|that|this|these|those|you"
+    r"|one|some"
     r"|all|both|everything|nothing)(?: (?:in|on|at|to|here|there|put|moved|done|back|away)\b|$))"
 )
 """Words of a wish, an order or a permission: the part may be a request itself."""
@@ -63,11 +70,15 @@ _OWN_ACTION = re.compile(
 """A request as a statement: "we put the tins in the bowl now"."""
 _NEGATED_THING = re.compile(r"(?:it|that|this|they|there|the|those|these)\b.*\b(?:not|never|no|nothing)\b")
 _ABOUT_A_THING = re.compile(
-    r"(?P<topic>(?:the |that |this |my |our )?(?:[a-z]+ ){0,2}[a-z]+) (?:is|was|looks|came|comes|has|nearly|almost|still)"
+    r"(?P<topic>(?:the |that |this |my |our )?(?:[a-z]+ ){0,2}[a-z]+) (?:is|was|looks|came|comes|has|nearly|almost"
+    r"|still)"
     r" (?P<rest>[a-z' ]+)"
 )
 _PRONOUN_OBJECT = re.compile(r"\b(?:it|that)\b(?! is\b| was\b)")
 _SOCIAL = re.compile(rf"(?:{goal_words.SOCIAL})(?: (?:{goal_words.SOCIAL}))*")
+_SEVERAL = re.compile(r"\b(?:all|every|everything|each|both|any|[a-z]+s)\b(?= .*, (?:and |but )?not )")
+_CONTRAST = re.compile(r" ?, (?:and |but )?not (?:the |that )[a-z ]{2,25}?(?= ?[,.;:!?]| (?:in|into|on|onto|to|at) |$)")
+"""The thing that is not meant: "the orange can, not the orange tin"."""
 _POLITE = re.compile(
     rf"(?:{POLITE_CONDITION.pattern})(?: (?:kind|good|nice|to|for me|to you|a (?:second|moment|minute)))*"
 )
@@ -86,6 +97,7 @@ _VALUES = re.compile(
     rf"\b{_NUMBER} ?(?:n|newtons?)\b(?: of (?:grip|force|pressure|grip force))?"
     rf"|,? ?\b(?:with|at|and) (?:a )?(?:clearance |height )?(?:of )?{_BOUND}{_NUMBER} ?{_LENGTH} (?:of )?"
     r"(?:clearance|high|up|above the table|off the table|over the table)\b"
+    rf"|,? ?\b(?:with )?(?:a )?(?:lift(?:ing)? )?(?:height|clearance) (?:of )?{_BOUND}{_NUMBER} ?{_LENGTH}\b"
 )
 """Numbers that a parameter of a skill takes: a speed, a force, a height."""
 
@@ -95,6 +107,8 @@ def without_remarks(instruction: str, names: Collection[str]) -> str:
     text = re.sub(r"\b(mr|mrs|ms|dr) \.", r"\1", normalise(instruction).text)
     text = _POLITE.sub(" ", re.sub(r"(?<!\d )\bn\b(?! ?[/.\d])", "and", _without_accents(text)))
     text = _VALUES.sub(" ", text)
+    if not _SEVERAL.search(text):
+        text = _CONTRAST.sub("", text)
     known = _scene_words(names)
     kept, position = "", 0
     for start, end in _parts(text):

@@ -9,7 +9,7 @@ from dualbrain.grounding.instruction.clauses.scene_words import PLACEHOLDER, Sce
 SIDE = r"(?:left|right|front|back|middle|center)"
 SIDE_PART = r"(?: hand)?(?: (?:side|part|half|end|area|section|hand side))?"
 _DESTINATION = re.compile(
-    rf"\b(?:over )?(?:to|on|onto|at|towards) (?:(?:the|your) |(?={SIDE} (?:hand )?side\b))(?P<side>{SIDE})(?P<part>{SIDE_PART})"
+    rf"\b(?:over )?(?:to|on|onto|at|towards) (?:(?:the|your) )?(?P<side>{SIDE})(?P<part>{SIDE_PART})"
     r"\b(?! (?:of|edge|corner|hand|side|most|one|in front|behind|until|as far)\b)"
 )
 _SEGMENT_START = re.compile(r"[,.;:!?]| and | then ")
@@ -17,7 +17,6 @@ _NO_PLACING = re.compile(
     r"\b(?:pick|picks|lift|grab|grasp|hold|raise|seize|grip|turn|rotate|look|looks|face|faces|facing|point|points|lean"
     r"|tilt|(?<!of )reach|swing|fetch|get|veer|steer|bend|which|that is|that are|that lies|that stands|far|whatever)\b"
 )
-_PUSH = re.compile(r"\b(?:push|shove|slide|nudge|drag|roll|pull|shift)\b")
 _AMOUNT = re.compile(
     r"\b(?:bit|little|touch|tad|slightly|somewhat|further|farther|more|as far|breadth|width|notch|inch|inches|steps?"
     r"|\d+(?:[.,]\d+)?|mm|cm|millimet\w+|centimet\w+|met(?:er|re)s?|by (?:an?|two|three|half))\b"
@@ -31,8 +30,9 @@ _DESCRIBES = re.compile(
 def mask_sides(text: str, scene: SceneWords) -> str:
     """`text` with the letter n in place of each side that is a destination and means one place of the scene.
 
-    A side that describes an object ("the tin on the left goes in the bowl"), and the direction or the length of a
-    motion ("push it to the left", "a bit to the left"), are left as they are.
+    A side that describes an object ("the tin on the left goes in the bowl") and the length of a motion ("a bit to the
+    left") are left as they are. "Push it to the left" means the place on the left; whether that is to the left of the
+    object depends on the scene (`read_goal`).
     """
     for match in first_matches(_DESTINATION, text):
         if scene.has_side(match["side"]) and _is_destination(text, match):
@@ -47,7 +47,5 @@ def _is_destination(text: str, match: re.Match[str]) -> bool:
     after = text[match.end() : match.end() + 30]
     following = re.split(r"[,.;:!?]| and | then ", after, maxsplit=1)[0]
     if _NO_PLACING.search(segment) or _AMOUNT.search(segment) or _AMOUNT.search(following):
-        return False
-    if _PUSH.search(segment) and not match["part"].endswith(("side", "part", "half", "end", "area", "section")):
         return False
     return _DESCRIBES.match(after) is None

@@ -14,6 +14,7 @@ _IDIOMS = re.compile(
     r"|think twice|dawdle|delay|let me down|get me wrong"
     r"|just (?:stand|sit|wait|lie|hang|stay)(?: around)?(?: there| here)?|panic|overthink(?: it)?|laugh|argue|complain"
     r"|take (?:too long|forever|all day)|waste (?:any |your |my )?time|fail me|disappoint me)\b"
+    r"|\byou are (?:simply |really )?the (?:best|greatest|smartest|cleverest|nicest|kindest|fastest)\b"
     r"|\bwhy (?:do|does|did|are|is|would|should|can|could|have|has) not\b"
     r"|\b(?:can|could|would|will) not (?=(?:you|we|somebody|someone|the robot)\b)"
     r"|\bdo not you (?:think|want|agree|believe|see)\b|\bnot (?:tomorrow|later|yesterday) but now\b"

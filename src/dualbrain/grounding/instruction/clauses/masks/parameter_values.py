@@ -16,7 +16,8 @@ _BOUND = (
 )
 _LENGTH = r"(?:mm|cm|m|millimet(?:er|re)s?|centimet(?:er|re)s?|met(?:er|re)s?)"
 _SPEED = re.compile(
-    rf"\b(?:at |with )?(?:a (?:\w+ )?(?:speed|velocity|pace) of )?{_BOUND}{NUMBER} {_LENGTH} (?:/|per|an?) s(?:ec(?:ond)?)?\b"
+    rf"\b(?:at |with )?(?:a (?:\w+ )?(?:speed|velocity|pace) of )?{_BOUND}(?:{NUMBER}|half an?) {_LENGTH} (?:/|per"
+    rf"|an?) s(?:ec(?:ond)?)?\b"
 )
 _FORCE = re.compile(rf"\b(?:with )?(?:a (?:\w+ )?(?:force|grip) of )?{_BOUND}{NUMBER} (?:n|newtons?)\b")
 _HEIGHT = re.compile(

@@ -54,7 +54,8 @@ ORIENTATIONS: tuple[ClauseRule, ...] = (
     ClauseRule(
         "motion",
         re.compile(
-            r"(?:^|[,.;:!?] |\b(?:and|then|please|you|to|now|just|with|by|while) )(?:shake|shaking|stir|swirl|wiggle|wobble"
+            r"(?:^|[,.;:!?] |\b(?:and|then|please|you|to|now|just|with|by|while) )(?:shake|shaking|stir|swirl"
+            r"|wiggle|wobble"
             r"|twirl|jiggle|juggle|bounce|wave|rattle|dance|whirl)\b"
             r"|\b(?:give|with) (?:(?!the left\b|the right\b)\w+ ){0,4}?an? (?:\w+ ){0,2}?"
             r"(?:shake|stir|swirl|wiggle|wobble|twirl|jiggle|bounce|rattle|whirl)\b"
