@@ -91,7 +91,7 @@ def why_ungraspable(obj: SceneObject, registry: SkillRegistry) -> str:
         )
     level = [axis for axis in axes.choices if is_level(obj, axis)]
     if not level:
-        return "it lies so that the fingers can close along none of its axes"
+        return "its pose is such that the fingers can close along none of its axes"
     least = min(least_opening(obj, axis) for axis in level)
     if least > opening.upper:
         return f"it needs an opening of {least * 1000:.0f} mm, and this hand opens {opening.upper * 1000:.0f} mm"

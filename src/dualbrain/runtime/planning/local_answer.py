@@ -13,6 +13,7 @@ from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.skill_spec import NumberParameter
 from dualbrain.control.executor import Executor
 from dualbrain.grounding.envelope.grasp_fit import parameter_domains, ungraspable, why_ungraspable
+from dualbrain.grounding.envelope.value_bounds import why_out_of_bounds
 from dualbrain.grounding.instruction.goals.goal import Goal
 from dualbrain.grounding.instruction.goals.goal_reading import read_goal
 from dualbrain.grounding.instruction.review import Refusal, StopCommand, refuse_hostile, review_instruction
@@ -38,8 +39,8 @@ def answer_locally(
 ) -> StopCommand | Refusal | None:
     """The answer of the local layer to `instruction`; None if `planner` is to be asked.
 
-    An instruction whose objects the hand cannot grasp is declined here with the reason, because only a decline is left
-    to a planner.
+    An instruction whose objects the hand cannot grasp, or whose numbers no skill takes, is declined here with the
+    reason, because only a decline is left to a planner.
     """
     if check == "given_contract":
         return StopCommand() if is_stop_command(instruction) else refuse_hostile(instruction)
@@ -47,15 +48,18 @@ def answer_locally(
     review = review_instruction(
         instruction, context.registry, context.scene.receptive, context.scene.graspable, languages=languages
     )
-    return review if review is not None or check != "all" else _refuse_grasp(instruction, context)
+    return review if review is not None or check != "all" else _refuse_goal(instruction, context)
 
 
-def _refuse_grasp(instruction: str, context: PlanningContext) -> Refusal | None:
-    """The refusal of an instruction whose goal needs a grasp that the hand cannot make; None for all others."""
+def _refuse_goal(instruction: str, context: PlanningContext) -> Refusal | None:
+    """The refusal of a goal that needs a grasp that the hand cannot make, or a number that no skill takes."""
     scene, registry = context.scene, context.registry
     goal = read_goal(instruction, scene)
     if not isinstance(goal, Goal) or goal.decline:
         return None
+    if why := why_out_of_bounds(goal.values, registry):
+        reason = f"The instruction is declined, because {why}. State a number within these bounds, or none."
+        return Refusal(kind="number", reason=reason, quote="", brief=why)
     names = ungraspable(goal, scene, parameter_domains(scene, registry), context.holding)
     if not names:
         return None

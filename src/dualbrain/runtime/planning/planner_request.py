@@ -13,6 +13,7 @@ from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.schema import DECLINE, decoding_schema, describe_skills
 from dualbrain.grounding.envelope.grasp_fit import parameter_domains, ungraspable
 from dualbrain.grounding.envelope.scene_rules import skill_order
+from dualbrain.grounding.envelope.value_bounds import with_stated_values
 from dualbrain.grounding.instruction.goals.goal import Goal, Unread
 from dualbrain.grounding.instruction.goals.goal_reading import corrected_instruction, read_goal
 from dualbrain.grounding.instruction.goals.goal_scope import goal_scope
@@ -154,6 +155,8 @@ def answer_schema(
     order = skill_order([skill.name for skill in registry.skills], holding)
     if isinstance(goal, Goal) and ungraspable(goal, scene, domains, holding):
         return decoding_schema(registry, scope.names, order=order, skills=(DECLINE,))
+    if isinstance(goal, Goal):
+        domains = with_stated_values(domains, goal.values, registry)
     return decoding_schema(
         registry, scope.names, order=order, domains=domains, skills=scope.skills, length=scope.length
     )

@@ -46,12 +46,11 @@ PLACING = re.compile(rf"(?:{goal_words.PLACING_VERBS}) (.+)")
 LIFTING = re.compile(
     rf"(?:{goal_words.LIFTING_VERBS}) (.+?)"
     r"(?: up| there| in your hand| in the air| (?:off|from) the (?:table|desk|bench)"
-    rf"|(?: by)?(?: about| roughly)? {goal_words.NUMBER} ?{goal_words.LENGTH}(?: up| high)?)*"
+    rf"|(?: by)?(?: about| roughly)? {goal_words.NUMBER}{goal_words.GAP}{goal_words.LENGTH}(?: up| high)?)*"
 )
 BELONGING = re.compile(
     r" (?:all )?(?:belongs?|goes?|lives?|comes?|(?:can|could|may|wants? to) go|(?:should|must|had better|has to"
-    r"|have to|needs? to) (?:all )?(?:stand|go|end up|lie|be)"
-    r"(?: put| placed| moved| tidied away| stored)?)(?: over)? "
+    r"|have to|needs? to) (?:all )?(?:stand|go|end up|lie|be)(?: put| placed| moved| tidied away| stored)?)(?: over)? "
 )
 """Between an object and its destination: "the tin belongs in the bowl"."""
 STATING = (
@@ -80,22 +79,20 @@ CARRYING = re.compile(r"(?:carry|bring|move|take) (?:it|them)(?: across| over| a
 GATHERING = re.compile(rf"(?:{goal_words.GATHERING_VERBS}) (.+)")
 GIVEN_PUSH = re.compile(r"^give (.+?) an? (?:[a-z]+ ){0,2}?(?:push|nudge|shove)(?= )")
 DISTANCE = re.compile(
-    r" (?:about |roughly |some |by |for )*(?:\d{1,3}(?:\.\d{1,3})?|[a-z]+) ?"
-    r"(?:cm|centimet(?:er|re)s?|mm|millimet(?:er|re)s?)\b"
+    rf" (?:about |roughly |some |by |for )*(?:\d{{1,3}}(?:\.\d{{1,3}})?|[a-z]+){goal_words.GAP}"
+    r"(?:cm|centimet(?:er|re)s?|mm|millimet(?:er|re)s?|m|met(?:er|re)s?|inch(?:es)?)\b"
 )
 """The distance of a push, which contracts state."""
 HOLD_TIME = re.compile(rf",? {goal_words.DURATION}$")
 KEEPING = re.compile(r"(?:leave|keep) (.+?) (?:where it is|where they are|in its place|alone|as it is)")
 DRIVING = re.compile(
     r"(?:(?:go|drive|move|come|head|travel|roll|return|run|bring|make your way|stop|stand|go and stand|carry on"
-    r"|continue"
-    r"|proceed|end|finish|scoot)(?: yourself| on| back| over| off| down| along| up| straight| out)*"
+    r"|continue|proceed|end|finish|scoot)(?: yourself| on| back| over| off| down| along| up| straight| out)*"
     r"(?: to| at| by| for| into| down)|visit|(?:(?:back|over|off|on|down|straight) )*to) (.+?)(?: first| now)?"
 )
 UNDIRECTED = re.compile(
     r"(?:and )?(?:(?:hold|keep holding|keep|hold up|lift up|keep up)(?: on to)? (?:it|them)|keep hold of (?:it"
-    r"|them)|keep it"
-    r"|(?:do not|don't) let (?:it|them) go|(?:do not|don't) let go(?: of (?:it|them))?)"
+    r"|them)|keep it|(?:do not|don't) let (?:it|them) go|(?:do not|don't) let go(?: of (?:it|them))?)"
     r"(?: there| up| in the air| like that| in (?:your|the) (?:hand|gripper)| still| steady| quiet| quietly"
     r"| motionless)*"
 )
@@ -133,7 +130,7 @@ PASSIVE = (
     ),
     re.compile(
         r"(?:(?:i|we|(?:my |our |the )?[a-z]+) )?(?:would like|would need|wants?|needs?|'d like|would love|'d love"
-        r"|likes?)(?: to have)? "
+        r"|likes?)(?: to (?:have|see))? "
         rf"(?P<object>.+?) (?P<verb>{_PARTICIPLE}) (?P<rest>.+)"
     ),
     re.compile(
@@ -472,6 +469,8 @@ def _objects(phrase: str, vocabulary: Vocabulary, last: tuple[str, ...]) -> Foun
         one = 1 if len(last) > 1 and phrase.strip() in SINGULAR else None
         return Found(last, one) if last else Unread(f'"{phrase}" refers to nothing.')
     found = vocabulary.resolve_object(phrase)
+    if isinstance(found, Absent) and isinstance(vocabulary.resolve_reference(phrase), Found):
+        return Goal(decline=f'no skill moves "{phrase}"')  # a container or a place
     return found if isinstance(found, Found) else _unresolved(found)
 
 

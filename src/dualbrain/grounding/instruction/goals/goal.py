@@ -9,6 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
+from dualbrain.grounding.instruction.stated_values import StatedValue
+
 Relation = Literal[
     "in",
     "on",
@@ -86,13 +88,13 @@ class RobotEnds:
 Condition = Placed | Held | Pushed | Unmoved | Observed | RobotEnds
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Goal:
     """All `conditions` hold at the end, and no object except `movable` has moved.
 
     With `decline`, a reason, the instruction is to be declined; nothing else carries it out. With `ordered`, the
     placements are to be done in the order of `conditions`. On the way the robot waits `pauses` times, and a base visits
-    the places `visits` in this order.
+    the places `visits` in this order. The numbers of a contract are those of `values`.
     """
 
     conditions: tuple[Condition, ...] = ()
@@ -101,6 +103,7 @@ class Goal:
     ordered: bool = False
     pauses: int = 0
     visits: tuple[str, ...] = ()
+    values: tuple[StatedValue, ...] = ()
 
     @property
     def beyond_contracts(self) -> str:

@@ -25,6 +25,7 @@ from dualbrain.grounding.instruction.goals.goal import (
     RobotEnds,
     Unread,
 )
+from dualbrain.grounding.instruction.stated_values import PARAMETER_NAMES
 from dualbrain.records import Scene
 
 IDLE_SKILLS = frozenset({DECLINE, "hold", "stop"})
@@ -78,7 +79,7 @@ def find_uncovered(
     if reason := goal.decline or goal.beyond_contracts or _too_long(goal, scene, holding):
         return _rejected("a plan", ["decline"], f"the instruction is to be declined: {reason}")
     hints = [_missing(condition, goal, effects, scene) for condition in goal.conditions]
-    for hint in (*hints, _missing_on_the_way(goal, effects)):
+    for hint in (*hints, _missing_on_the_way(goal, effects), _other_number(contract, goal)):
         if hint:
             return _rejected("a plan without it", "a contract that carries out the whole instruction", hint)
     if others := sorted(effects.moved - goal.movable - {holding}):
@@ -213,6 +214,22 @@ def _missing_on_the_way(goal: Goal, effects: _Effects) -> str:
     if unvisited := _unvisited(goal.visits, effects.visited):
         return f"the instruction asks the robot to drive to {_words(unvisited)} before"
     return "the instruction asks the robot to wait" if goal.pauses and not effects.waits else ""
+
+
+def _other_number(contract: Contract, goal: Goal) -> str:
+    """A hint about a number of the instruction that the contract does not keep; "" if it keeps all of them.
+
+    Every number of a parameter must be one that the words state for it, and each stated one must occur.
+    """
+    for parameter, names in PARAMETER_NAMES.items():
+        stated = [one for one in goal.values if one.parameter == parameter]
+        params = [action.params for action in contract.action_sequence] if stated else []
+        numbers = [float(given[name]) for given in params for name in names if name in given]
+        kept = all(any(one.admits(number) for one in stated) for number in numbers)
+        missing = next((one for one in stated if not any(one.admits(number) for number in numbers)), None)
+        if not kept or missing is not None:
+            return f"the instruction states {missing or stated[0]}"
+    return ""
 
 
 def _unvisited(asked: Sequence[str], visited: Sequence[str]) -> str:

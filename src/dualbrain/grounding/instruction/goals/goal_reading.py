@@ -20,7 +20,8 @@ from dualbrain.grounding.instruction.goals.goal import (
     Unread,
 )
 from dualbrain.grounding.instruction.goals.noun_phrases import Found, Vocabulary
-from dualbrain.grounding.instruction.goals.remarks import without_remarks
+from dualbrain.grounding.instruction.goals.remarks import without_remarks, without_values
+from dualbrain.grounding.instruction.stated_values import stated_values
 from dualbrain.grounding.outcome.spatial_relations import is_container_empty
 from dualbrain.records import Scene
 
@@ -35,12 +36,11 @@ COMMAND = (
     r"stay|clear|run|stick|pop|hover|see|check|peek|visit|finish|end|freeze|shift|pause|proceed|remain|relocate)\b"
 )
 CLAUSE_ENDS = re.compile(
-    r" {0,2}[.;!?]+(?!\d) {0,2}"
-    r"|,? {0,2}\b(?:and,? )?(?:then|after that|afterwards|(?:once|when|after) (?:that is done"
+    r" {0,2}[.;!?]+(?!\d) {0,2}|,? {0,2}\b(?:and,? )?(?:then|after that|afterwards|(?:once|when|after) (?:that is done"
     r"|you have finished(?: that| it)?|you are done(?: with that| with it)?)"
     r"|later(?=,? \w)|next(?! to\b| time\b| week\b))\b,? {0,2}"
     rf"|,? {{1,2}}(?:and|but) {{1,2}}(?:you |please )?(?={COMMAND})"
-    rf"|[,:] {{0,2}}(?:(?:please|just|(?:could|can|would|will) you|you) ){{0,3}}(?={COMMAND})"
+    rf"|[,:] {{0,2}}(?:(?:please|just|so|(?:could|can|would|will) you|you) ){{0,3}}(?={COMMAND})"
 )
 REFERRING = re.compile(r"\b(?:it|them|that|those|these|this)\b(?! \w+(?:_| (?:bowl|table)))")
 CONDITIONAL = re.compile(
@@ -94,7 +94,8 @@ def _read(instruction: str, scene: Scene) -> tuple[Goal | Unread, str]:
     if reason := refused_clause(text):
         return Goal(decline=reason), instruction
     corrected = vocabulary.correct_spelling(text)
-    short = without_remarks(instruction, (*scene.graspable, *scene.receptive))
+    spoken = without_remarks(instruction, (*scene.graspable, *scene.receptive))
+    short = without_values(spoken)
     candidates = (
         (text, instruction),
         (corrected, corrected),
@@ -105,7 +106,7 @@ def _read(instruction: str, scene: Scene) -> tuple[Goal | Unread, str]:
     for words, shown in dict.fromkeys(candidates):
         goal = _read_words(words, scene, vocabulary)
         if isinstance(goal, Goal) and not goal.decline:
-            return goal, shown
+            return replace(goal, values=stated_values(spoken)), shown
         first = first or goal  # "bowll" is no absent thing
     return first or Unread("There is no instruction."), instruction
 
@@ -159,7 +160,7 @@ def _read_text(text: str, scene: Scene, vocabulary: Vocabulary) -> Goal | Unread
     conditions = _observe_moved(read.conditions)
     ordered = re.search(r"\b(?:then|after that|afterwards|once|when) \b", text) is not None
     pauses = 0 if conditions == (RobotEnds("still"),) else read.pauses
-    return Goal(conditions, movable=_movable(conditions), ordered=ordered, pauses=pauses, visits=read.visits)
+    return Goal(conditions=conditions, movable=_movable(conditions), ordered=ordered, pauses=pauses, visits=read.visits)
 
 
 def _topic(words: str, following: Sequence[str], vocabulary: Vocabulary) -> tuple[str, ...]:
@@ -203,7 +204,7 @@ def _read_conditional(condition: re.Match[str], scene: Scene, vocabulary: Vocabu
         other = f"{verb.group(1)} {other}"
     chosen = then if empty == (state in ("free", "empty")) else other
     if chosen is None:
-        return Goal((RobotEnds("still"),))
+        return Goal(conditions=(RobotEnds("still"),))
     return _read_text(re.sub(r"\bin (?:it|there)\b", f"in the {container}", chosen), scene, vocabulary)
 
 

@@ -52,8 +52,10 @@ NUMBER = (
     r"(?:\d{1,4}(?:[.,]\d{1,3})?|an?|one|two|three|four|five|six|seven|eight|nine|ten|eleven|twelve|fifteen|twenty"
     r"|thirty|forty|fifty|half an?)"
 )
+GAP = r"(?: |(?<=\d))"
+"""Between a number and its unit: a space, or nothing after a digit."""
 LENGTH = r"(?:cm|mm|centimet(?:er|re)s?|millimet(?:er|re)s?|met(?:er|re)s?|inch(?:es)?)"
-DURATION = rf"(?:for |of )?(?:(?:about|around|roughly|some|like|just) )*{NUMBER} ?(?:s|secs?|seconds?)(?: or so)?"
+DURATION = rf"(?:for |of )?(?:(?:about|around|roughly|some|like|just) )*{NUMBER}{GAP}(?:s|secs?|seconds?)(?: or so)?"
 PLACING_VERBS = (
     "put|place|move|set|drop|bring|stand|lay|transfer|carry(?! on)|take|get|deposit|shift|stow|pop|stick|collect"
     "|gather|"
@@ -74,7 +76,7 @@ OBSERVING_PHRASES = (
     "hold your hand over|go over|go above|show me|inspect|"
     "have a (?:quick |good |close |closer )?(?:look|peek) (?:at|on)|look on|(?:position|put|place|bring|hold|move) "
     "yourself (?:right |just )?(?:over|above)|"
-    rf"hover {NUMBER} ?{LENGTH} (?:over|above)|"
+    rf"hover {NUMBER}{GAP}{LENGTH} (?:over|above)|"
     "(?:go )?see|peek at|glance at|take a (?:quick |good |close |closer )?look at|take a (?:quick |good |close "
     "|closer )?(?:look|peek) on|take a peek at|check out|check|view|"
     "(?:position|put|place|bring|hold|move) (?:your|the) (?:hand|gripper|fingers|arm) (?:right |just )?(?:over|above)"

@@ -144,7 +144,8 @@ def _resolve(
     if other := NOT_COLOUR.fullmatch(phrase):
         every = f"all {other['head'].removeprefix('the ').removeprefix('that ')}"
         excluded = _resolve_one(f"all {other['colour']} {other['head'].split()[-1]}", objects, places)
-        left = _without(_resolve_one(every, objects, places), excluded)
+        whole = _resolve_one(every, objects, places)
+        left = whole if isinstance(excluded, Absent) else _without(whole, excluded)
         return left if not isinstance(left, Found) or len(left.names) == 1 else Unclear(f'"{phrase}" may be several')
     phrase = re.sub(
         rf"^(the |that |this |a )?(.+?) (?:that|which)(?: is|'s) (?:the )?({_COLOUR})(?: one)?$", r"\1\3 \2", phrase

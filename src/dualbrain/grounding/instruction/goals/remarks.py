@@ -16,6 +16,7 @@ from collections.abc import Collection
 from dualbrain.grounding.instruction.clauses.clause_patterns import POLITE_CONDITION
 from dualbrain.grounding.instruction.goals import goal_words
 from dualbrain.grounding.instruction.names import SIDES, singular
+from dualbrain.grounding.instruction.stated_values import VALUE_PHRASES
 from dualbrain.grounding.instruction.words import normalise
 
 _PRONOUN = r"(?:i|we|he|she|they|it|that|this|there|everyone|everybody|somebody|someone|nobody)(?:'(?:s|m|re|ve|d|ll))?"
@@ -53,12 +54,11 @@ _DEPENDENCE = re.compile(
 """Words by which a request can depend on the part, or by which the part continues a request."""
 _DEMAND = re.compile(
     r"\b(?:should|shall|must|ought|supposed|allowed|permitted|forbidden|let|please|make sure|ensure|goes|belongs?"
-    r"|stays?"
-    r"|remains?|leave|keep|mean|means|meant|order|orders|tell|tells|expect|prefers?|insists?|decided"
+    r"|stays?|remains?|leave|keep|mean|means|meant|order|orders|tell|tells|expect|prefers?|insists?|decided"
     r"|(?:has|have|needs?|wants?|is|are|like|likes|would like|would love|time) to (?:be|go|stay|have|get|end|stand|lie)"
-    r"|(?:want|wants|need|needs|like|likes|love|wish|asked|asks|ask) (?:for )?(?:it|them|that|this|these|those|you"
-    r"|one|some"
-    r"|all|both|everything|nothing)(?: (?:in|on|at|to|here|there|put|moved|done|back|away)\b|$))"
+    r"|(?:want|wants|need|needs|like|likes|love|wish|asked|asks|ask) (?:for )?"
+    r"(?:(?:it|them|you|one|some|all|both|everything|nothing)|(?:that|this|these|those)(?= (?:in|on|at|to|here"
+    r"|there|put|moved|done|back|away)\b|$)))\b"
 )
 """Words of a wish, an order or a permission: the part may be a request itself."""
 _OWN_DUTY = re.compile(r"^(?:i|we) (?:must|should|ought to|have to|need to|had to|have got to) (?!have\b)")
@@ -71,42 +71,24 @@ _OWN_ACTION = re.compile(
 _NEGATED_THING = re.compile(r"(?:it|that|this|they|there|the|those|these)\b.*\b(?:not|never|no|nothing)\b")
 _ABOUT_A_THING = re.compile(
     r"(?P<topic>(?:the |that |this |my |our )?(?:[a-z]+ ){0,2}[a-z]+) (?:is|was|looks|came|comes|has|nearly|almost"
-    r"|still)"
-    r" (?P<rest>[a-z' ]+)"
+    r"|still) (?P<rest>[a-z' ]+)"
 )
 _PRONOUN_OBJECT = re.compile(r"\b(?:it|that)\b(?! is\b| was\b)")
-_SOCIAL = re.compile(rf"(?:{goal_words.SOCIAL})(?: (?:{goal_words.SOCIAL}))*")
+_PHRASE = rf"(?>(?:{goal_words.SOCIAL})(?= |$))"
+_SOCIAL = re.compile(rf"{_PHRASE}(?: {_PHRASE})*+")
+"""Social phrases alone; the groups are atomic, so that the time is linear in the length of the text."""
 _SEVERAL = re.compile(r"\b(?:all|every|everything|each|both|any|[a-z]+s)\b(?= .*, (?:and |but )?not )")
 _CONTRAST = re.compile(r" ?, (?:and |but )?not (?:the |that )[a-z ]{2,25}?(?= ?[,.;:!?]| (?:in|into|on|onto|to|at) |$)")
 """The thing that is not meant: "the orange can, not the orange tin"."""
 _POLITE = re.compile(
     rf"(?:{POLITE_CONDITION.pattern})(?: (?:kind|good|nice|to|for me|to you|a (?:second|moment|minute)))*"
 )
-_NUMBER = (
-    r"(?:\d{1,4}(?:[.,]\d{1,3})?|a|an|one|two|three|four|five|six|seven|eight|nine|ten|eleven|twelve|fifteen|twenty|thirty"
-    r"|forty|fifty|half an?)"
-)
-_LENGTH = r"(?:cm|mm|m|centimet(?:er|re)s?|millimet(?:er|re)s?|met(?:er|re)s?|inch(?:es)?)"
-_BOUND = (
-    r"(?:(?:at most|no more than|not more than|less than|under|up to|about|around|roughly|exactly|only|just|max) )?"
-)
-_VALUES = re.compile(
-    rf",? ?(?:\b(?:at|with|using|by) )?(?:\ba )?(?:\b(?:top |low )?(?:speed|velocity|pace) (?:of |at )?)?{_BOUND}"
-    rf"\b{_NUMBER} ?{_LENGTH} ?(?:/|per|an?) ?(?:s|sec|second)\b(?: speed)?"
-    rf"|,? ?(?:\b(?:with|using|at) )?(?:\ba )?(?:\b(?:grip(?:ping)? force|grip|force|pressure) (?:of )?)?{_BOUND}"
-    rf"\b{_NUMBER} ?(?:n|newtons?)\b(?: of (?:grip|force|pressure|grip force))?"
-    rf"|,? ?\b(?:with|at|and) (?:a )?(?:clearance |height )?(?:of )?{_BOUND}{_NUMBER} ?{_LENGTH} (?:of )?"
-    r"(?:clearance|high|up|above the table|off the table|over the table)\b"
-    rf"|,? ?\b(?:with )?(?:a )?(?:lift(?:ing)? )?(?:height|clearance) (?:of )?{_BOUND}{_NUMBER} ?{_LENGTH}\b"
-)
-"""Numbers that a parameter of a skill takes: a speed, a force, a height."""
 
 
 def without_remarks(instruction: str, names: Collection[str]) -> str:
-    """The normal form of `instruction` without its remarks, courtesies and numbers; `names` are those of the scene."""
+    """The normal form of `instruction` without its remarks and courtesies; `names` are those of the scene."""
     text = re.sub(r"\b(mr|mrs|ms|dr) \.", r"\1", normalise(instruction).text)
     text = _POLITE.sub(" ", re.sub(r"(?<!\d )\bn\b(?! ?[/.\d])", "and", _without_accents(text)))
-    text = _VALUES.sub(" ", text)
     if not _SEVERAL.search(text):
         text = _CONTRAST.sub("", text)
     known = _scene_words(names)
@@ -118,6 +100,11 @@ def without_remarks(instruction: str, names: Collection[str]) -> str:
             kept += f"{text[position:start]} {topic}"
             position = end
     return _tidy(kept + text[position:])
+
+
+def without_values(text: str) -> str:
+    """`text` in normal form without numbers for parameters, which change no object and no destination."""
+    return _tidy(VALUE_PHRASES.sub(" ", text))
 
 
 def is_remark(part: str, known: Collection[str]) -> bool:

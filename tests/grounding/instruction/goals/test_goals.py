@@ -9,7 +9,7 @@ from dualbrain.grounding.instruction.goals.goal import Goal, Held, Observed, Pla
 from dualbrain.grounding.instruction.goals.goal_reading import MAX_CHARACTERS, corrected_instruction, read_goal
 from tests.grounding.outcome.tabletop_cases import BEFORE
 
-SENTENCES = Path(__file__).with_name("sentences.toml")
+SENTENCES = Path(__file__).parents[1] / "sentences.toml"
 CUBE, TIN, BLOCKS = ("red_cube",), ("green_tin",), ("red_block", "yellow_block")
 IN_BOWL, HOME = Placed(CUBE, "in", ("blue_bowl",)), RobotEnds("home")
 TIN_IN_BOWL, CUBE_LEFT = Placed(TIN, "in", ("blue_bowl",)), Placed(CUBE, "at", ("table_left",))
@@ -135,6 +135,7 @@ def test_only_the_objects_that_the_words_move_may_move(instruction, movable):
         ("open the drawer", 'can "open"'),
         ("put three blocks in the bowl", 'no "three blocks"'),
         ("put the green cube in the bowl", 'no "green cube"'),
+        ("push the bowl towards the red cube", "no skill moves"),
     ],
 )
 def test_an_instruction_that_nothing_can_carry_out_is_a_decline(instruction, part):
