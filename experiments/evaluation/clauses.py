@@ -25,7 +25,7 @@ from experiments.evaluation.instructions.instruction_set import CLAUSE_FILES, cl
 from experiments.figures.tables import format_proportion, markdown_table
 
 MAX_DECLINED_PLAIN = 2
-HELD_OUT = frozenset({"third"})
+HELD_OUT = frozenset({"third", "fourth"})
 """The sets whose errors are counted and never listed, so that the check is not corrected by them."""
 
 
@@ -34,7 +34,7 @@ class Clauses:
 
     name = "clauses"
     claim = (
-        "In each of three sets of 60 instructions with a clause that contracts cannot express and 60 without one, the "
+        "In each of four sets of 60 instructions with a clause that contracts cannot express and 60 without one, the "
         f"local check declines and names every clause, and declines at most {MAX_DECLINED_PLAIN} of the others. No "
         "instruction with a clause that the check passes on is read as one without it, so that none is shortened in "
         "silence: its outcome is reported as not judged."
@@ -78,6 +78,7 @@ class Clauses:
             "with a clause: passed on",
             "passed on, and could be confirmed without it",
             "without one: declined",
+            "without one: goal read",
         )
         lines = markdown_table(
             head, [(name, *shares([r for r in rows if r["collection"] == name])) for name in collections]
@@ -88,17 +89,17 @@ class Clauses:
         return lines + (markdown_table(("", "instruction", "answer of the check"), cells) if wrong else [])
 
 
-def shares(rows: list[Row]) -> tuple[str, str, str, str]:
-    """Of the `rows` of one set: clauses declined and named, passed on, passed on and read; others declined."""
+def shares(rows: list[Row]) -> tuple[str, ...]:
+    """Of the `rows` of one set: clauses declined and named, passed on, passed on and read; others declined, read."""
     clause, plain = ([row for row in rows if row["set"] == part] for part in ("clause", "plain"))
     counts = (
         (sum(map(is_right, clause)), len(clause)),
         (sum(row["refusal"] is None for row in clause), len(clause)),
         (sum(row["refusal"] is None and row["read"] for row in clause), len(clause)),
         (sum(row["refusal"] is not None for row in plain), len(plain)),
+        (sum(row["refusal"] is None and row["read"] for row in plain), len(plain)),
     )
-    named, passed, read, declined = (format_proportion(*count) for count in counts)
-    return named, passed, read, declined
+    return tuple(format_proportion(*count) for count in counts)
 
 
 def rows_by_kind(rows: list[Row], collections: list[str]) -> list[tuple[str, ...]]:

@@ -39,7 +39,12 @@ REQUIRED_FIELDS: dict[PredicateKind, tuple[str, ...]] = {
 """The fields that each kind of predicate needs; `any_of` with `count` may replace `object`."""
 FREE_FILES = {"second": "free_second.toml", "first": "free.toml"}
 """The files of the sets of free instructions, by the name of the set; the identifiers of one set are in no other."""
-CLAUSE_FILES = {"first": "clauses.toml", "second": "clauses_second.toml", "third": "clauses_third.toml"}
+CLAUSE_FILES = {
+    "first": "clauses.toml",
+    "second": "clauses_second.toml",
+    "third": "clauses_third.toml",
+    "fourth": "clauses_fourth.toml",
+}
 """The files of the sets of instructions with and without clauses, by the name of the set."""
 
 
@@ -92,12 +97,13 @@ class ClauseInstruction(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
 
 
 class PlainInstruction(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One instruction without such a clause."""
+    """One instruction without such a clause; `meaning` states its goal in the names of the scene."""
 
     kind: str
     text: str
     robot: str
     scene: str
+    meaning: str = ""
 
 
 class FreeInstructions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
