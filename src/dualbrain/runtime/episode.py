@@ -26,7 +26,7 @@ from dualbrain.planner.protocol import describe_failure, has_answer
 from dualbrain.records import Attempt, Episode, Judgement, Outcome, RetrievedContext
 from dualbrain.runtime.agent import Agent
 from dualbrain.runtime.planning.episode_request import EpisodeRequest
-from dualbrain.runtime.planning.local_answer import answer_locally, judge_stop, local_outcome
+from dualbrain.runtime.planning.local_answer import answer_locally, explain_refusal, judge_stop, local_outcome
 from dualbrain.runtime.planning.planner_request import PlanningContext, build_request, retrieve
 from dualbrain.runtime.planning.planning_time import PlanningClock, decision_timings
 from dualbrain.runtime.planning.proposing import (
@@ -217,4 +217,5 @@ def _judge(
     )
     if isinstance(decision.local_answer, StopCommand):
         judged = judge_stop(outcome, judged)
-    return judge_decline(judged, request.instruction, evidence)
+    judged = judge_decline(judged, request.instruction, evidence)
+    return explain_refusal(decision.local_answer, judged) if isinstance(decision.local_answer, Refusal) else judged

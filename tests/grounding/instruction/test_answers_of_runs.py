@@ -56,6 +56,14 @@ def test_a_declined_instruction_reaches_no_planner(words, tmp_path):
     assert story.displacement < MAX_DISPLACEMENT
 
 
+def test_a_refusal_because_of_a_number_states_that_nothing_was_done(tmp_path):
+    story = run_session(run_config(tmp_path, instruction="grip the red cube with 2 newtons"), MOVE)
+    assert story.episode.outcome.kind == "declined"
+    assert "grasp takes 5 to 60 N" in story.episode.outcome.reason
+    assert not story.episode.judgement.success
+    assert "no contract within the bounds" in story.episode.judgement.basis.reason
+
+
 def test_the_refusal_of_a_clause_quotes_it_in_the_outcome(tmp_path):
     story = run_session(run_config(tmp_path, instruction=DECLINED[0]), MOVE)
     assert '"to the left of the bowl"' in story.episode.outcome.reason

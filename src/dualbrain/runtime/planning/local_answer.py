@@ -111,3 +111,11 @@ def judge_stop(outcome: Outcome, judgement: Judgement | None) -> Judgement | Non
         return judgement
     basis = JudgementBasis(reason="The robot stopped, as the stop command states.")
     return msgspec.structs.replace(judgement, success=True, progress=1.0, basis=basis)
+
+
+def explain_refusal(refusal: Refusal, judgement: Judgement | None) -> Judgement | None:
+    """`judgement` with the reason of a refusal because of the hand or of a number: the task was not done."""
+    if judgement is None or refusal.kind not in ("grasp", "number"):
+        return judgement
+    basis = JudgementBasis(reason="Nothing was done: no contract within the bounds of the robot carries this out.")
+    return msgspec.structs.replace(judgement, success=False, basis=basis)
