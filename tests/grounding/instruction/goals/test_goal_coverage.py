@@ -1,5 +1,6 @@
 """A contract that leaves out a part of the instruction, or does more, is rejected before it moves the robot."""
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -8,12 +9,13 @@ from dualbrain.adaptation.synthetic.templates import load_templates
 from dualbrain.contracts.contract import Action, Context, Contract
 from dualbrain.contracts.schema import MAX_ACTIONS
 from dualbrain.grounding.instruction.correspondence import INSTRUCTION_POINTER
-from dualbrain.grounding.instruction.goals.goal import Goal, Held, Placed
+from dualbrain.grounding.instruction.goals.goal import Goal, Held, Placed, RobotEnds
 from dualbrain.grounding.instruction.goals.goal_coverage import find_uncovered, find_unfounded_decline
 from dualbrain.grounding.instruction.goals.goal_reading import read_goal
 from dualbrain.grounding.instruction.review import review_instruction
 from dualbrain.grounding.offline_gate import scene_from_spec
 from dualbrain.grounding.vocabulary import scene_names_of_spec
+from dualbrain.records import Place
 from dualbrain.robots.loader import load_robot
 from dualbrain.runtime.data_collection.synthetic_scenes import load_phrasings
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
@@ -26,6 +28,15 @@ BOWL = ("place", {"destination": "blue_bowl"})
 PUSH = ("push", {"object": "red_cube", "destination": "blue_bowl"})
 CUBE, TIN, RED, YELLOW, GLASS = (
     ("grasp", {"object": name}) for name in ("red_cube", "green_tin", "red_block", "yellow_block", "clear_glass")
+)
+
+
+PAUSE = ("hold", {"duration": 5.0})
+FLOOR = msgspec.structs.replace(
+    BEFORE,
+    objects=(),
+    places=(Place("shelf", (1.0, 0.0, 0.0)), Place("charger", (2.0, 0.0, 0.0))),
+    region=((0.0, -2.0), (4.0, -2.0), (4.0, 2.0), (0.0, 2.0)),
 )
 
 
@@ -57,6 +68,8 @@ def uncovered(instruction, *steps, holding=None):
             [CUBE, LEFT, TIN, BOWL],
             "green tin, then red cube",
         ),
+        ("pick up the red cube, wait five seconds, then put it in the bowl", [CUBE, BOWL], "asks the robot to wait"),
+        ("lift the red cube and hold it for five seconds", [CUBE], "asks the robot to wait"),
         ("pick up the red cube", [CUBE, LEFT], "hold red cube at the end"),
         ("pick up the red cube", [TIN], "hold red cube at the end"),
         ("push the red cube toward the bowl", [CUBE, BOWL], "push red cube to blue bowl"),
@@ -79,6 +92,17 @@ def test_a_contract_that_does_not_do_the_whole_instruction_is_rejected_with_a_hi
 
 
 @pytest.mark.parametrize(
+    ("places", "covered"),
+    [(["charger", "shelf"], True), (["shelf", "charger"], False), (["shelf"], False), (["charger"], False)],
+)
+def test_a_contract_visits_every_place_of_the_words_in_their_order(places, covered):
+    goal = read_goal("drive to the charger, then to the shelf", FLOOR)
+    assert (goal.visits, goal.conditions) == (("charger",), (RobotEnds("drive", "shelf"),))
+    steps = [("drive_to", {"place": place}) for place in places]
+    assert (find_uncovered(contract(*steps), goal, FLOOR) is None) == covered
+
+
+@pytest.mark.parametrize(
     ("instruction", "steps", "holding"),
     [
         ("put all blocks in the bowl", [YELLOW, BOWL, RED, BOWL], None),
@@ -88,6 +112,7 @@ def test_a_contract_that_does_not_do_the_whole_instruction_is_rejected_with_a_hi
         ("put the red cube in the bowl", [CUBE, BOWL, HOME], None),
         ("put the red cube near table_left", [CUBE, LEFT], None),
         ("put the tin in the bowl, then put the red cube on table_left", [TIN, BOWL, CUBE, LEFT], None),
+        ("pick up the red cube, wait five seconds, then put it in the bowl", [CUBE, PAUSE, BOWL], None),
         ("pick up the red cube", [HOME], "red_cube"),
         ("do not grasp the red cube, push it toward the bowl", [PUSH], None),
         ("pick up the red cube, then go home", [CUBE, HOME], None),

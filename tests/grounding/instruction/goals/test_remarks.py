@@ -46,6 +46,7 @@ def test_a_goal_is_read_beside_remarks(words, conditions):
         "we move the tin afterwards",
         "the tin stays here",
         "she decides first",
+        "we lift that up now",
         "if it rings I will wave",
         "the green one is wrong",
         "all but the tin",
