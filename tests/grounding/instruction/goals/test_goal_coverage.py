@@ -70,6 +70,7 @@ def uncovered(instruction, *steps, holding=None):
         ),
         ("pick up the red cube, wait five seconds, then put it in the bowl", [CUBE, BOWL], "asks the robot to wait"),
         ("lift the red cube and hold it for five seconds", [CUBE], "asks the robot to wait"),
+        ("put the red cube in the bowl for ten seconds", [CUBE, BOWL], "asks the robot to wait"),
         ("pick up the red cube", [CUBE, LEFT], "hold red cube at the end"),
         ("pick up the red cube", [TIN], "hold red cube at the end"),
         ("push the red cube toward the bowl", [CUBE, BOWL], "push red cube to blue bowl"),

@@ -21,7 +21,7 @@ from dualbrain.grounding.instruction.goals.goal import (
 )
 from dualbrain.grounding.instruction.goals.noun_phrases import Found, Vocabulary
 from dualbrain.grounding.instruction.goals.remarks import without_remarks, without_values
-from dualbrain.grounding.instruction.stated_values import stated_values
+from dualbrain.grounding.instruction.stated_values import StatedValue, stated_values
 from dualbrain.grounding.outcome.spatial_relations import is_container_empty
 from dualbrain.records import Scene
 
@@ -106,9 +106,15 @@ def _read(instruction: str, scene: Scene) -> tuple[Goal | Unread, str]:
     for words, shown in dict.fromkeys(candidates):
         goal = _read_words(words, scene, vocabulary)
         if isinstance(goal, Goal) and not goal.decline:
-            return replace(goal, values=stated_values(spoken)), shown
+            return _with_values(goal, stated_values(spoken)), shown
         first = first or goal  # "bowll" is no absent thing
     return first or Unread("There is no instruction."), instruction
+
+
+def _with_values(goal: Goal, values: tuple[StatedValue, ...]) -> Goal:
+    """`goal` with the numbers of an instruction; a time is that of a pause, unless the goal is to wait."""
+    waits = any(one.parameter == "duration" for one in values) and goal.conditions != (RobotEnds("still"),)
+    return replace(goal, values=values, pauses=max(goal.pauses, int(waits)))
 
 
 def _read_words(text: str, scene: Scene, vocabulary: Vocabulary) -> Goal | Unread:
