@@ -42,6 +42,7 @@ PUSH = {"object": "red_cube", "destination": "blue_bowl", "speed": 0.2, "clearan
         ("push it four inches", ["a distance of 0.102 m"]),
         ("be so kind as to put an orange tin in the bowl", []),
         ("the 5 cm cube into the bowl", []),
+        ("wait a second, then half a second", ["a duration of 0.5 s"]),
     ],
 )
 def test_numbers_are_read_in_si_units(words, values):

@@ -42,7 +42,8 @@ _GAP = r"(?: |(?<=\d))"
 _LENGTH = r"(?P<unit>mm|cm|m|inch(?:es)?|millimet(?:er|re)s?|centimet(?:er|re)s?|met(?:er|re)s?)"
 _SPEED = re.compile(rf"{_NUMBER}{_GAP}{_LENGTH} ?(?:/|per|an?|each|every|in one) ?(?:s|sec|second)\b")
 _FORCE = re.compile(rf"{_NUMBER}{_GAP}(?:n|newtons?)\b")
-_DURATION = re.compile(rf"{_NUMBER}{_GAP}(?:s|secs?|seconds?)\b")
+_DURATION = re.compile(rf"(?!\ban? sec){_NUMBER}{_GAP}(?:s|secs?|seconds?)\b")
+"""A time; "a second" is an idiom."""
 _DISTANCE = re.compile(rf"{_NUMBER}{_GAP}{_LENGTH}\b")
 _PATTERNS: dict[StatedParameter, re.Pattern[str]] = {"speed": _SPEED, "force": _FORCE, "duration": _DURATION}
 """In this order, so that the "s" of a speed is no duration."""

@@ -119,7 +119,7 @@ PARTICIPLES = {
     "tidied": "tidy",
     "transferred": "transfer",
 }
-_PARTICIPLE = "|".join(PARTICIPLES.keys() - {"go", "be"})
+_PARTICIPLE = "|".join(verb for verb in PARTICIPLES if verb not in ("go", "be"))
 PASSIVE = (
     re.compile(
         rf"(?:could|can|might|may|would|will|should|must) (?P<object>.+?) be (?P<verb>{_PARTICIPLE}) (?P<rest>.+)"
