@@ -165,20 +165,24 @@ class Worker:
                 yield {"key": unit.row_key(order), **line}
 
     def _plan_batch(self, cases: Sequence[Case], method: Method, robot: str) -> Iterator[dict[str, Any]]:
-        """The requests of `cases`, answered in parallel where the planner can."""
+        """The requests of `cases`, answered in parallel where the planner can; a case that asks no planner has none."""
         planner, collector = self._planners.get(method, robot), _RequestCollector()
+        asks: list[bool] = []
         for case in cases:
+            before = len(collector.requests)
             run_case(
                 case,
                 method,
                 EpisodeResources(id="plan", planner=collector, clock=self._config.clock, planning_time=0.0),
             )
+            asks.append(len(collector.requests) > before)
         fresh = [not planner.is_cached(request) for request in collector.requests]
         start = self._config.clock()
         if any(fresh):
             planner.propose_uncached([request for request, new in zip(collector.requests, fresh, strict=True) if new])
         each = (self._config.clock() - start) / max(1, sum(fresh))
-        for new in fresh:
+        answered = iter(fresh)
+        for new in (asked and next(answered) for asked in asks):
             yield {"asked": int(new), "planner_s": each if new else 0.0}
 
     # --- with memory ----------------------------------------------------------------------------------------------
