@@ -17,10 +17,16 @@ from dualbrain.control.control_loop import ControlLoopConfig, LoopInputs
 from dualbrain.evaluation.analysis.failure_taxonomy import FAILURE_TAXONOMY, FailureEvidence, classify_failure
 from dualbrain.evaluation.fault_injection.faults import Fault
 from dualbrain.evaluation.fault_injection.trial import run_fault_trial
+from dualbrain.grounding.envelope.robot_at_site import open_robot_at_site
+from dualbrain.grounding.instruction.review import Refusal
+from dualbrain.grounding.offline_gate import scene_from_spec
 from dualbrain.planner.protocol import is_answer
+from dualbrain.planner.scripted import ScriptedPlanner
 from dualbrain.records import Outcome
 from dualbrain.robots.loader import load_robot
 from dualbrain.runtime.assembly import SimulatedCell
+from dualbrain.runtime.inspection.dry_run import context_at_home
+from dualbrain.runtime.planning.local_answer import answer_locally
 from dualbrain.simulation.perception.noisy_perception import NoisyPerception, PerceptionNoise
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from dualbrain.simulation.tasks.placement import PlacementGoal
@@ -57,6 +63,7 @@ class FailureExample(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     hidden: str = ""
     interrupt_s: float = float("inf")
     answer: tuple[str, str] | None = None
+    instruction: str = ""
     fault: tuple[str, str] | None = None
     cheap: bool = False
 
@@ -84,6 +91,8 @@ def replay(example: FailureExample) -> tuple[str, Row]:
     """Run an example; the class that it has now, and what the robot and the monitor reported."""
     if example.fault is not None:
         evidence, success = _replay_fault(example), False
+    elif example.instruction:
+        evidence, success = _review_instruction(example), False
     elif example.answer is not None:
         evidence, success = _evidence_without_motion(example), False
     else:
@@ -147,6 +156,23 @@ def _evidence_without_motion(example: FailureExample) -> FailureEvidence:
         reason=example.answer[1],
         claimed=False,
         answered=is_answer(example.answer[1]),
+    )
+
+
+def _review_instruction(example: FailureExample) -> FailureEvidence:
+    """The answer of the local layer to the words of an example, before any planner is asked."""
+    context = context_at_home(
+        open_robot_at_site(example.robot), scene_from_spec(open_scene(example.scene, example.robot))
+    )
+    answer = answer_locally(example.instruction, context, ScriptedPlanner([]))
+    declined = isinstance(answer, Refusal)
+    return FailureEvidence(
+        moved=False,
+        on_task=False,
+        declined=declined,
+        outcome="declined" if declined else "asked",
+        reason=answer.reason if isinstance(answer, Refusal) else "",
+        claimed=False,
     )
 
 
