@@ -1,6 +1,7 @@
 """Estimates of obstacles: always valid, never a fall of h by noise, and introduced at a declared rate after a jump."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -10,10 +11,9 @@ from dualbrain.control.obstacle_estimates import (
     PERSON_ACCELERATION,
     RESERVE,
     ObstacleEstimates,
-    RobotCover,
-    RobotSpheres,
     with_acceleration,
 )
+from dualbrain.control.robot_cover import RobotCover, RobotSpheres
 from dualbrain.core.geometry.shapes import Box, Pose, Sphere
 from dualbrain.robots.interface import home_state
 from dualbrain.robots.loader import load_robot
@@ -27,14 +27,14 @@ def obstacle(x, error=ERROR, name="cup", **fields):
     return Obstacle(name=name, shape=Sphere(RADIUS), pose=Pose((float(x), 0.0, 0.0)), margin=error, **fields)
 
 
-def robot_at(x, permits=()):
+def robot_at(x, permits=(), age=0.0):
     """One sphere of 5 cm at x on the axis of the obstacles."""
-    return RobotCover(np.array([[x, 0.0, 0.0]]), np.array([0.05]), (("left_hand", "hand"),), frozenset(permits))
+    return RobotCover(np.array([[x, 0.0, 0.0]]), np.array([0.05]), (("left_hand", "hand"),), frozenset(permits), age)
 
 
-def near(h):
+def near(h, age=0.0):
     """The robot whose h from an obstacle at x = 0 is `h`."""
-    return robot_at(0.05 + RADIUS + ERROR + h)
+    return robot_at(0.05 + RADIUS + ERROR + h, age=age)
 
 
 class Updates:
@@ -114,6 +114,26 @@ def test_the_margin_of_an_object_that_moved_is_introduced_at_the_declared_rate()
     assert np.allclose(np.diff(margins)[:-1], INTRODUCTION_RATE * PERIOD)
     assert len(margins) <= 2 + (0.004 + RESERVE) / (INTRODUCTION_RATE * PERIOD)
     assert updates.see(moved_one)[0] == moved_one
+
+
+@pytest.mark.parametrize("age", [0.0, 0.02, 0.05])
+def test_the_margin_of_an_old_observation_begins_at_the_reserve_in_the_next_step(age):
+    updates = Updates(near(0.02, age))
+    updates.see(obstacle(0.0))
+    (got,) = updates.see(obstacle(0.024))
+    assert np.isclose(updates.h(got), RESERVE)
+    assert np.isclose(got.margin, ERROR - 0.004 - RESERVE - INTRODUCTION_RATE * age)
+    assert np.isclose(updates.estimates.begun["cup"], 0.004 + RESERVE), "the growth until the step is no shortage"
+
+
+def test_a_moving_obstacle_counts_where_it_is_in_the_next_step():
+    velocity, age = (0.1, 0.0, 0.0), 0.02
+    updates = Updates(near(0.05, age))
+    updates.see(obstacle(0.0, velocity=velocity, velocity_error=0.02))
+    updates.robot = near(0.001, age)
+    (got,) = updates.see(obstacle(0.0, velocity=velocity, velocity_error=0.02), moved=("cup",))
+    assert np.isclose(got.margin + age * got.velocity_error, ERROR + 0.001 - 0.1 * age - RESERVE)
+    assert np.isclose(updates.h(got), RESERVE)
 
 
 def test_an_obstacle_that_overlaps_the_robot_has_a_negative_h():
@@ -202,16 +222,51 @@ def test_permitted_pairs_have_no_clearance():
     assert robot_at(0.09, permits={("hand", "mug")}).clearance(obstacle(0.0)) < 0.1
 
 
-def test_the_cover_of_a_robot_gives_the_barrier_value_of_the_filter():
+@pytest.mark.parametrize("age", [0.0, 0.04])
+def test_the_cover_of_a_robot_gives_the_barrier_value_of_the_filter(age):
     model = load_robot("panda")
     safety, state = SafetyFilter(model), home_state(model)
     tool = safety.tool(state.q)
     safety.attach([[0.0, 0.0, 0.05, 0.03]], 0.009)
     x, y, z = tool.position.tolist()
-    cup = Obstacle(name="cup", shape=Sphere(0.03), pose=Pose((x, y + 0.105, z - 0.03)), margin=0.009)
-    safety.observe([cup])
-    result = safety(state.q, state.v, np.zeros(model.n), 0.0, state.opening)
-    assert abs(RobotSpheres(safety).at(state).clearance(cup) - result.h_min) < 5e-5
-    safety.permit([Contact("held", "cup", 0.05)])
-    result = safety(state.q, state.v, np.zeros(model.n), 0.0, state.opening)
-    assert abs(RobotSpheres(safety).at(state).clearance(cup) - result.h_min) < 5e-5
+    pose = Pose((x, y + 0.105, z - 0.03))
+    cup = Obstacle(
+        name="cup", shape=Sphere(0.03), pose=pose, margin=0.009, velocity=(0.0, -0.05, 0.02), velocity_error=0.02
+    )
+    safety.observe([cup], stamp=1.0)
+    result = safety(state.q, state.v, np.zeros(model.n), 1.0 + age, state.opening)
+    cover = RobotSpheres(safety).at(state, age)
+    assert abs(cover.clearance(cup) - result.h_min) < 5e-5
+    groups = {part for parts in cover.parts for part in parts}
+    assert min(cover.part_clearance(part, cup) for part in groups) == cover.clearance(cup)
+    safety.permit([Contact("fingers", "cup", 0.05)])
+    safety(state.q, state.v, np.zeros(model.n), 1.0 + age, state.opening)
+    rows = [row for row in safety.rows() if "cup" in row.name and not safety.is_permitted(row.kind, row.i, row.j)]
+    permitted = RobotSpheres(safety).at(state, age)
+    assert abs(permitted.clearance(cup) - min(row.h for row in rows)) < 5e-5
+    assert permitted.clearance(cup) > permitted.part_clearance("fingers", cup) == cover.clearance(cup)
+    assert cover.part_clearance("tail", cup) == np.inf
+
+
+def test_an_introduced_margin_leaves_h_of_the_filter_intact_though_the_observation_is_old():
+    """The object moves next to the robot; it was observed 33 ms before the step."""
+    model = load_robot("panda")
+    safety, state = SafetyFilter(model), home_state(model)
+    spheres, estimates = RobotSpheres(safety), ObstacleEstimates()
+    x, y, z = safety.tool(state.q).position.tolist()
+
+    def cup_at(offset):
+        return Obstacle(name="cup", shape=Sphere(0.03), pose=Pose((x, y + offset, z)), margin=ERROR)
+
+    def step(offset, stamp):
+        found = estimates.update(
+            [cup_at(offset)], stamp, moved=(), h_min=0.0, cover=lambda: spheres.at(state, age=PERIOD)
+        )
+        safety.observe(found, stamp)
+        return safety(state.q, state.v, np.zeros(model.n), stamp + PERIOD, state.opening)
+
+    free = step(0.3, 0.0)
+    gap = next(offset for offset in np.arange(0.3, 0.0, -0.001) if spheres.at(state).clearance(cup_at(offset)) < -0.004)
+    result = step(gap, 0.1)
+    assert estimates.begun["cup"] > 0.004
+    assert free.h_min > result.h_min > 0.9 * RESERVE

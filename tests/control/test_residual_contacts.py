@@ -1,5 +1,6 @@
 """A hand that is stopped at an object: the grasp is completed, or the hand may leave the object without a conflict."""
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -12,6 +13,7 @@ from dualbrain.robots.interface import home_state
 from dualbrain.robots.loader import load_robot
 from dualbrain.runtime.assembly import SimulatedCell
 from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.safety.cbf.obstacles import Contact, obstacle_from_checked_object
 from dualbrain.safety.supervisor.conditions import Condition
 from dualbrain.simulation.perception.noisy_perception import NoisyPerception, PerceptionNoise
 from dualbrain.simulation.plant.plant import Plant
@@ -116,6 +118,8 @@ def cube_near(gap, part="fingers"):
 
 
 FINGERS, LOAD = PermittedContact("fingers", "cube", 0.05), PermittedContact("held", "table", 0.05)
+ENDING = PermittedContact("fingers", "cube", 0.0)
+"""FINGERS after the end of its phase: the pair may not approach."""
 
 
 @pytest.mark.parametrize("gap", [-0.01, 0.0, 0.8 * CLEARANCE, 1.2 * CLEARANCE, 0.1])
@@ -157,7 +161,7 @@ def test_a_permit_that_ends_with_its_phase_remains_until_the_margin_is_intact(ga
     safety, state, scene = cube_near(gap)
     residual = ResidualContacts(safety)
     residual.keep_until_intact((FINGERS,), state, scene, held=None)
-    assert (residual.contacts == (FINGERS,)) == stays
+    assert (residual.contacts == (ENDING,)) == stays
     if stays:
         _, _, away = cube_near(1.2 * INTACT_CLEARANCE)
         assert residual.update(state, away)
@@ -178,4 +182,42 @@ def test_a_stop_keeps_a_permit_that_was_ending_until_the_pair_is_clear():
     residual.retain("descend", residual.combine(()), state, scene)
     _, _, near = cube_near(0.8 * CLEARANCE)
     assert not residual.update(state, near)
-    assert residual.contacts == (FINGERS,)
+    assert residual.contacts == (ENDING,)
+
+
+def test_a_permit_remains_while_the_estimate_in_force_or_the_load_is_not_intact():
+    safety, state, scene = cube_near(2.0 * INTACT_CLEARANCE)
+    (cube,) = scene.objects
+    safety.observe([obstacle_from_checked_object(cube, 0.0, known=True, clearance=1.5 * INTACT_CLEARANCE)])
+    residual = ResidualContacts(safety)
+    residual.keep_until_intact((FINGERS,), state, scene, held=None)
+    assert residual.contacts == (ENDING,), "the filter has another estimate in force"
+    safety.observe([obstacle_from_checked_object(cube, 0.0, known=True)])
+    residual.update(state, scene)
+    assert residual.contacts == ()
+    x, y, z = safety.tool(state.q).position.tolist()
+    held, error = PermittedContact("held", "cube", 0.05), 0.009
+    low = Pose((x, y, z - 0.02 - 0.02 - 1.5 * INTACT_CLEARANCE))
+    cube = msgspec.structs.replace(cube, pose=low)
+    scene = msgspec.structs.replace(scene, objects=(cube,))
+    for error, stays in ((0.0, False), (0.009, True)):
+        safety.attach([[0.0, 0.0, 0.0, 0.02]], error)
+        residual = ResidualContacts(safety)
+        residual.keep_until_intact((held,), state, scene, held=None)
+        assert (residual.contacts != ()) == stays, "the error of the load counts"
+
+
+def test_the_end_of_a_permit_neither_makes_the_margin_short_nor_lets_the_pair_approach():
+    """A low lift: the margin of the load over the table is short by millimetres when the load is carried on."""
+    safety, state, scene = cube_near(-0.003, part="hand")
+    (cube,) = scene.objects
+    safety.observe([obstacle_from_checked_object(cube, 0.0, known=True)])
+    residual = ResidualContacts(safety)
+    residual.keep_until_intact((PermittedContact("hand", "cube", 0.05),), state, scene, held=None)
+    safety.permit([Contact(one.robot_part, one.obstacle, one.speed) for one in residual.combine(())])
+    down = np.linalg.lstsq(safety.tool(state.q).jacobian[:3], np.array([0.0, 0.0, -0.1]), rcond=None)[0]
+    result = None
+    for k in range(300):
+        result = safety(state.q, state.v, down, 0.001 * k, state.opening)
+        assert result.h_min >= 0.0, "the pair is permitted"
+    assert (safety.tool(state.q).jacobian @ result.u)[2] > -1e-3

@@ -12,9 +12,10 @@ from math import inf
 from typing import Protocol
 
 from dualbrain.control.margin_causes import MarginMonitor
-from dualbrain.control.obstacle_estimates import INTRODUCTION_RATE, ObstacleEstimates, RobotSpheres, with_acceleration
+from dualbrain.control.obstacle_estimates import INTRODUCTION_RATE, ObstacleEstimates, with_acceleration
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.residual_contacts import ResidualContacts
+from dualbrain.control.robot_cover import RobotSpheres
 from dualbrain.control.scene_monitor import SceneMonitor, effective_stamp
 from dualbrain.control.scene_smoothing import SceneSmoother
 from dualbrain.grounding.envelope.object_limits import limits_in_words, with_object_limits
@@ -530,12 +531,13 @@ class ControlLoop:
 
     def _estimate(self, obstacles: tuple[Obstacle, ...], *, grasped: bool) -> tuple[Obstacle, ...]:
         """The valid estimates of `obstacles` that keep the margins as far as possible."""
+        age = self.now - effective_stamp(self.scene)
         estimates = self._estimates.update(
             [with_acceleration(one, self.config.perception_period) for one in obstacles],
             self.scene.stamp,
             moved=self._moving_objects(),
             h_min=self._last_h_min,
-            cover=lambda: self._robot_spheres.at(self.state),
+            cover=lambda: self._robot_spheres.at(self.state, age),
             grasped=grasped,
         )
         for name, shortage in self._estimates.begun.items():

@@ -12,25 +12,23 @@ place, or if an object appears there or is grasped next to it, its margin is *in
 h = `RESERVE`, and grows with `INTRODUCTION_RATE` to its full value. The obstacle itself is at its new place at once.
 Meanwhile the rows demand that the robot retreats from it at that rate, and the margin in force is smaller than the
 error bound. An obstacle that overlaps the robot by more than its margin has h < 0.
+
+An observation is older than the step of the filter that uses it, and margins grow from its stamp. All values of h here
+are those of the next step (`RobotCover`), and the margin of an introduced obstacle begins smaller by the growth until
+then.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from math import asin, dist, hypot, inf
+from math import asin, dist, inf
 
 import msgspec
-import numpy as np
-from numpy.typing import NDArray
 
-from dualbrain.core.geometry.distance import signed_distance
-from dualbrain.core.geometry.shapes import Box, Capsule, Pose, Sphere
-from dualbrain.robots.interface import RobotState
-from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.control.robot_cover import RobotCover, extent
+from dualbrain.core.geometry.shapes import Pose, Sphere
 from dualbrain.safety.cbf.obstacles import Obstacle
-
-Array = NDArray[np.float64]
 
 RESERVE = 5e-4
 """Barrier value h [m] down to which a new observation is taken over completely."""
@@ -44,64 +42,6 @@ MAX_TURN = 5e-4
 """Motion of the surface by a turn of the obstacle [m] up to which the former estimate, grown by it, stays valid."""
 MAX_HELD_TIME = 1.0
 """Time [s] without an observation after which the former estimate of an obstacle is not used any more."""
-
-
-@dataclass(frozen=True, slots=True)
-class RobotCover:
-    """Spheres of the robot that keep away from obstacles: centres (k, 3) [m], radii (k,) [m], parts by sphere.
-
-    The radii include the error of a grasped object. `parts` holds for each sphere the names by which permits refer to
-    it. `permits` are the permitted pairs of a part and an obstacle.
-    """
-
-    centres: Array
-    radii: Array
-    parts: tuple[tuple[str, ...], ...]
-    permits: frozenset[tuple[str, str]] = frozenset()
-
-    def clearance(self, obstacle: Obstacle) -> float:
-        """Least h [m] of `obstacle` and all spheres without a permit; infinite if there are none."""
-        centres, radii = self.centres, self.radii
-        permitted = {part for part, name in self.permits if name == obstacle.name}
-        if permitted:
-            kept = [i for i, parts in enumerate(self.parts) if permitted.isdisjoint(parts)]
-            centres, radii = centres[kept], radii[kept]
-        distances = signed_distance(obstacle.shape, obstacle.pose, centres) - radii
-        return float(distances.min(initial=inf)) - obstacle.margin
-
-    def is_clear(self, obstacle: Obstacle) -> bool:
-        """Whether h of all spheres is at least `RESERVE`, by the bounding sphere of `obstacle`: sufficient and fast."""
-        offsets = self.centres - np.asarray(obstacle.pose.position)
-        nearest = float((np.sqrt(np.einsum("ij,ij->i", offsets, offsets)) - self.radii).min(initial=inf))
-        return nearest - _extent(obstacle) - obstacle.margin >= RESERVE
-
-
-class RobotSpheres:
-    """The spheres of the robot of one filter, without those of a base that is bolted down."""
-
-    def __init__(self, safety: SafetyFilter) -> None:
-        """Find the parts of all spheres of the robot model."""
-        self._safety = safety
-        model = safety.robot_model
-        links = [link for link in model.links for sphere in model.spheres if sphere.link == link.name]
-        self._count = len(links)
-        self._first = np.array([i for i, link in enumerate(links) if link.frame > 0], np.intp)
-        self._parts: tuple[tuple[str, ...], ...] = tuple((link.name, link.group) for link in links if link.frame > 0)
-        compensated = not model.is_mobile and safety.config.lag_compensation
-        self._lag = model.tracking.lag if compensated else 0.0
-
-    def at(self, state: RobotState) -> RobotCover:
-        """The spheres at `state`, as the filter places them, and its permits."""
-        q = np.asarray(state.q, np.float64)
-        if self._lag:
-            q = q + self._lag * np.asarray(state.v, np.float64)
-        centres, radii, groups = self._safety.spheres(q, state.opening)
-        tables, held = self._safety.tables, np.arange(self._count, len(radii))
-        chosen = np.concatenate([self._first, held])
-        errors = np.where(chosen >= self._count, tables.held_error, 0.0)
-        parts = (*self._parts, *((group,) for group in groups[self._count :]))
-        permits = frozenset((one.robot_part, one.obstacle) for one in tables.permits)
-        return RobotCover(centres[chosen], radii[chosen] + errors, parts, permits)
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,14 +101,15 @@ class ObstacleEstimates:
         self, new: Obstacle, stamp: float, prior: _Estimate | None, is_new: bool, robot: RobotCover
     ) -> _Estimate:
         """The estimate for the observation `new`, which replaces the former one if it `is_new`."""
-        if robot.is_clear(new):
+        if robot.is_clear(new, RESERVE):
             return _Estimate(stamp, new, introduced=False)
         if is_new:
             shortage = min(new.margin, RESERVE - robot.clearance(new))
             if shortage <= RESERVE:
                 return _Estimate(stamp, new, introduced=False)
             self.begun[new.name] = shortage
-            return _Estimate(stamp, _introduce(new, new.margin - shortage), introduced=True)
+            begin = new.margin - shortage - INTRODUCTION_RATE * robot.age
+            return _Estimate(stamp, _introduce(new, max(0.0, begin)), introduced=True)
         if prior is None:
             return _Estimate(stamp, new, introduced=False)
         if prior.introduced and prior.obstacle.margin < new.margin:
@@ -254,20 +195,7 @@ def _turn(a: Obstacle, b: Obstacle) -> float:
         return 0.0
     w, x, y, z = second
     chord = min(dist(first, second), dist(first, (-w, -x, -y, -z)))
-    return 4.0 * asin(min(1.0, 0.5 * chord)) * _extent(a)
-
-
-def _extent(obstacle: Obstacle) -> float:
-    """Radius [m] of the sphere around the centre of `obstacle` that contains its shape."""
-    match obstacle.shape:
-        case Sphere(radius=radius):
-            return radius
-        case Capsule(radius=radius, half_length=half_length):
-            return radius + half_length
-        case Box(half_extents=half_extents):
-            return hypot(*half_extents)
-        case _:
-            return inf
+    return 4.0 * asin(min(1.0, 0.5 * chord)) * extent(a)
 
 
 def _change(new: Obstacle, prior: Obstacle) -> float:

@@ -6,17 +6,23 @@ until the pair is clear; the next contract has them in addition to its own. No c
 specification permits.
 
 A permit that ends with a phase ends with hysteresis: it remains for a pair whose margin would be short without it,
-until the margin is intact. The end of a permit therefore does not make a margin short.
+until the margin is intact by the newest observation and by the estimate that the filter has in force. Its contact speed
+is 0: the pair may neither approach nor touch anew, and nothing demands a sudden retreat. The end of a permit therefore
+does not make a margin short.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
-from dualbrain.records import Scene
+from dualbrain.control.robot_cover import RobotCover, RobotSpheres
+from dualbrain.records import Scene, SceneObject
 from dualbrain.robots.interface import RobotState
-from dualbrain.skills.kinematics.object_geometry import CLEARANCE, part_clearance
-from dualbrain.skills.skill import MotionModel, PermittedContact
+from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.safety.cbf.obstacles import obstacle_from_checked_object
+from dualbrain.skills.kinematics.object_geometry import CLEARANCE
+from dualbrain.skills.skill import PermittedContact
 
 CLOSING_PHASE = "close"
 """The phase in which the fingers close on a target."""
@@ -34,9 +40,9 @@ class ResidualContacts:
     if there is none.
     """
 
-    def __init__(self, motion: MotionModel) -> None:
-        """Start without residual contacts; `motion` computes the robot's spheres."""
-        self._motion = motion
+    def __init__(self, safety: SafetyFilter) -> None:
+        """Start without residual contacts; `safety` knows the robot's spheres and the obstacles in force."""
+        self._safety, self._spheres = safety, RobotSpheres(safety)
         self.contacts: tuple[PermittedContact, ...] = ()
         self._ending: frozenset[tuple[str, str]] = frozenset()
         self.closing_target = ""
@@ -60,12 +66,12 @@ class ResidualContacts:
     def keep_until_intact(
         self, ending: Iterable[PermittedContact], state: RobotState, scene: Scene, *, held: str | None
     ) -> None:
-        """Keep the permits `ending` with a phase for every pair whose margin would be short now.
+        """Keep the permits `ending` with a phase, at contact speed 0, for every pair whose margin would be short now.
 
         Contacts with the object `held` are withdrawn, because it is no obstacle any more.
         """
         known = {_pair(one) for one in self.contacts}
-        kept = tuple(one for one in ending if _pair(one) not in known and one.obstacle != held)
+        kept = tuple(replace(one, speed=0.0) for one in ending if _pair(one) not in known and one.obstacle != held)
         self.contacts = (*self.contacts, *kept)
         self._ending |= {_pair(one) for one in kept}
         self.update(state, scene)
@@ -77,24 +83,31 @@ class ResidualContacts:
         """
         if not self.contacts:
             return False
-        centres, radii, groups = self._motion.spheres(state.q, state.opening)
+        cover = self._spheres.at(state)
         perceived = {obj.name: obj for obj in scene.objects}
+        held = any(HELD_GROUP in parts for parts in cover.parts)
 
         def near(contact: PermittedContact) -> bool:
             obj = perceived.get(contact.obstacle)
-            if obj is None or (contact.robot_part == HELD_GROUP and HELD_GROUP not in groups):
+            if obj is None or (contact.robot_part == HELD_GROUP and not held):
                 return True
             enough = INTACT_CLEARANCE if _pair(contact) in self._ending else CLEARANCE
-            return part_clearance(obj, contact.robot_part, centres, radii, groups) < enough
+            return self._clearance(contact.robot_part, obj, scene.stamp, cover) < enough
 
         remaining = tuple(contact for contact in self.contacts if near(contact))
-        if all(contact.robot_part == HELD_GROUP for contact in remaining) and HELD_GROUP not in groups:
+        if all(contact.robot_part == HELD_GROUP for contact in remaining) and not held:
             remaining = ()
         removed, self.contacts = len(remaining) < len(self.contacts), remaining
         self._ending &= {_pair(one) for one in remaining}
         if self.closing_target not in self.object_names:
             self.closing_target = ""
         return removed
+
+    def _clearance(self, part: str, obj: SceneObject, stamp: float, cover: RobotCover) -> float:
+        """Least h [m] of `part` and `obj`, as observed at `stamp` [s] and as the filter has it in force."""
+        in_force = (one for one in self._safety.tables.obstacles if one.name == obj.name)
+        observed = obstacle_from_checked_object(obj, stamp, known=True)
+        return min(cover.part_clearance(part, one) for one in (observed, *in_force))
 
     def combine(self, contacts: tuple[PermittedContact, ...]) -> tuple[PermittedContact, ...]:
         """`contacts`, and the residual contacts of all other pairs of a robot part and an object."""
