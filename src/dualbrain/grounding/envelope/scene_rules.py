@@ -14,12 +14,13 @@ from dualbrain.contracts.schema import DECLINE
 from dualbrain.contracts.skill_order import SkillOrder
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.grounding.envelope.grasp_fit import bears_force, is_level, least_opening
+from dualbrain.grounding.envelope.grasp_reach import comes_down, highest_clearance
 from dualbrain.grounding.envelope.object_limits import check_object_limits
 from dualbrain.records import Scene, SceneObject
 from dualbrain.robots.model import RobotModel
 from dualbrain.skills.arm.controller import ArmController
 from dualbrain.skills.arm.grasp import FRAGILE_FRACTION
-from dualbrain.skills.arm.grasp_planning import grasp_goal, pregrasp_goal
+from dualbrain.skills.arm.grasp_planning import grasp_goal
 from dualbrain.skills.kinematics.object_geometry import APPROACH_LEAN
 from dualbrain.skills.mobile_base.controller import BaseController
 from dualbrain.skills.mobile_base.drive_to import ARRIVAL_RADIUS
@@ -27,8 +28,6 @@ from dualbrain.skills.mobile_base.path_planning import clearance
 from dualbrain.skills.mobile_manipulator import MobileManipulatorController
 from dualbrain.skills.time_slicing import run_to_completion
 
-MIN_CLEARANCE = 0.03
-"""Least clearance of the skill vocabulary [m]; the search for a feasible clearance ends there."""
 TARGET_PARAMETERS = {"grasp": "object", "place": "destination", "push": "object", "move_to": "target"}
 """The parameter of each skill that names the target of the arm."""
 
@@ -267,28 +266,17 @@ def _floor_position(scene: Scene, name: str) -> NDArray[np.float64]:
 def _check_approach(arm: ArmController, obj: SceneObject, params: Mapping[str, Any], pointer: str) -> Rejected | None:
     """The arm reaches the pregrasp pose, at the given clearance and with the given approach."""
     axis, approach, clearance = str(params["finger_axis"]), str(params["approach"]), float(params["clearance"])
-    if _is_reachable(arm, obj, axis, approach, clearance):
+    if comes_down(arm, obj, axis, approach, clearance):
         return None
-    lower = (float(height) for height in np.arange(clearance, MIN_CLEARANCE, -0.01))
-    highest = next((height for height in lower if _is_reachable(arm, obj, axis, approach, height)), None)
+    highest = highest_clearance(arm, obj, axis, approach, clearance)
     if highest is not None:
         hint = f"the arm cannot come down on {obj.name} from so high with this approach: ask for less clearance"
         return Rejected(
-            stage="envelope",
-            pointer=f"{pointer}/clearance",
-            got=clearance,
-            allowed={"maximum": round(highest, 2)},
-            hint=hint,
+            stage="envelope", pointer=f"{pointer}/clearance", got=clearance, allowed={"maximum": highest}, hint=hint
         )
-    others = [way for way in APPROACH_LEAN if _is_reachable(arm, obj, axis, way, MIN_CLEARANCE)]
+    ways = [way for way in APPROACH_LEAN if way != approach]
+    others = [way for way in ways if comes_down(arm, obj, axis, way, clearance)] or [
+        way for way in ways if highest_clearance(arm, obj, axis, way, clearance) is not None
+    ]
     hint = f"the arm cannot come to {obj.name} this way: choose another approach or finger axis"
     return Rejected(stage="envelope", pointer=f"{pointer}/approach", got=approach, allowed=others, hint=hint)
-
-
-def _is_reachable(arm: ArmController, obj: SceneObject, axis: str, approach: str, clearance: float) -> bool:
-    grasp = run_to_completion(grasp_goal(arm, obj, axis, approach))
-    if grasp is None:
-        return False
-    pregrasp = run_to_completion(pregrasp_goal(arm, grasp, obj, clearance))
-    solution = arm.kinematics.solve(pregrasp.position, pregrasp.rotation, (pregrasp.posture,))
-    return run_to_completion(solution) is not None

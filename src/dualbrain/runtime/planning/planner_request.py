@@ -12,6 +12,7 @@ from dualbrain.contracts.canonical_form import reorder_contract
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.schema import DECLINE, decoding_schema, describe_skills
 from dualbrain.grounding.envelope.grasp_fit import parameter_domains, ungraspable
+from dualbrain.grounding.envelope.grasp_reach import arm_in_posture, within_reach
 from dualbrain.grounding.envelope.scene_rules import skill_order
 from dualbrain.grounding.envelope.value_bounds import with_stated_values
 from dualbrain.grounding.instruction.goals.goal import Goal, Unread
@@ -25,6 +26,7 @@ from dualbrain.planner.camera_image import CameraImage
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Exemplar, FailureFeedback, Passage, Precedent, RetrievedContext, Scene
 from dualbrain.robots.model import RobotModel
+from dualbrain.skills.arm.controller import ArmController
 from dualbrain.skills.registry import skill_registry
 
 PassageRetriever = Callable[[str, str], tuple[Passage, ...]]
@@ -81,6 +83,13 @@ class PlanningContext:
         return skill_registry(self.robot_model)
 
     @property
+    def observing_arm(self) -> ArmController | None:
+        """The arm in its present posture; None if it cannot grasp, or is on a base, with which its reach changes."""
+        if self.robot_model.is_mobile or "grasp" not in self.registry.by_name:
+            return None
+        return arm_in_posture(self.robot_model, self.scene, self.posture.q, self.posture.opening)
+
+    @property
     def summary(self) -> str:
         """The scene in symbols."""
         return summarise_scene(self.scene, self.holding)
@@ -134,7 +143,9 @@ def build_request(
         robot=context.robot_model.name,
         registry_hash=registry.hash,
         skills_text=describe_skills(registry, names),
-        schema=answer_schema(instruction, context.scene, registry, context.holding, restrict=restrict),
+        schema=answer_schema(
+            instruction, context.scene, registry, context.holding, restrict=restrict, arm=context.observing_arm
+        ),
         contract_id="c-0001",
         failure_feedback=failure_feedback,
         scene_with_values=context.summary_with_values,
@@ -143,11 +154,18 @@ def build_request(
 
 
 def answer_schema(
-    instruction: str, scene: Scene, registry: SkillRegistry, holding: str | None, *, restrict: bool = True
+    instruction: str,
+    scene: Scene,
+    registry: SkillRegistry,
+    holding: str | None,
+    *,
+    restrict: bool = True,
+    arm: ArmController | None = None,
 ) -> dict[str, Any]:
     """The decoding schema of the first answer to `instruction`; `restrict`: only what its goal may need.
 
-    A goal whose objects do not fit the hand leaves the decline alone.
+    A goal whose objects do not fit the hand leaves the decline alone. With an `arm` in its present posture only grasps
+    within its reach are admitted.
     """
     goal = read_goal(instruction, scene) if restrict else Unread("")
     scope = goal_scope(goal, scene, holding)
@@ -155,6 +173,8 @@ def answer_schema(
     order = skill_order([skill.name for skill in registry.skills], holding)
     if isinstance(goal, Goal) and ungraspable(goal, scene, domains, holding):
         return decoding_schema(registry, scope.names, order=order, skills=(DECLINE,))
+    if arm is not None:
+        domains = within_reach(domains, scene, arm, scope.names.graspable)
     if isinstance(goal, Goal):
         domains = with_stated_values(domains, goal.values, registry)
     return decoding_schema(
