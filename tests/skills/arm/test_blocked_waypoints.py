@@ -1,5 +1,6 @@
 """Motions blocked by an obstacle that only the filter knows: the skill tries other waypoints and then gives up."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -11,8 +12,9 @@ from dualbrain.robots.interface import home_state
 from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.obstacles import Obstacle
-from dualbrain.skills.arm.controller import ArmController
+from dualbrain.skills.arm.controller import ArmController, ToolGoal
 from dualbrain.skills.arm.waypoints import NEAR_BASE_RADIUS, follow_waypoints, reach_goal
+from dualbrain.skills.kinematics.object_geometry import axis_rotation
 from dualbrain.skills.progress_watchdog import PROGRESS_TIMEOUT
 from dualbrain.skills.skill import Observation, SkillResult, SkillStatus
 from dualbrain.skills.time_slicing import run_to_completion
@@ -150,6 +152,21 @@ def test_a_motion_that_is_blocked_near_its_goal_suffices_where_another_one_follo
         else:
             assert result.status is SkillStatus.TAKEN_OVER
         assert missing - 0.002 < cell.path[-1][2] - goal.position[2] < missing + 0.01
+
+
+def test_a_rotation_beyond_a_joint_limit_is_reported_with_the_angle(started):
+    """The tool is at its goal; the last joint ends before the rotation is reached."""
+    cell = at_the_right(started)
+    q = cell.state.q.copy()
+    q[-1] = BODY.joints[-1].upper.value - 0.05
+    cell.state = replace(cell.state, q=q)
+    cell.observe()
+    tool = cell.controller.observation.tool
+    goal = ToolGoal(tool.position, tool.rotation @ axis_rotation((0.0, 0.0, 1.0), 2.0), q)
+    result = cell.carry_out(reach_goal(cell.controller, goal, "approach", 0.3))
+    assert result.status is SkillStatus.TAKEN_OVER
+    reason = re.search(r"0\.\d cm from the goal and turned by (\d+)°$", result.reason)
+    assert int(reason[1]) > 10
 
 
 def test_the_progress_timeout_does_not_depend_on_the_filter(started):

@@ -178,7 +178,7 @@ class ArmController:
                     return None
                 return SkillResult(
                     SkillStatus.TAKEN_OVER,
-                    f"{phase}: {why}, {distance * 100:.1f} cm from the goal",
+                    f"{phase}: {why}, {distance * 100:.1f} cm from the goal{_describe_turn(turn, turned)}",
                     FailureCause.NO_PROGRESS,
                 )
             yield self._nominal(self._phi.toward_pose(state, tool, gap, speed, goal.posture, now, stop=stop), phase)
@@ -431,3 +431,8 @@ class ArmController:
 def goal_at_height(goal: ToolGoal, height: float) -> ToolGoal:
     """`goal` raised to tool height `height` [m]."""
     return replace(goal, position=np.array([goal.position[0], goal.position[1], height]))
+
+
+def _describe_turn(turn: float, tolerance: float) -> str:
+    """The angle `turn` [rad] to the rotation of a goal in words; "" within the `tolerance` [rad]."""
+    return f" and turned by {np.rad2deg(turn):.0f}°" if turn >= tolerance else ""
