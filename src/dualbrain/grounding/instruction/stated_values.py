@@ -11,6 +11,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
+from dualbrain.grounding.instruction.words import NUMBER_WORDS
+
 StatedParameter = Literal["speed", "force", "clearance", "distance", "duration"]
 UNITS: dict[StatedParameter, str] = {"speed": "m/s", "force": "N", "clearance": "m", "distance": "m", "duration": "s"}
 PARAMETER_NAMES: dict[StatedParameter, tuple[str, ...]] = {
@@ -23,11 +25,7 @@ PARAMETER_NAMES: dict[StatedParameter, tuple[str, ...]] = {
 """The names that parameters of skills have."""
 TOLERANCE = 0.1
 """A number that is no bound admits numbers within this fraction of it."""
-_WORDS = {
-    **{"a": 1.0, "an": 1.0, "one": 1.0, "two": 2.0, "three": 3.0, "four": 4.0, "five": 5.0, "six": 6.0, "seven": 7.0},
-    **{"eight": 8.0, "nine": 9.0, "ten": 10.0, "eleven": 11.0, "twelve": 12.0, "fifteen": 15.0, "twenty": 20.0},
-    **{"thirty": 30.0, "forty": 40.0, "fifty": 50.0, "half a": 0.5, "half an": 0.5},
-}
+_WORDS = NUMBER_WORDS | {"a": 1.0, "an": 1.0, "half a": 0.5, "half an": 0.5}
 _METRES = {"mm": 0.001, "cm": 0.01, "m": 1.0, "inch": 0.0254, "millimet": 0.001, "centimet": 0.01, "met": 1.0}
 _AT_MOST = (
     r"at most|(?:no|not) (?:more|faster|harder|higher) than|(?:less|slower) than|under|below|up to|max(?:imum)?(?: of)?"

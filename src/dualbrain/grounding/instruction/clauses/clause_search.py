@@ -26,7 +26,7 @@ from dualbrain.grounding.instruction.clauses.rules.all_rules import RULES
 from dualbrain.grounding.instruction.clauses.rules.clause_rule import ClauseKind, ClauseRule
 from dualbrain.grounding.instruction.clauses.scene_words import SceneWords
 from dualbrain.grounding.instruction.names import category_words, mask_places, side_pattern
-from dualbrain.grounding.instruction.words import Words, sentences
+from dualbrain.grounding.instruction.words import NUMBER_WORDS, Words, sentences
 
 _BOUNDARY = re.compile(r"[,.;:!?](?!\d)|$")
 MAX_CLAUSE, MAX_FOUND = 200, 30
@@ -41,11 +41,7 @@ _COMPLEMENT = re.compile(
     r"[^\s,.;:!?]+){0,5}"
 )
 """The words that complete a clause, so that the quote is "to the left of the bowl"; it matches every text."""
-_SMALL_NUMBERS = {
-    **{"a": 1, "an": 1, "one": 1, "two": 2, "three": 3, "four": 4, "five": 5, "six": 6, "seven": 7, "eight": 8},
-    **{"nine": 9, "ten": 10, "eleven": 11, "twelve": 12, "fifteen": 15, "twenty": 20},
-    **{"few": 5, "several": 8, "some": 5, "couple": 2, "of": 2, "dozen": 12},
-}
+_SMALL_NUMBERS = NUMBER_WORDS | {"a": 1, "an": 1, "few": 5, "several": 8, "some": 5, "couple": 2, "of": 2, "dozen": 12}
 _SECONDS = re.compile(r"\b(\d{1,6}(?:[.,]\d{1,6})?|[a-z]{1,10}) (s|secs?|seconds?)$")
 
 

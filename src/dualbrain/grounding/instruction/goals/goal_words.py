@@ -8,6 +8,7 @@ from pathlib import Path
 import msgspec
 
 from dualbrain.grounding.instruction.goals.goal import Relation
+from dualbrain.grounding.instruction.words import NUMBER_WORDS
 
 
 class _Vocabulary(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -48,10 +49,7 @@ CAUTIONS, COURTESIES, SOCIAL, REQUESTS, RECIPIENTS = (
 FILLERS = "|".join((*_WORDS.cautions, *_WORDS.courtesies, *_WORDS.fillers))
 """Alternatives of a regular expression: all words that change neither the goal nor what may move."""
 
-NUMBER = (
-    r"(?:\d{1,4}(?:[.,]\d{1,3})?|an?|one|two|three|four|five|six|seven|eight|nine|ten|eleven|twelve|fifteen|twenty"
-    r"|thirty|forty|fifty|half an?)"
-)
+NUMBER = rf"(?:\d{{1,4}}(?:[.,]\d{{1,3}})?|an?|{'|'.join(NUMBER_WORDS)}|half an?)"
 GAP = r"(?: |(?<=\d))"
 """Between a number and its unit: a space, or nothing after a digit."""
 LENGTH = r"(?:cm|mm|centimet(?:er|re)s?|millimet(?:er|re)s?|met(?:er|re)s?|inch(?:es)?)"
@@ -99,7 +97,7 @@ PREPOSITIONS: tuple[tuple[str, Relation], ...] = (
 )
 """Prepositions of a placement and their relations; the first that matches counts."""
 
-NUMBERS = {"one": 1, "two": 2, "three": 3, "four": 4, "five": 5, "six": 6, "1": 1, "2": 2, "3": 3, "4": 4, "5": 5}
+NUMBERS = NUMBER_WORDS | {str(number): number for number in NUMBER_WORDS.values()}
 HOME_CLAUSES = (
     r"(?:go|return|move|drive|come|get|travel|retreat|head|finish|end|run|retire|withdraw|park)"
     r"(?: the arm| your arm| yourself| back| up| off| on| straight| over)*(?: to| at| in| into)?(?: the| your| its)?"

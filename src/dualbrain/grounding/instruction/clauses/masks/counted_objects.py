@@ -6,6 +6,7 @@ import re
 
 from dualbrain.contracts.schema import MAX_ACTIONS
 from dualbrain.grounding.instruction.clauses.scene_words import SceneWords, fill, first_matches
+from dualbrain.grounding.instruction.words import NUMBER_WORDS
 
 _COUNTED = re.compile(
     r"\b(?:both(?: of)?(?: (?:the|these|those|my|our))?(?: two)?"
@@ -14,7 +15,6 @@ _COUNTED = re.compile(
 )
 _HOLDING = re.compile(r"\b(?:hold|holding|keep|above|hover)\b")
 """What a hand does with one object at a time, and with no destination."""
-_NUMBERS = {"two": 2, "three": 3, "four": 4}
 _ACTIONS_PER_OBJECT = 2
 """A grasp and a placement."""
 
@@ -26,7 +26,7 @@ def mask_counts(text: str, scene: SceneWords) -> str:
     tins" remains a clause.
     """
     for match in first_matches(_COUNTED, text):
-        number = _NUMBERS[match["number"] or match["all"] or "two"]
+        number = NUMBER_WORDS[match["number"] or match["all"] or "two"]
         fits = number * _ACTIONS_PER_OBJECT <= MAX_ACTIONS
         if _HOLDING.search(text):
             continue
