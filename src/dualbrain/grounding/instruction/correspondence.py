@@ -47,6 +47,12 @@ _RELEASE = re.compile(
     r"\b(?:release|let (?:it |go|the)|drop|open|free|put|place|set|lay|lower|let|leave|deposit|unhand"
     r"|ungrip|loosen|give)\b"
 )
+_PLACEMENT = re.compile(
+    r"\b(?:put|place|set|lay|stand|drop|deposit|lower|store|stow|stash|tidy|clear|clean|sort|collect|gather|pack|load"
+    r"|return|transfer|move|shift|relocate|stack|insert|dump|pop|plonk|stick|throw|toss|bin|away|back|down|belongs?"
+    r"|leave|release|out of|off|from|a home|in (?:my|the|our|your) way)\b"
+)
+"""Words for a placement in an instruction that names no destination."""
 _TURN = re.compile(r"\b(?:turn|face|heading|rotate|spin|look|point|orient|swivel|rad|degrees|towards?)\b")
 _NUMBER = re.compile(r"\d")
 _PLACE_PHRASE = re.compile(
@@ -174,7 +180,7 @@ class _Reader:
             case "grasp" | "push" | "move_to":
                 problem = self._target_problem(action)
             case "place":
-                problem = self._place_problem(str(action.params.get("destination", "")))
+                problem = self._placement_problem(str(action.params.get("destination", "")))
             case "drive_to" | "drive_to_pose":
                 problem = self._drive_problem(action, actions)
             case "home":
@@ -200,9 +206,15 @@ class _Reader:
             problem = self._place_problem(str(action.params.get("destination", "")))
         return problem
 
+    def _placement_problem(self, name: str) -> Rejected | None:
+        """The rejection of a placement that neither a destination nor a verb of the instruction asks for."""
+        if not self._places and not _PLACEMENT.search(self._text):
+            return _unasked("place", "put anything down")
+        return self._place_problem(name)
+
     def _object_problem(self, name: str) -> Rejected | None:
         if _EVERYTHING.search(self._text) and not self._objects:
-            return None
+            return None if self._has_stated_color(name) else _question(name, self._scene.graspable, _not_named(name))
         for mention in self._objects:
             if name in mention.names and (mention.several or len(mention.names) == 1):
                 return None
@@ -214,6 +226,13 @@ class _Reader:
         if _EVERYTHING.search(self._text):
             return None
         return _question(name, self._scene.graspable, _not_named(name))
+
+    def _has_stated_color(self, name: str) -> bool:
+        """Whether the object `name` has a color that the words state without a place; true if they state none."""
+        places = "|".join(sorted({re.escape(word) for place in self._scene.receptive for word in _words_for(place)}))
+        words = re.sub(rf"\b\w+ (?:{places})\b", " ", self._text) if places else self._text
+        stated = set(words.split()) & COLORS - {"clear"}  # a verb here: "clear the table"
+        return not stated or not stated.isdisjoint(name_words(name))
 
     def _place_problem(self, name: str, *, required: bool = False) -> Rejected | None:
         if name not in self._scene.receptive or any(name in mention.names for mention in self._places):

@@ -184,6 +184,12 @@ class Mention:
     source: bool = False
 
 
+def describes_object(phrase: str) -> bool:
+    """Whether a word of `phrase` is a color, or a category of objects, in any scene."""
+    categories = {*CATEGORY_SYNONYMS, *(one for some in CATEGORY_SYNONYMS.values() for one in some)}
+    return any(word in COLORS or singular(word) in categories for word in phrase.lower().split())
+
+
 def find_mentions(text: str, names: Sequence[str]) -> tuple[Mention, ...]:
     """The mentions of scene `names` in a text in normal form.
 

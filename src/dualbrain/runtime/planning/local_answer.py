@@ -16,10 +16,12 @@ from dualbrain.grounding.envelope.grasp_fit import parameter_domains, ungraspabl
 from dualbrain.grounding.envelope.value_bounds import why_out_of_bounds
 from dualbrain.grounding.instruction.goals.goal import Goal
 from dualbrain.grounding.instruction.goals.goal_reading import read_goal
+from dualbrain.grounding.instruction.names import describes_object
 from dualbrain.grounding.instruction.review import Refusal, StopCommand, refuse_hostile, review_instruction
 from dualbrain.grounding.instruction.stop_commands import is_stop_command
 from dualbrain.planner.introspection import planner_languages
 from dualbrain.planner.protocol import STOP, Planner
+from dualbrain.planner.scripted import FixedContractPlanner
 from dualbrain.records import Judgement, JudgementBasis, Outcome, Proposal
 from dualbrain.runtime.planning.episode_request import InstructionCheck
 from dualbrain.runtime.planning.planner_request import PlanningContext
@@ -39,8 +41,9 @@ def answer_locally(
 ) -> StopCommand | Refusal | None:
     """The answer of the local layer to `instruction`; None if `planner` is to be asked.
 
-    An instruction whose objects the hand cannot grasp, or whose numbers no skill takes, is declined here with the
-    reason, because only a decline is left to a planner.
+    An instruction about an object that is not in the scene, one that no skill carries out, one whose objects the hand
+    cannot grasp, or whose numbers no skill takes, is declined here with the reason: every contract but a decline would
+    be rejected. A fixed contract is judged as it is.
     """
     if check == "given_contract":
         return StopCommand() if is_stop_command(instruction) else refuse_hostile(instruction)
@@ -48,15 +51,23 @@ def answer_locally(
     review = review_instruction(
         instruction, context.registry, context.scene.receptive, context.scene.graspable, languages=languages
     )
-    return review if review is not None or check != "all" else _refuse_goal(instruction, context)
+    if review is not None or check != "all" or isinstance(planner, FixedContractPlanner):
+        return review
+    return _refuse_goal(instruction, context)
 
 
 def _refuse_goal(instruction: str, context: PlanningContext) -> Refusal | None:
-    """The refusal of a goal that needs a grasp that the hand cannot make, or a number that no skill takes."""
+    """The refusal of a goal that no contract fulfils: its objects, a grasp that the hand cannot make, or a number."""
     scene, registry = context.scene, context.registry
     goal = read_goal(instruction, scene)
-    if not isinstance(goal, Goal) or goal.decline:
+    if not isinstance(goal, Goal):
         return None
+    if goal.absent and not describes_object(goal.absent):
+        return None  # it may be no object, and the planner states the reason
+    if goal.decline:
+        names = ", ".join(name.replace("_", " ") for name in (*scene.graspable, *scene.receptive)) or "nothing"
+        reason = f"The instruction is declined, because {goal.decline}. Objects and places here: {names}."
+        return Refusal(kind="goal", reason=reason, quote="", brief=goal.decline)
     if why := why_out_of_bounds(goal.values, registry):
         reason = f"The instruction is declined, because {why}. State a number within these bounds, or none."
         return Refusal(kind="number", reason=reason, quote="", brief=why)

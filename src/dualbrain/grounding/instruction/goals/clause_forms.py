@@ -497,7 +497,7 @@ def _references(
 def _unresolved(found: Resolved) -> Goal | Unread:
     match found:
         case Absent(phrase):
-            return Goal(decline=f'there is no "{phrase}" in the scene')
+            return Goal(decline=f'there is no "{phrase}" in the scene', absent=phrase)
         case Unclear(reason):
             return Unread(f"{reason[0].upper()}{reason[1:]}.")
         case Found():

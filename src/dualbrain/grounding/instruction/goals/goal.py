@@ -92,13 +92,15 @@ Condition = Placed | Held | Pushed | Unmoved | Observed | RobotEnds
 class Goal:
     """All `conditions` hold at the end, and no object except `movable` has moved.
 
-    With `decline`, a reason, the instruction is to be declined; nothing else carries it out. With `ordered`, the
-    placements are to be done in the order of `conditions`. On the way the robot waits `pauses` times, and a base visits
-    the places `visits` in this order. The numbers of a contract are those of `values`.
+    With `decline`, a reason, the instruction is to be declined; nothing else carries it out. If the reason is a phrase
+    that names nothing in the scene, it is `absent`. With `ordered`, the placements are to be done in the order of
+    `conditions`. On the way the robot waits `pauses` times, and a base visits the places `visits` in this order. The
+    numbers of a contract are those of `values`.
     """
 
     conditions: tuple[Condition, ...] = ()
     decline: str = ""
+    absent: str = ""
     movable: frozenset[str] = field(default_factory=frozenset)
     ordered: bool = False
     pauses: int = 0

@@ -77,7 +77,8 @@ OBSERVING_PHRASES = (
     rf"hover {NUMBER}{GAP}{LENGTH} (?:over|above)|"
     "(?:go )?see|peek at|glance at|take a (?:quick |good |close |closer )?look at|take a (?:quick |good |close "
     "|closer )?(?:look|peek) on|take a peek at|check out|check|view|"
-    "(?:position|put|place|bring|hold|move) (?:your|the) (?:hand|gripper|fingers|arm) (?:right |just )?(?:over|above)"
+    "(?:position|put|place|bring|hold|move) (?:your|the) (?:empty |free |open )?(?:hand|gripper|fingers|arm) "
+    "(?:right |just )?(?:over|above)"
 )
 
 PREPOSITIONS: tuple[tuple[str, Relation], ...] = (

@@ -1,11 +1,13 @@
-"""Orientations of an object, and forms of a motion such as shaking."""
+"""Orientations of an object, forms of a motion such as shaking, and motions of an object with another one as a tool."""
 
 from __future__ import annotations
 
 import re
 
 from dualbrain.grounding.instruction.clauses.rules.clause_rule import ClauseRule
+from dualbrain.grounding.instruction.clauses.rules.word_classes import PUSHES, THING
 
+_TOOL = r"\b(?:use|using|by means of|with the help of)"
 ORIENTATIONS: tuple[ClauseRule, ...] = (
     ClauseRule(
         "orientation",
@@ -61,6 +63,14 @@ ORIENTATIONS: tuple[ClauseRule, ...] = (
             r"(?:shake|stir|swirl|wiggle|wobble|twirl|jiggle|bounce|rattle|whirl)\b"
             r"|\bzig ?zag\w*\b|\bin an? (?:\w+ ){0,3}?(?:loop|spiral|arc|curve|figure of eight|wave)\b"
             r"|\bwith (?:an? )?(?:\w+ )?(?:round|circular|swirling|wavy|rocking|shaking) (?:movement|motion)s?\b"
+        ),
+    ),
+    ClauseRule(
+        "motion",
+        re.compile(
+            rf"{_TOOL} (?:the|an?|this|that|one of the) (?:\w+ ){{0,2}}?(?:{THING}) (?:to|as|for) (?!hold\b)\w+"
+            rf"|\b(?:{PUSHES}) (?:it|them|the (?:\w+ ){{1,3}}?)[^.,;:!?]{{0,40}}?{_TOOL} (?:the|an?|this|that) "
+            rf"(?:\w+ ){{0,2}}?(?:{THING})\b"
         ),
     ),
 )

@@ -31,6 +31,8 @@ THINGS = (
     r"(?:things|objects|items|pieces|ones|blocks|cubes|cans|tins|boxes|cartons|bottles|glasses|parcels|crates|cups"
     r"|mugs|toys|tools|packages|balls|bricks|jars)"
 )
+THING = "block|cube|can|tin|box|carton|bottle|glass|parcel|crate|cup|mug|toy|ball|brick|jar|object|thing"
+"""Alternatives for one object that the hand can hold."""
 MOVE = (
     r"(?:put|place|set|move|drop|lay|stand|push|slide|shove|nudge|shift|leave|bring|park|position|rest|store|stow"
     r"|go|drive|stop|come|hover|hold|point|release|turn|place it|deposit|keep|pull|drag|roll|transfer"
