@@ -29,7 +29,13 @@ def obstacle(x, error=ERROR, name="cup", **fields):
 
 def robot_at(x, permits=(), age=0.0):
     """One sphere of 5 cm at x on the axis of the obstacles."""
-    return RobotCover(np.array([[x, 0.0, 0.0]]), np.array([0.05]), (("left_hand", "hand"),), frozenset(permits), age)
+    return RobotCover(
+        centres=np.array([[x, 0.0, 0.0]]),
+        radii=np.array([0.05]),
+        parts=(("left_hand", "hand"),),
+        permits=frozenset(permits),
+        age=age,
+    )
 
 
 def near(h, age=0.0):

@@ -7,7 +7,7 @@ specification permits.
 
 A permit that ends with a phase ends with hysteresis: it remains for a pair whose margin would be short without it,
 until the margin is intact by the newest observation and by the estimate that the filter has in force. Its contact speed
-is 0: the pair may neither approach nor touch anew, and nothing demands a sudden retreat. The end of a permit therefore
+is 0: the pair may not approach, and nothing demands a sudden retreat. The end of a permit therefore
 does not make a margin short.
 """
 

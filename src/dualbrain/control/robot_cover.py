@@ -23,7 +23,7 @@ from dualbrain.safety.cbf.obstacles import Obstacle
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RobotCover:
     """Spheres of the robot that keep away from obstacles: centres (k, 3) [m], radii (k,) [m], parts by sphere.
 
@@ -93,7 +93,13 @@ class RobotSpheres:
         errors = np.where(chosen >= self._count, tables.held_error, 0.0)
         parts = (*self._parts, *((group,) for group in groups[self._count :]))
         permits = frozenset((one.robot_part, one.obstacle) for one in tables.permits)
-        return RobotCover(centres[chosen], radii[chosen] + errors, parts, permits, max(0.0, age))
+        return RobotCover(
+            centres=centres[chosen],
+            radii=radii[chosen] + errors,
+            parts=parts,
+            permits=permits,
+            age=max(0.0, age),
+        )
 
 
 def extent(obstacle: Obstacle) -> float:

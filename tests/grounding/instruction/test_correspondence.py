@@ -59,7 +59,7 @@ MISMATCHES = [
     ("sing a song", BARE, [look("red_cube")]),
     ("hover over the red cube", BARE, [grasp("red_cube"), place("blue_bowl")]),
     ("Bring your empty hand above the red cube and just wait there.", BARE, [grasp("red_cube"), place("blue_bowl")]),
-    ("whatever is yellow needs clearing away into the blue bowl", SORTING, [grasp("green_tin"), place("blue_bowl")]),
+    ("tidy the table, all that is yellow goes in the blue bowl", SORTING, [grasp("green_tin"), place("blue_bowl")]),
     ("leave nothing red lying on the table", SORTING, [grasp("yellow_block"), place("blue_bowl")]),
     ("what time is it", BARE, [look("red_cube")]),
     ("look at the person", BARE, [look("red_cube")]),

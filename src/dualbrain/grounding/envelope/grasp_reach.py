@@ -8,9 +8,8 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import inf
-from typing import NamedTuple
 
 import numpy as np
 
@@ -83,7 +82,8 @@ def arm_in_posture(robot_model: RobotModel, scene: Scene, q: Sequence[float], op
     return arm
 
 
-class _Reach(NamedTuple):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Reach:
     """Finger axes and approaches with the same highest clearance [m], and the other bounds of their part."""
 
     axes: tuple[str, ...]
@@ -115,9 +115,10 @@ def _reaches(part: ParameterDomain, obj: SceneObject, arm: ArmController) -> Ite
         for bound, approaches in by_bound.items():
             by_approach[tuple(approaches), bound].append(axis)
     if not by_approach:
-        yield _Reach(axes, tuple(APPROACH_LEAN), parameters.clearance().upper, least, most)
+        highest = parameters.clearance().upper
+        yield _Reach(axes=axes, approaches=tuple(APPROACH_LEAN), highest=highest, least=least, most=most)
     for (approaches, bound), along in by_approach.items():
-        yield _Reach(tuple(along), approaches, bound, least, most)
+        yield _Reach(axes=tuple(along), approaches=approaches, highest=bound, least=least, most=most)
 
 
 def _steps() -> list[float]:
