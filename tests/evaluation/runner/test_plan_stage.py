@@ -40,7 +40,9 @@ def test_a_case_that_asks_no_planner_has_a_line_and_the_stage_is_complete(tmp_pa
     monkeypatch.setattr(worker, "PlannerFactory", Planners)
     suite = load_suite("embodiments")
     tasks = tuple(task for task in suite.tasks if (task.family, task.level) == ("fragile_transfer", "I"))
-    suite = msgspec.structs.replace(suite, tasks=tasks, robots=("ur5e", "panda"), methods=("B3",), seeds=2, runs=2)
+    suite = msgspec.structs.replace(
+        suite, tasks=tasks, robots=("ur5e", "panda"), methods=("B3",), first=40_400, seeds=2, runs=2
+    )
     runner = Runner(suite, tmp_path, clock=itertools.count().__next__, on_progress=lambda _: None)
     config = worker.WorkerConfig(
         suite=suite,

@@ -229,9 +229,10 @@ class _Reader:
 
     def _has_stated_color(self, name: str) -> bool:
         """Whether the object `name` has a color that the words state without a place; true if they state none."""
-        places = "|".join(sorted({re.escape(word) for place in self._scene.receptive for word in _words_for(place)}))
-        words = re.sub(rf"\b\w+ (?:{places})\b", " ", self._text) if places else self._text
-        stated = set(words.split()) & COLORS - {"clear"}  # a verb here: "clear the table"
+        places = {word for place in self._scene.receptive for word in _words_for(place)}
+        words = self._text.split()
+        of_objects = {word for word, following in zip(words, [*words[1:], ""], strict=True) if following not in places}
+        stated = of_objects & COLORS - {"clear"}  # a verb here: "clear the table"
         return not stated or not stated.isdisjoint(name_words(name))
 
     def _place_problem(self, name: str, *, required: bool = False) -> Rejected | None:
