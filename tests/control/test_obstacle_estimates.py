@@ -1,5 +1,7 @@
 """Estimates of obstacles: always valid, never a fall of h by noise, and introduced at a declared rate after a jump."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -252,6 +254,26 @@ def test_the_cover_of_a_robot_gives_the_barrier_value_of_the_filter(age):
     assert abs(permitted.clearance(cup) - min(row.h for row in rows)) < 5e-5
     assert permitted.clearance(cup) > permitted.part_clearance("fingers", cup) == cover.clearance(cup)
     assert cover.part_clearance("tail", cup) == np.inf
+
+
+@pytest.mark.parametrize("robot", ["panda", "ur5e", "base", "mobile_panda"])
+def test_the_cover_of_a_moving_robot_is_ahead_by_the_lag_of_joints_and_base(robot):
+    model = load_robot(robot)
+    compared = 0
+    for seed in range(8):
+        safety, at_home = SafetyFilter(model), home_state(model)
+        state = replace(at_home, v=np.random.default_rng(seed).uniform(-0.3, 0.3, model.n))
+        centres, radii, _ = safety.spheres(state.q, state.opening)
+        foremost = int(np.argmax(centres[:, 0] + radii))
+        centre = centres[foremost] + (radii[foremost] + 0.062, 0.0, 0.0)
+        cup = Obstacle(name="cup", shape=Sphere(0.05), pose=Pose(tuple(centre.tolist())), margin=0.009)
+        safety.observe([cup], 0.0)
+        safety.filter(state, state.v, 0.0)
+        rows = [row.h for row in safety.rows() if "cup" in row.name]
+        if rows:
+            compared += 1
+            assert abs(RobotSpheres(safety).at(state).clearance(cup) - min(rows)) < 5e-5
+    assert compared > 0
 
 
 def test_an_introduced_margin_leaves_h_of_the_filter_intact_though_the_observation_is_old():

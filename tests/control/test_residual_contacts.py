@@ -126,7 +126,7 @@ ENDING = PermittedContact("fingers", "cube", 0.0)
 def test_contacts_remain_until_they_are_clear(gap):
     safety, state, scene = cube_near(gap)
     residual = ResidualContacts(safety)
-    residual.retain("descend", (FINGERS, LOAD), state, scene)
+    residual.retain("descend", (FINGERS, LOAD), state, scene, 0.0)
     assert (residual.contacts == (FINGERS, LOAD)) == (gap < CLEARANCE)
     assert residual.closing_target == ""
     if gap >= CLEARANCE:
@@ -136,19 +136,19 @@ def test_contacts_remain_until_they_are_clear(gap):
 def test_a_contact_with_an_object_that_is_not_perceived_remains():
     safety, state, scene = cube_near(0.0)
     residual = ResidualContacts(safety)
-    residual.retain("close", (FINGERS,), state, scene)
+    residual.retain("close", (FINGERS,), state, scene, 0.0)
     assert residual.closing_target == "cube"
-    assert not residual.update(state, Scene(robot="panda", stamp=0.1, version=2, objects=()))
+    assert not residual.update(state, Scene(robot="panda", stamp=0.1, version=2, objects=()), 0.1)
     assert residual.object_names == {"cube"}
     _, _, away = cube_near(0.1)
-    assert residual.update(state, away)
+    assert residual.update(state, away, 0.0)
     assert (residual.contacts, residual.closing_target) == ((), "")
 
 
 def test_a_pair_is_permitted_once():
     safety, state, scene = cube_near(0.0)
     residual = ResidualContacts(safety)
-    residual.retain("close", (FINGERS,), state, scene)
+    residual.retain("close", (FINGERS,), state, scene, 0.0)
     wanted = (PermittedContact("fingers", "cube", 0.02), PermittedContact("hand", "cube", 0.02))
     assert residual.combine(wanted) == wanted
     assert residual.combine(()) == (FINGERS,)
@@ -160,28 +160,28 @@ def test_a_pair_is_permitted_once():
 def test_a_permit_that_ends_with_its_phase_remains_until_the_margin_is_intact(gap, stays):
     safety, state, scene = cube_near(gap)
     residual = ResidualContacts(safety)
-    residual.keep_until_intact((FINGERS,), state, scene, held=None)
+    residual.keep_until_intact((FINGERS,), state, scene, 0.0, held=None)
     assert (residual.contacts == (ENDING,)) == stays
     if stays:
         _, _, away = cube_near(1.2 * INTACT_CLEARANCE)
-        assert residual.update(state, away)
+        assert residual.update(state, away, 0.0)
     assert residual.contacts == ()
 
 
 def test_a_permit_for_the_held_object_ends_with_its_phase():
     safety, state, scene = cube_near(0.0)
     residual = ResidualContacts(safety)
-    residual.keep_until_intact((FINGERS,), state, scene, held="cube")
+    residual.keep_until_intact((FINGERS,), state, scene, 0.0, held="cube")
     assert residual.contacts == ()
 
 
 def test_a_stop_keeps_a_permit_that_was_ending_until_the_pair_is_clear():
     safety, state, scene = cube_near(0.0)
     residual = ResidualContacts(safety)
-    residual.keep_until_intact((FINGERS,), state, scene, held=None)
-    residual.retain("descend", residual.combine(()), state, scene)
+    residual.keep_until_intact((FINGERS,), state, scene, 0.0, held=None)
+    residual.retain("descend", residual.combine(()), state, scene, 0.0)
     _, _, near = cube_near(0.8 * CLEARANCE)
-    assert not residual.update(state, near)
+    assert not residual.update(state, near, 0.0)
     assert residual.contacts == (ENDING,)
 
 
@@ -190,20 +190,20 @@ def test_a_permit_remains_while_the_estimate_in_force_or_the_load_is_not_intact(
     (cube,) = scene.objects
     safety.observe([obstacle_from_checked_object(cube, 0.0, known=True, clearance=1.5 * INTACT_CLEARANCE)])
     residual = ResidualContacts(safety)
-    residual.keep_until_intact((FINGERS,), state, scene, held=None)
+    residual.keep_until_intact((FINGERS,), state, scene, 0.0, held=None)
     assert residual.contacts == (ENDING,), "the filter has another estimate in force"
     safety.observe([obstacle_from_checked_object(cube, 0.0, known=True)])
-    residual.update(state, scene)
+    residual.update(state, scene, 0.0)
     assert residual.contacts == ()
     x, y, z = safety.tool(state.q).position.tolist()
-    held, error = PermittedContact("held", "cube", 0.05), 0.009
+    held = PermittedContact("held", "cube", 0.05)
     low = Pose((x, y, z - 0.02 - 0.02 - 1.5 * INTACT_CLEARANCE))
     cube = msgspec.structs.replace(cube, pose=low)
     scene = msgspec.structs.replace(scene, objects=(cube,))
     for error, stays in ((0.0, False), (0.009, True)):
         safety.attach([[0.0, 0.0, 0.0, 0.02]], error)
         residual = ResidualContacts(safety)
-        residual.keep_until_intact((held,), state, scene, held=None)
+        residual.keep_until_intact((held,), state, scene, 0.0, held=None)
         assert (residual.contacts != ()) == stays, "the error of the load counts"
 
 
@@ -213,7 +213,7 @@ def test_the_end_of_a_permit_neither_makes_the_margin_short_nor_lets_the_pair_ap
     (cube,) = scene.objects
     safety.observe([obstacle_from_checked_object(cube, 0.0, known=True)])
     residual = ResidualContacts(safety)
-    residual.keep_until_intact((PermittedContact("hand", "cube", 0.05),), state, scene, held=None)
+    residual.keep_until_intact((PermittedContact("hand", "cube", 0.05),), state, scene, 0.0, held=None)
     safety.permit([Contact(one.robot_part, one.obstacle, one.speed) for one in residual.combine(())])
     down = np.linalg.lstsq(safety.tool(state.q).jacobian[:3], np.array([0.0, 0.0, -0.1]), rcond=None)[0]
     result = None
@@ -221,3 +221,15 @@ def test_the_end_of_a_permit_neither_makes_the_margin_short_nor_lets_the_pair_ap
         result = safety(state.q, state.v, down, 0.001 * k, state.opening)
         assert result.h_min >= 0.0, "the pair is permitted"
     assert (safety.tool(state.q).jacobian @ result.u)[2] > -1e-3
+
+
+def test_the_margin_of_an_obstacle_that_is_being_introduced_is_judged_at_its_age():
+    """The margin in force grows at 2 cm/s from the stamp of the observation."""
+    safety, state, scene = cube_near(1.5 * INTACT_CLEARANCE)
+    (cube,) = scene.objects
+    growing = msgspec.structs.replace(obstacle_from_checked_object(cube, 0.0, known=True), velocity_error=0.02)
+    safety.observe([growing], 0.0)
+    for now, stays in ((0.0, False), (0.05, True)):
+        residual = ResidualContacts(safety)
+        residual.keep_until_intact((FINGERS,), state, scene, now, held=None)
+        assert (residual.contacts != ()) == stays

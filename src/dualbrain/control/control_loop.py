@@ -225,9 +225,9 @@ class ControlLoop:
         After a success a permit remains only while the margin of its pair would be short without it.
         """
         ending = self._residual_contacts.combine(self._contacts)
-        self._residual_contacts.retain(self._phase, () if succeeded else ending, self.state, self.scene)
+        self._residual_contacts.retain(self._phase, () if succeeded else ending, self.state, self.scene, self.now)
         if succeeded and self.config.keep_margins:
-            self._residual_contacts.keep_until_intact(ending, self.state, self.scene, held=self.held_object)
+            self._residual_contacts.keep_until_intact(ending, self.state, self.scene, self.now, held=self.held_object)
         self._contacts = ()
         self._update_permits()
         self._register_late_grasp()
@@ -425,7 +425,7 @@ class ControlLoop:
             return
         self.scene = self._with_limits(self._scene_smoother.update(scene, self._moving_objects()))
         self.log.scene(self.scene)
-        if self._residual_contacts.update(self.state, self.scene):
+        if self._residual_contacts.update(self.state, self.scene, self.now):
             self._update_permits()
         self._register_late_grasp()
         self.update_obstacles()
@@ -467,7 +467,7 @@ class ControlLoop:
             held = nominal.holding.name if nominal.holding else None
             kept = {(one.robot_part, one.obstacle) for one in nominal.contacts}
             ending = [one for one in self._contacts if (one.robot_part, one.obstacle) not in kept]
-            self._residual_contacts.keep_until_intact(ending, self.state, self.scene, held=held)
+            self._residual_contacts.keep_until_intact(ending, self.state, self.scene, self.now, held=held)
         self._phase, self._contacts = nominal.phase, nominal.contacts
         self._update_permits()
         self.log.note(self.state.stamp, "phase", f"{self._skill}: {nominal.phase}")

@@ -6,9 +6,9 @@ until the pair is clear; the next contract has them in addition to its own. No c
 specification permits.
 
 A permit that ends with a phase ends with hysteresis: it remains for a pair whose margin would be short without it,
-until the margin is intact by the newest observation and by the estimate that the filter has in force. Its contact speed
-is 0: the pair may not approach, and nothing demands a sudden retreat. The end of a permit therefore
-does not make a margin short.
+until the margin is intact by the newest observation and by the estimate that the filter has in force, both at the age
+that they have in its next step. Its contact speed is 0: the pair may not approach, and no retreat from an object at
+rest is demanded. The end of a permit therefore does not make a margin short.
 """
 
 from __future__ import annotations
@@ -57,14 +57,16 @@ class ResidualContacts:
         """Name of the object that the fingers still touch, None if there is none."""
         return next((contact.obstacle for contact in self.contacts if contact.robot_part == "fingers"), None)
 
-    def retain(self, phase: str, contacts: Iterable[PermittedContact], state: RobotState, scene: Scene) -> None:
-        """Retain those of the `contacts` of a skill that ended in `phase` that are not clear."""
+    def retain(
+        self, phase: str, contacts: Iterable[PermittedContact], state: RobotState, scene: Scene, now: float
+    ) -> None:
+        """Retain those of the `contacts` of a skill that ended in `phase` that are not clear at `now` [s]."""
         self.contacts, self._ending = tuple(contacts), frozenset()
         self.closing_target = (self.object_in_fingers or "") if phase == CLOSING_PHASE else ""
-        self.update(state, scene)
+        self.update(state, scene, now)
 
     def keep_until_intact(
-        self, ending: Iterable[PermittedContact], state: RobotState, scene: Scene, *, held: str | None
+        self, ending: Iterable[PermittedContact], state: RobotState, scene: Scene, now: float, *, held: str | None
     ) -> None:
         """Keep the permits `ending` with a phase, at contact speed 0, for every pair whose margin would be short now.
 
@@ -74,16 +76,16 @@ class ResidualContacts:
         kept = tuple(replace(one, speed=0.0) for one in ending if _pair(one) not in known and one.obstacle != held)
         self.contacts = (*self.contacts, *kept)
         self._ending |= {_pair(one) for one in kept}
-        self.update(state, scene)
+        self.update(state, scene, now)
 
-    def update(self, state: RobotState, scene: Scene) -> bool:
-        """Remove the contacts that are clear; returns whether any was removed.
+    def update(self, state: RobotState, scene: Scene, now: float) -> bool:
+        """Remove the contacts that are clear at `now` [s]; returns whether any was removed.
 
         A contact with an object that is not perceived is not known to be clear and remains.
         """
         if not self.contacts:
             return False
-        cover = self._spheres.at(state)
+        cover = self._spheres.at(state, now - scene.stamp)
         perceived = {obj.name: obj for obj in scene.objects}
         held = any(HELD_GROUP in parts for parts in cover.parts)
 
@@ -92,7 +94,7 @@ class ResidualContacts:
             if obj is None or (contact.robot_part == HELD_GROUP and not held):
                 return True
             enough = INTACT_CLEARANCE if _pair(contact) in self._ending else CLEARANCE
-            return self._clearance(contact.robot_part, obj, scene.stamp, cover) < enough
+            return self._clearance(contact.robot_part, obj, scene.stamp, now, cover) < enough
 
         remaining = tuple(contact for contact in self.contacts if near(contact))
         if all(contact.robot_part == HELD_GROUP for contact in remaining) and not held:
@@ -103,11 +105,13 @@ class ResidualContacts:
             self.closing_target = ""
         return removed
 
-    def _clearance(self, part: str, obj: SceneObject, stamp: float, cover: RobotCover) -> float:
-        """Least h [m] of `part` and `obj`, as observed at `stamp` [s] and as the filter has it in force."""
-        in_force = (one for one in self._safety.tables.obstacles if one.name == obj.name)
-        observed = obstacle_from_checked_object(obj, stamp, known=True)
-        return min(cover.part_clearance(part, one) for one in (observed, *in_force))
+    def _clearance(self, part: str, obj: SceneObject, stamp: float, now: float, cover: RobotCover) -> float:
+        """Least h [m] of `part` and `obj` at `now` [s], as observed at `stamp` [s] and as the filter has it."""
+        tables = self._safety.tables
+        observed = cover.part_clearance(part, obstacle_from_checked_object(obj, stamp, known=True))
+        later = replace(cover, age=max(0.0, now - tables.stamp))
+        in_force = (later.part_clearance(part, one) for one in tables.obstacles if one.name == obj.name)
+        return min((observed, *in_force))
 
     def combine(self, contacts: tuple[PermittedContact, ...]) -> tuple[PermittedContact, ...]:
         """`contacts`, and the residual contacts of all other pairs of a robot part and an object."""

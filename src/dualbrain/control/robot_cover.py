@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from dualbrain.core.geometry.distance import signed_distance
 from dualbrain.core.geometry.shapes import Box, Capsule, Sphere
+from dualbrain.robots.differential_drive import integrate_arc
 from dualbrain.robots.interface import RobotState
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.obstacles import Obstacle
@@ -79,14 +80,12 @@ class RobotSpheres:
         self._count = len(links)
         self._first = np.array([i for i, link in enumerate(links) if link.frame > 0], np.intp)
         self._parts: tuple[tuple[str, ...], ...] = tuple((link.name, link.group) for link in links if link.frame > 0)
-        compensated = not model.is_mobile and safety.config.lag_compensation
-        self._lag = model.tracking.lag if compensated else 0.0
+        self._lag = model.tracking.lag if safety.config.lag_compensation else 0.0
+        self._base_lag = (model.base_lag or 0.0) + self._lag if safety.config.lag_compensation else 0.0
 
     def at(self, state: RobotState, age: float = 0.0) -> RobotCover:
         """The spheres at `state`, as the filter places them, its permits, and the `age` [s] of the observation."""
-        q = np.asarray(state.q, np.float64)
-        if self._lag:
-            q = q + self._lag * np.asarray(state.v, np.float64)
+        q = self._advanced(np.asarray(state.q, np.float64), np.asarray(state.v, np.float64))
         centres, radii, groups = self._safety.spheres(q, state.opening)
         tables, held = self._safety.tables, np.arange(self._count, len(radii))
         chosen = np.concatenate([self._first, held])
@@ -100,6 +99,15 @@ class RobotSpheres:
             permits=permits,
             age=max(0.0, age),
         )
+
+    def _advanced(self, q: Array, v: Array) -> Array:
+        """The configuration (nq,) at which the filter evaluates h: ahead of `q` by the lag of joints and base."""
+        if not self._safety.robot_model.is_mobile:
+            return q + self._lag * v
+        x, y, heading = q[:3].tolist()
+        speed, turn = v[:2].tolist()
+        base = integrate_arc(x, y, heading, speed, turn, self._base_lag)
+        return np.concatenate([base, q[3:] + self._lag * v[2:]])
 
 
 def extent(obstacle: Obstacle) -> float:
