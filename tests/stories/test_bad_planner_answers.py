@@ -159,21 +159,11 @@ def test_an_unreadable_or_empty_instruction_ends_in_a_recorded_decline(instructi
     assert len(inside) < 500
 
 
-@pytest.mark.parametrize(
-    ("instruction", "reason"),
-    [
-        (
-            "put the green frog on the moon",
-            'there is no "green frog" in the scene. Objects and places here: red cube, ',
-        ),
-        ("pour the blue bowl into the red cube", 'no skill of this robot can "pour"'),
-    ],
-)
-def test_an_instruction_that_no_contract_carries_out_reaches_no_planner(instruction, reason, tmp_path):
-    story = run_session(run_config(tmp_path, instruction=instruction), hold_contract())
+def test_an_instruction_about_an_absent_object_reaches_no_planner(tmp_path):
+    story = run_session(run_config(tmp_path, instruction="put the green frog on the moon"), hold_contract())
     assert story.planner.requests == []
     assert story.episode.outcome.kind == "declined"
-    assert f"The instruction is declined, because {reason}" in story.episode.outcome.reason
+    assert 'there is no "green frog" in the scene. Objects and places here: red cube, ' in story.episode.outcome.reason
     assert exit_code(story.episode) == ExitCode.REJECTED
     assert story.displacement < MAX_DISPLACEMENT
 

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dualbrain.contracts.contract import Action, Context, Contract
+from dualbrain.contracts.parameter_domains import ParameterDomain
 from dualbrain.contracts.schema import decoding_schema
 from dualbrain.grounding.envelope.grasp_fit import parameter_domains
 from dualbrain.grounding.envelope.grasp_reach import arm_in_posture, comes_down, highest_clearance, within_reach
@@ -118,6 +119,18 @@ def test_an_object_that_no_grasp_reaches_keeps_its_parts_and_the_gate_states_the
     assert "out of reach" in rejection(robot, perceived, contract).hint
 
 
+def test_a_least_clearance_above_the_reach_keeps_the_part_and_the_gate_states_the_reason():
+    far = box("cube", 0.8, 0.0, (0.02, 0.02, 0.02))
+    perceived, arm = scene(far, bowl()), at_home("panda", scene(far, bowl()))
+    heights = [highest_clearance(arm, far, "along", approach) for approach in APPROACH_LEAN]
+    assert [height for height in heights if height is not None] == [heights[0]]
+    assert heights[0] < 0.3
+    part = ParameterDomain({"object": ["cube"], "finger_axis": ("along",)}, {"clearance": 0.3})
+    (kept,) = within_reach({"grasp": (part,)}, perceived, arm, ["cube"])["grasp"]
+    assert (kept.admitted, kept.least, kept.most) == (part.admitted, part.least, {})
+    assert rejection("panda", perceived, grasp_contract("panda", perceived, object="cube", clearance=0.32)) is not None
+
+
 def test_only_the_objects_of_the_goal_are_computed(robot):
     perceived = scene_from_spec(open_scene("edge:40402", robot))
     domains = parameter_domains(perceived, ROBOTS[robot])
@@ -152,4 +165,4 @@ def test_a_mobile_robot_states_no_reach():
         holding=None,
         posture=Posture(tuple(state.q.tolist()), state.opening),
     )
-    assert context.observing_arm is None
+    assert context.make_arm() is None

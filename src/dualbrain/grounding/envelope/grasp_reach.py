@@ -61,7 +61,8 @@ def within_reach(
 ) -> ParameterDomains:
     """`domains` with the grasps of the `graspable` objects of `scene` only, by approach, up to the highest clearance.
 
-    An object that is out of reach from every side keeps its parts, so that the gate states the reason.
+    An object that is out of reach from every side, or only within reach below the least clearance of the site, keeps
+    its parts, so that the gate states the reason.
     """
     if "grasp" not in domains:
         return domains
@@ -110,7 +111,8 @@ def _reaches(part: ParameterDomain, obj: SceneObject, arm: ArmController) -> Ite
     for axis in axes:
         by_bound = defaultdict[float, list[str]](list)
         for approach in APPROACH_LEAN:
-            if (bound := highest_clearance(arm, obj, axis, approach)) is not None:
+            bound = highest_clearance(arm, obj, axis, approach)
+            if bound is not None and bound >= part.least.get("clearance", bound):
                 by_bound[bound].append(approach)
         for bound, approaches in by_bound.items():
             by_approach[tuple(approaches), bound].append(axis)

@@ -17,6 +17,7 @@ from dualbrain.grounding.instruction.names import (
     COLORS,
     Mention,
     category_of,
+    color_of,
     find_mentions,
     mask_places,
     name_words,
@@ -47,12 +48,26 @@ _RELEASE = re.compile(
     r"\b(?:release|let (?:it |go|the)|drop|open|free|put|place|set|lay|lower|let|leave|deposit|unhand"
     r"|ungrip|loosen|give)\b"
 )
-_PLACEMENT = re.compile(
-    r"\b(?:put|place|set|lay|stand|drop|deposit|lower|store|stow|stash|tidy|clear|clean|sort|collect|gather|pack|load"
-    r"|return|transfer|move|shift|relocate|stack|insert|dump|pop|plonk|stick|throw|toss|bin|away|back|down|belongs?"
-    r"|leave|release|out of|off|from|a home|in (?:my|the|our|your) way)\b"
+_COLORED = re.compile(
+    r"\b(?:whatever|everything|anything|nothing|all|all that|what)(?: that)?(?: is| are)? ([a-z]{1,20})\b"
 )
-"""Words for a placement in an instruction that names no destination."""
+"""A color that stands for all objects that have it: "whatever is yellow"."""
+_STAYING = re.compile(
+    r"\b(?:hover|hovering|look|watch|inspect|peek|point at|point to|hold|lift|raise|pick up|grasp|grab"
+    r"|(?:hand|gripper|fingers|arm) (?:right |just |straight )?(?:above|over))\b"
+)
+"""Words for a motion after which the object is where it was, or in the hand."""
+_PLACEMENT = re.compile(
+    r"\b(?:put|puts|putting|plac\w{1,4}|sets?|setting|lay|stand|drop\w{0,4}|deposit\w{0,3}|lower|stor\w{1,3}|stow\w{0,3}"
+    r"|stash|tidy|clear\w{0,3}|clean\w{0,3}|sort\w{0,3}|collect|gather|pack|load|return|transfer|move|moved|shift|relocat\w{1,3}"
+    r"|remov\w{1,3}|rid|bring|carr\w{1,4}|transport|stack|insert|dump|pop|plonk|stick|throw|toss|bin|away|back|down|belongs?"
+    r"|leave|release|let|empty|out of|off|from|a home|in (?:my|the|our|your) way)\b"
+)
+"""Words for a placement."""
+_OPEN_HAND = re.compile(
+    r"\b(?:bring|move|put|place|hold) (?:your|the) (?:empty |free |open )?(?:hand|gripper|fingers|arm)\b"
+)
+"""The hand itself is moved, and no object is placed."""
 _TURN = re.compile(r"\b(?:turn|face|heading|rotate|spin|look|point|orient|swivel|rad|degrees|towards?)\b")
 _NUMBER = re.compile(r"\d")
 _PLACE_PHRASE = re.compile(
@@ -207,10 +222,9 @@ class _Reader:
         return problem
 
     def _placement_problem(self, name: str) -> Rejected | None:
-        """The rejection of a placement that neither a destination nor a verb of the instruction asks for."""
-        if not self._places and not _PLACEMENT.search(self._text):
-            return _unasked("place", "put anything down")
-        return self._place_problem(name)
+        """The rejection of a placement in an instruction that only asks to look at or to hold something."""
+        stays = _STAYING.search(self._text) and not _PLACEMENT.search(_OPEN_HAND.sub(" ", self._text))
+        return _unasked("place", "put anything down") if stays and not self._places else self._place_problem(name)
 
     def _object_problem(self, name: str) -> Rejected | None:
         if _EVERYTHING.search(self._text) and not self._objects:
@@ -228,12 +242,9 @@ class _Reader:
         return _question(name, self._scene.graspable, _not_named(name))
 
     def _has_stated_color(self, name: str) -> bool:
-        """Whether the object `name` has a color that the words state without a place; true if they state none."""
-        places = {word for place in self._scene.receptive for word in _words_for(place)}
-        words = self._text.split()
-        of_objects = {word for word, following in zip(words, [*words[1:], ""], strict=True) if following not in places}
-        stated = of_objects & COLORS - {"clear"}  # a verb here: "clear the table"
-        return not stated or not stated.isdisjoint(name_words(name))
+        """Whether the object `name` has the color that stands for all objects that have it; true without one."""
+        stated = {color for match in _COLORED.finditer(self._text) if (color := color_of(match[1]))}
+        return not stated or not stated.isdisjoint(map(color_of, name_words(name)))
 
     def _place_problem(self, name: str, *, required: bool = False) -> Rejected | None:
         if name not in self._scene.receptive or any(name in mention.names for mention in self._places):

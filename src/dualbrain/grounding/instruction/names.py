@@ -263,17 +263,18 @@ def _colors(before: Sequence[str]) -> set[str]:
     """The colors in front of a noun: "red", "red and yellow", or "red" with one word between."""
     found: set[str] = set()
     for word in reversed(before):
-        color = _color(word)
+        color = color_of(word)
         if color:
             found.add(color)
         elif word not in ("and", ",", "or"):
             break
-    if not found and len(before) > 1 and (color := _color(before[-2])):
+    if not found and len(before) > 1 and (color := color_of(before[-2])):
         found.add(color)
     return found
 
 
-def _color(word: str) -> str:
+def color_of(word: str) -> str:
+    """The color that `word` names, as scenes name it; "" for other words."""
     if word in COLORS and word not in {synonym for some in COLOR_SYNONYMS.values() for synonym in some}:
         return word
     return next(

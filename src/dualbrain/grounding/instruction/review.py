@@ -45,7 +45,7 @@ class StopCommand:
 class Refusal:
     """The instruction is declined: `reason` in one or two sentences, `quote` the words that it is about."""
 
-    kind: Literal["length", "language", "hostile", "clause", "goal", "grasp", "number"]
+    kind: Literal["length", "language", "hostile", "clause", "absent", "grasp", "number"]
     reason: str
     quote: str
     brief: str

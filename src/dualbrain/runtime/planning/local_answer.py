@@ -16,13 +16,15 @@ from dualbrain.grounding.envelope.grasp_fit import parameter_domains, ungraspabl
 from dualbrain.grounding.envelope.value_bounds import why_out_of_bounds
 from dualbrain.grounding.instruction.goals.goal import Goal
 from dualbrain.grounding.instruction.goals.goal_reading import read_goal
-from dualbrain.grounding.instruction.names import describes_object
+from dualbrain.grounding.instruction.language import detect_foreign_language
+from dualbrain.grounding.instruction.names import describes_object, find_mentions
 from dualbrain.grounding.instruction.review import Refusal, StopCommand, refuse_hostile, review_instruction
 from dualbrain.grounding.instruction.stop_commands import is_stop_command
+from dualbrain.grounding.instruction.words import normalise
 from dualbrain.planner.introspection import planner_languages
 from dualbrain.planner.protocol import STOP, Planner
 from dualbrain.planner.scripted import FixedContractPlanner
-from dualbrain.records import Judgement, JudgementBasis, Outcome, Proposal
+from dualbrain.records import Judgement, JudgementBasis, Outcome, Proposal, Scene
 from dualbrain.runtime.planning.episode_request import InstructionCheck
 from dualbrain.runtime.planning.planner_request import PlanningContext
 
@@ -41,9 +43,9 @@ def answer_locally(
 ) -> StopCommand | Refusal | None:
     """The answer of the local layer to `instruction`; None if `planner` is to be asked.
 
-    An instruction about an object that is not in the scene, one that no skill carries out, one whose objects the hand
-    cannot grasp, or whose numbers no skill takes, is declined here with the reason: every contract but a decline would
-    be rejected. A fixed contract is judged as it is.
+    An instruction about an object that is certainly not in the scene, one whose objects the hand cannot grasp, or whose
+    numbers no skill takes, is declined here with the reason: every contract but a decline would be rejected. A fixed
+    contract is judged as it is.
     """
     if check == "given_contract":
         return StopCommand() if is_stop_command(instruction) else refuse_hostile(instruction)
@@ -53,21 +55,23 @@ def answer_locally(
     )
     if review is not None or check != "all" or isinstance(planner, FixedContractPlanner):
         return review
+    if detect_foreign_language(instruction) is not None:
+        return None  # the goal parser reads English only
     return _refuse_goal(instruction, context)
 
 
 def _refuse_goal(instruction: str, context: PlanningContext) -> Refusal | None:
-    """The refusal of a goal that no contract fulfils: its objects, a grasp that the hand cannot make, or a number."""
+    """The refusal of a goal with an absent object, an impossible grasp, or a number that no skill takes."""
     scene, registry = context.scene, context.registry
     goal = read_goal(instruction, scene)
     if not isinstance(goal, Goal):
         return None
-    if goal.absent and not describes_object(goal.absent):
-        return None  # it may be no object, and the planner states the reason
-    if goal.decline:
+    if _is_absent_object(goal.absent, scene):
         names = ", ".join(name.replace("_", " ") for name in (*scene.graspable, *scene.receptive)) or "nothing"
         reason = f"The instruction is declined, because {goal.decline}. Objects and places here: {names}."
-        return Refusal(kind="goal", reason=reason, quote="", brief=goal.decline)
+        return Refusal(kind="absent", reason=reason, quote=goal.absent, brief=goal.decline)
+    if goal.decline:
+        return None
     if why := why_out_of_bounds(goal.values, registry):
         reason = f"The instruction is declined, because {why}. State a number within these bounds, or none."
         return Refusal(kind="number", reason=reason, quote="", brief=why)
@@ -77,6 +81,12 @@ def _refuse_goal(instruction: str, context: PlanningContext) -> Refusal | None:
     name, why = names[0].replace("_", " "), why_ungraspable(scene.find(names[0]), registry)
     reason = f"{UNGRASPABLE} {name}: {why}. Use another hand, or ask for something that needs no grasp of it."
     return Refusal(kind="grasp", reason=reason, quote=name, brief=f"{name}: {why}")
+
+
+def _is_absent_object(phrase: str, scene: Scene) -> bool:
+    """Whether `phrase` certainly names an object that is not in `scene`: by color or kind, and no synonym of one."""
+    names = (*scene.graspable, *scene.receptive)
+    return describes_object(phrase) and not any(one.names for one in find_mentions(normalise(phrase).text, names))
 
 
 def local_proposal(answer: StopCommand | Refusal, registry: SkillRegistry, contract_id: str) -> Proposal:

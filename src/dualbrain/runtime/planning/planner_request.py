@@ -82,8 +82,7 @@ class PlanningContext:
         """The skill registry of the robot."""
         return skill_registry(self.robot_model)
 
-    @property
-    def observing_arm(self) -> ArmController | None:
+    def make_arm(self) -> ArmController | None:
         """The arm in its present posture; None if it cannot grasp, or is on a base, with which its reach changes."""
         if self.robot_model.is_mobile or "grasp" not in self.registry.by_name:
             return None
@@ -144,7 +143,7 @@ def build_request(
         registry_hash=registry.hash,
         skills_text=describe_skills(registry, names),
         schema=answer_schema(
-            instruction, context.scene, registry, context.holding, restrict=restrict, arm=context.observing_arm
+            instruction, context.scene, registry, context.holding, restrict=restrict, arm=context.make_arm()
         ),
         contract_id="c-0001",
         failure_feedback=failure_feedback,

@@ -29,6 +29,8 @@ MIN_CORRECTED = 4
 MAX_WORDS = 2
 """An object that is not in the scene is recognised by an adjective and a noun at most."""
 _COLOUR = "|".join(sorted(COLOURS))
+ALL_COLOURED = re.compile(rf"(?:everything|anything|whatever|all)(?: (?:that|which))?(?: is|'s| are)? ({_COLOUR})")
+"""All objects of a colour, without a noun: "everything that is red"."""
 NOT_COLOUR = re.compile(
     rf"(?P<head>.+?) (?:that|which)(?: is not|'s not| isn't) (?:the )?(?P<colour>{_COLOUR})(?: one)?"
 )
@@ -147,6 +149,8 @@ def _resolve(
         whole = _resolve_one(every, objects, places)
         left = whole if isinstance(excluded, Absent) else _without(whole, excluded)
         return left if not isinstance(left, Found) or len(left.names) == 1 else Unclear(f'"{phrase}" may be several')
+    if colored := ALL_COLOURED.fullmatch(phrase):
+        phrase = f"all {colored[1]} things"
     phrase = re.sub(
         rf"^(the |that |this |a )?(.+?) (?:that|which)(?: is|'s) (?:the )?({_COLOUR})(?: one)?$", r"\1\3 \2", phrase
     )

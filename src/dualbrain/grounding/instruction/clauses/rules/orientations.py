@@ -8,6 +8,10 @@ from dualbrain.grounding.instruction.clauses.rules.clause_rule import ClauseRule
 from dualbrain.grounding.instruction.clauses.rules.word_classes import PUSHES, THING
 
 _TOOL = r"\b(?:use|using|by means of|with the help of)"
+_TOOL_MOTIONS = (
+    r"(?:push|shove|slide|nudge|hit|knock|tap|poke|move|drag|sweep|roll|tip|prop|press|lever|scoop|pushing|shoving|sliding"
+    r"|nudging|hitting|knocking|moving|dragging|sweeping)\b"
+)
 ORIENTATIONS: tuple[ClauseRule, ...] = (
     ClauseRule(
         "orientation",
@@ -68,7 +72,7 @@ ORIENTATIONS: tuple[ClauseRule, ...] = (
     ClauseRule(
         "motion",
         re.compile(
-            rf"{_TOOL} (?:the|an?|this|that|one of the) (?:\w+ ){{0,2}}?(?:{THING}) (?:to|as|for) (?!hold\b)\w+"
+            rf"{_TOOL} (?:the|an?|this|that|one of the) (?:\w+ ){{0,2}}?(?:{THING}) (?:to|for) {_TOOL_MOTIONS}"
             rf"|\b(?:{PUSHES}) (?:it|them|the (?:\w+ ){{1,3}}?)[^.,;:!?]{{0,40}}?{_TOOL} (?:the|an?|this|that) "
             rf"(?:\w+ ){{0,2}}?(?:{THING})\b"
         ),
