@@ -71,7 +71,7 @@ MATCHES = [
     ("pick the red cube up and put it down somewhere else", BARE, [grasp("red_cube"), place("table_left")]),
     ("let go of the green tin", HOLDING, [place("table_left")]),
     ("put everything in the blue plastic bowl", SORTING, [grasp("green_tin"), place("blue_bowl")]),
-    ("put whatever is transparent in the bowl", GLASS, [grasp("clear_glass"), place("blue_bowl")]),
+    ("put everything transparent in the bowl", GLASS, [grasp("clear_glass"), place("blue_bowl")]),
     ("put it in the bowl", BARE, [grasp("red_cube"), place("blue_bowl")]),
     ("put the brick in the dish", BARE, [grasp("red_cube"), place("blue_bowl")]),
     ("put the red cub in the bowll", BARE, [grasp("red_cube"), place("blue_bowl")]),

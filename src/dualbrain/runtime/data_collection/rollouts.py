@@ -123,7 +123,7 @@ def turn_of_memory_id(memory: str) -> int:
 
 
 def build_request(one: Sample, recall: RetrievedContext | None = None) -> PlanRequest:
-    """The request of a sample as the episode loop makes it, with retrieved context."""
+    """The request of a sample as the episode loop makes it, with retrieved context; no reach in the schema."""
     context = scene_context_by_name(one.scene)
     registry, instruction = context.registry, instruction_of(one)
     return PlanRequest(

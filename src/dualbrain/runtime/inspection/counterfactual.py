@@ -67,7 +67,7 @@ class CounterfactualQueries:
         return tuple(found)
 
     def build_request(self, episode: Episode, excluded: Exemplar) -> PlanRequest:
-        """The first request of `episode`, without the exemplar `excluded`."""
+        """The first request of `episode`, without the exemplar `excluded`; the schema has no bound by the reach."""
         remaining = tuple(one for one in episode.recall.exemplars if one.episode_id != excluded.episode_id)
         recall = in_prompt_order(msgspec.structs.replace(episode.recall, exemplars=remaining), self._registry)
         names = scene_names(episode.scene)
