@@ -61,6 +61,7 @@ MISMATCHES = [
     ("Bring your empty hand above the red cube and just wait there.", BARE, [grasp("red_cube"), place("blue_bowl")]),
     ("tidy the table, all that is yellow goes in the blue bowl", SORTING, [grasp("green_tin"), place("blue_bowl")]),
     ("leave nothing red lying on the table", SORTING, [grasp("yellow_block"), place("blue_bowl")]),
+    ("shift the clear glass somewhere towards the left side of the table", GLASS, [grasp("white_bottle")]),
     ("what time is it", BARE, [look("red_cube")]),
     ("look at the person", BARE, [look("red_cube")]),
     ("wave at me", BARE, [HOME]),

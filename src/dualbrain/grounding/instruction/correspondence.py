@@ -27,9 +27,12 @@ from dualbrain.grounding.instruction.words import normalise
 INSTRUCTION_POINTER = "/instruction"
 """The pointer of a rejection by this check; no contract has a field of this name."""
 _EVERYTHING = re.compile(
-    r"\b(?:everything|all of (?:it|them)|all (?:the )?(?:things|objects|stuff|items)|the rest|the others|whatever"
-    r"|(?:clear|tidy|clean|empty|sort)(?: up| off| out)?(?: (?:the|my|this|your))? ?(?:table|desk|bench|mess|place)?)\b"
+    r"\b(?:everything|all of (?:it|them)|all (?:the )?(?:things|objects|stuff|items)|the rest|the others"
+    r"|whatever(?! else| you| i\b)|(?:clear|tidy|clean|empty|sort)(?: up| off| out| away)?(?: (?:the|my|this|your))? ?"
+    r"(?:table|desk|bench|mess|place)|(?:clear|tidy|clean|empty|sort)(?:ing)? (?:up|off|out|away)"
+    r"|(?:tidy|clean)(?= [.,;!?]|$))\b"
 )
+"""Words for all objects of a scene; "the clear glass" and "the empty hand" are none."""
 _PRONOUN = re.compile(
     r"\b(?:pick|take|grasp|grab|lift|put|place|push|move|drop|hold|get|set|bring|carry|slide|shove"
     r"|nudge|raise|look at|above"
