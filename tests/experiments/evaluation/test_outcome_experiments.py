@@ -20,7 +20,12 @@ from experiments.evaluation.demo_sentence import DemoSentence, resolvable_end
 from experiments.evaluation.free_instructions import FreeInstructionsExperiment, judge_row
 from experiments.evaluation.gentle_force import FORCES, TASKS, GentleForce, contract_text
 from experiments.evaluation.instructed_run import instructed_row, open_named_planner, planners_of, run_instruction
-from experiments.evaluation.instructions.instruction_set import CLAUSE_FILES, clause_instructions, free_instructions
+from experiments.evaluation.instructions.instruction_set import (
+    CLAUSE_FILES,
+    FREE_FILES,
+    clause_instructions,
+    free_instructions,
+)
 from experiments.evaluation.outcome_confusion import OutcomeConfusion
 from experiments.figures.tables import format_share_by_scene
 from tests.evaluation.sample_rows import episode_row
@@ -31,7 +36,8 @@ PACKAGED = ("base-135m", "explored-135m", "starter-135m")
 def test_packaged_planners_are_asked_one_after_the_other(tmp_path):
     assert planners_of("packaged") == PACKAGED
     assert planners_of("some-planner") == ("some-planner",)
-    assert len(FreeInstructionsExperiment().units(Options(tmp_path, "packaged"))) == 480
+    n_sets = len(FREE_FILES)
+    assert len(FreeInstructionsExperiment().units(Options(tmp_path, "packaged"))) == 80 * n_sets * len(PACKAGED)
     assert len(DemoSentence().units(Options(tmp_path, "packaged"))) == 900
     assert open_named_planner("starter-135m", "ur5e") is None
 
