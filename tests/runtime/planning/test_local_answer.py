@@ -9,10 +9,12 @@ from dualbrain.grounding.instruction.review import Refusal
 from dualbrain.grounding.offline_gate import scene_from_spec
 from dualbrain.planner.scripted import FixedContractPlanner
 from dualbrain.runtime.inspection.dry_run import context_at_home
+from dualbrain.runtime.planning import local_answer
 from dualbrain.runtime.planning.local_answer import answer_locally
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
 PLANNER = SimpleNamespace(languages=("en", "fr"))
+FRENCH = SimpleNamespace(code="fr", name="French")
 
 
 @pytest.fixture(scope="module")
@@ -52,6 +54,11 @@ def test_an_object_that_is_not_there_is_declined_with_the_names_that_are(context
 )
 def test_what_may_be_meant_is_left_to_the_planner(context, instruction):
     assert answer_locally(instruction, context, PLANNER) is None
+
+
+def test_the_goal_of_a_sentence_in_another_language_is_not_judged(context, monkeypatch):
+    monkeypatch.setattr(local_answer, "detect_foreign_language", lambda text: FRENCH)
+    assert answer_locally("put the green tin in the bowl", context, PLANNER) is None
 
 
 def test_a_fixed_contract_is_not_replaced(context):

@@ -54,7 +54,7 @@ _RELEASE = re.compile(
 _COLORED = re.compile(
     r"\b(?:whatever|everything|anything|nothing|all|all that|what)(?: that)?(?: is| are)? ([a-z]{1,20})\b"
 )
-"""A color that stands for all objects that have it: "whatever is yellow"."""
+"""A color that names all objects that have it: "everything that is yellow"."""
 _STAYING = re.compile(
     r"\b(?:hover|hovering|look|watch|inspect|peek|point at|point to|hold|lift|raise|pick up|grasp|grab"
     r"|(?:hand|gripper|fingers|arm) (?:right |just |straight )?(?:above|over))\b"
@@ -245,7 +245,7 @@ class _Reader:
         return _question(name, self._scene.graspable, _not_named(name))
 
     def _has_stated_color(self, name: str) -> bool:
-        """Whether the object `name` has the color that stands for all objects that have it; true without one."""
+        """Whether the object `name` has the color that names all objects that have it; true without one."""
         stated = {color for match in _COLORED.finditer(self._text) if (color := color_of(match[1]))}
         return not stated or not stated.isdisjoint(map(color_of, name_words(name)))
 

@@ -225,3 +225,9 @@ def test_no_other_clause_is_lost_in_a_goal():
         if read and not any(words in text.lower() for words in ACCOUNTED_FOR):
             lost.append((text, goal.conditions))
     assert lost == []
+
+
+@pytest.mark.parametrize("rest", ["and just wait there", "and simply wait", "and wait there"])
+def test_a_wait_after_a_conjunction_and_an_adverb_is_a_clause_of_its_own(rest):
+    goal = read_goal(f"bring your empty hand above the red cube {rest}", BEFORE)
+    assert (goal.conditions, goal.pauses, goal.decline) == ((Observed("red_cube"),), 1, "")

@@ -39,7 +39,7 @@ CLAUSE_ENDS = re.compile(
     r" {0,2}[.;!?]+(?!\d) {0,2}|,? {0,2}\b(?:and,? )?(?:then|after that|afterwards|(?:once|when|after) (?:that is done"
     r"|you have finished(?: that| it)?|you are done(?: with that| with it)?)"
     r"|later(?=,? \w)|next(?! to\b| time\b| week\b))\b,? {0,2}"
-    rf"|,? {{1,2}}(?:and|but) {{1,2}}(?:you |please )?(?={COMMAND})"
+    rf"|,? {{1,2}}(?:and|but) {{1,2}}(?:(?:you|please|just|simply) ){{0,2}}(?={COMMAND})"
     rf"|[,:] {{0,2}}(?:(?:please|just|so|(?:could|can|would|will) you|you) ){{0,3}}(?={COMMAND})"
 )
 REFERRING = re.compile(r"\b(?:it|them|that|those|these|this)\b(?! \w+(?:_| (?:bowl|table)))")

@@ -126,7 +126,7 @@ WAITING_CLAUSE = (
 STILL_CLAUSES = (
     WAITING_CLAUSE,
     r"stay (?:like (?:that|this)|as you are)",
-    r"stop(?: it| now| moving| at once| everything| the arm| the robot)*|halt|freeze|wait|pause|"
+    r"stop(?: it| now| moving| at once| everything| the arm| the robot)*|halt|freeze|wait(?: there| here)?|pause|"
     r"stay(?: where you are| there| still)*|hold still|stand still|do(?: not|n't) move|do nothing|don't do anything|"
     r"do not do anything|hold(?: on| it)?|stay put|abort|cancel|whoa|enough",
 )
