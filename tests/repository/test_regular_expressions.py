@@ -39,6 +39,7 @@ BOUNDED = {
     "dualbrain.grounding.instruction.goals": MAX_CHARACTERS,
     "dualbrain.grounding.instruction.clauses": MAX_INSTRUCTION,
     "dualbrain.grounding.instruction.words": MAX_INSTRUCTION,
+    "dualbrain.grounding.instruction.stated_values": MAX_CHARACTERS,
 }
 """Packages and modules whose patterns get at most this number of characters, and the largest time of one call [s]."""
 BOUNDED_S = 0.01

@@ -96,16 +96,23 @@ class Cell:
         self.wait(actions, lambda: self.operator.status and self.operator.status.action in actions)
 
     def begin_motion(self, *actions):
-        """Propose a contract, and return while the arm moves; one that ends at once is proposed again."""
+        """Propose a contract, and return while the arm moves; one that ends before is proposed again."""
         for _ in range(5):
             self.free()
             start = self.operator.request_scene().q
             self.propose(*actions)
-            while not self.has_moved(start) and self.operator.status.busy:
-                time.sleep(0.01)
-            if self.has_moved(start):
-                return
-            self.commander.wait_for_outcome(TIMEOUT)
+            while self.runs():
+                if self.has_moved(start):
+                    return
+            outcome = self.commander.wait_for_outcome(TIMEOUT).outcome
+            assert not self.has_moved(start), f"the motion ended unseen: {outcome}"
+        raise AssertionError(f"no contract moved the arm: {outcome}")
+
+    def runs(self):
+        """Whether the contract runs, by a status that is sent after the call."""
+        known = self.operator.status
+        self.wait("a new status", lambda: self.operator.status is not known)
+        return self.operator.status.busy
 
     def has_moved(self, start):
         return np.abs(np.subtract(self.operator.request_scene().q, start)).max() > 0.05
