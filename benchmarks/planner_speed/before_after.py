@@ -1,15 +1,16 @@
 """Time and correctness of plans with and without fixed examples and jump-forward decoding, in one run.
 
-    python -m benchmarks.planner_speed.before_after PLANNER [--count 50] [--threads 1] [--log FILE]
+    python -m benchmarks.planner_speed.before_after PLANNER [--count 50] [--threads 1] [--served-threads N] [--log FILE]
 
-Both variants answer the same questions, one after the other in alternating order, so that other load affects both.
+All variants answer the same questions, one after the other in changing order, so that other load affects all of them.
 `before`: every token generated; for models without an adapter, contracts with id and context in the prompt, examples
 chosen for each question, and the names in the scene listed after it. `after`: as planners serve, with saved states of
 the constant part of the prompt; a name such as `transformers:base-135m` compares this adapter in torch with llama.cpp
-before. The first question of each process is not measured, nor is the first one about all objects of a kind, because
-they read this constant part. The questions are the 60 held-out instructions of the experiment `starter` and 40 others
-of the same generator, mixed, so that any prefix is a sample of both. With `--log`, answers are appended to a JSONL
-file, and a later call continues.
+before. `served` (with `--served-threads`): as `after`, with the number of threads that `dualbrain plan` and `run` give
+a planner where as many processors are idle. The first question of each process is not measured, nor is the first one
+about all objects of a kind, because they read this constant part. The questions are the 60 held-out instructions of
+the experiment `starter` and 40 others of the same generator, mixed, so that any prefix is a sample of both. With
+`--log`, answers are appended to a JSONL file, and a later call continues.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ from experiments.adaptation import starter
 from experiments.figures.tables import format_proportion, markdown_table
 from experiments.planning.language import is_right, score_question
 
-BEFORE, AFTER = "before", "after"
+BEFORE, AFTER, SERVED = "before", "after", "served"
 N_NEW, NEW_SEED = 40, 2026
 N_UNMEASURED = 40
 BOOTSTRAPS = 2000
@@ -64,15 +65,14 @@ def main() -> int:
     ]
     with ExitStack() as stack:
         states = Path(stack.enter_context(TemporaryDirectory()))
-        kinds = (BEFORE, AFTER) if missing else ()
-        planners = {kind: open_variant(options.planner, kind, options.threads, states) for kind in kinds}
+        threads = variants(options) if missing else {}
+        planners = {kind: open_variant(options.planner, kind, n, states / kind) for kind, n in threads.items()}
         for planner in planners.values():
             stack.callback(planner.close)
             for one in unmeasured_questions():
                 planner.propose(build_request(one))
         for n, question in missing:
-            order = (BEFORE, AFTER) if n % 2 else (AFTER, BEFORE)
-            answers = {kind: answer(planners[kind], question) for kind in order}
+            answers = {kind: answer(planners[kind], question) for kind in rotated(tuple(planners), n)}
             row = {"key": f"{options.planner} {n}", "planner": options.planner, "number": n, **answers}
             rows.append(row)
             if log:
@@ -86,8 +86,21 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument("planner")
     parser.add_argument("--count", type=int, default=50)
     parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--served-threads", type=int, default=0)
     parser.add_argument("--log", default="")
     return parser.parse_args(arguments)
+
+
+def variants(options: argparse.Namespace) -> dict[str, int]:
+    """The variants with their numbers of threads."""
+    served = {SERVED: options.served_threads} if options.served_threads else {}
+    return {BEFORE: options.threads, AFTER: options.threads} | served
+
+
+def rotated(kinds: Sequence[str], number: int) -> list[str]:
+    """The variants in the order of question `number`: each is first, second and last equally often."""
+    start = number % len(kinds)
+    return [*kinds[start:], *kinds[:start]]
 
 
 def questions() -> list[Sample]:
@@ -106,20 +119,20 @@ def unmeasured_questions() -> list[Sample]:
 
 
 def open_variant(name: str, kind: str, threads: int, states: Path) -> Planner:
-    """The planner called `name`, without (`before`) or with (`after`) the change under test.
+    """The planner called `name`, without (`before`) or with (`after`, `served`) the change under test.
 
     The variant before of an adapter in torch is this adapter in llama.cpp.
     """
-    cache = states if kind == AFTER else None
-    config = LlamaConfig(threads=threads, n_ctx=N_CTX, jump_forward=kind == AFTER, prompt_cache=cache)
+    cache = states if kind != BEFORE else None
+    config = LlamaConfig(threads=threads, n_ctx=N_CTX, jump_forward=kind != BEFORE, prompt_cache=cache)
     if name.startswith(TORCH_PREFIX):
-        if kind == AFTER:
+        if kind != BEFORE:
             adapters = dualbrain_home() / "adapters"
             return open_planner(name, cache_folder(), adapters=adapters, threads=threads)
         name = strip_torch_prefix(name)
     if name in packaged_names():
         return open_adapter(name, cache_folder(), adapters=dualbrain_home() / "adapters", config=config)
-    prompt_format = LOCAL_FULL_PROMPT if kind == AFTER else replace(FULL_PROMPT, messages=render_with_selected)
+    prompt_format = LOCAL_FULL_PROMPT if kind != BEFORE else replace(FULL_PROMPT, messages=render_with_selected)
     return LlamaPlanner(name, locate_weights(name, cache_folder()), config, prompt_format=prompt_format)
 
 
@@ -141,21 +154,26 @@ def answer(planner: Planner, question: Sample) -> dict[str, Any]:
 
 
 def report(rows: Sequence[dict[str, Any]]) -> list[str]:
-    """One line per variant: median time with parts, median ratio with its bootstrap interval, right answers."""
+    """One line per variant with its median time and right answers, then its ratio to `before`."""
     if not rows:
         return ["no answers"]
-    ratios = np.array([row[AFTER]["s"] / row[BEFORE]["s"] for row in rows])
+    kinds = [kind for kind in (BEFORE, AFTER, SERVED) if all(kind in row for row in rows)]
+    head = ("variant", "median s", "prefill", "decode", "new tokens of the prompt", "tokens of the answer", "right")
+    lines = markdown_table(head, [table_row(kind, [row[kind] for row in rows]) for kind in kinds])
+    return [*lines, *(ratio_line(rows, kind) for kind in kinds[1:])]
+
+
+def ratio_line(rows: Sequence[dict[str, Any]], kind: str) -> str:
+    """Median ratio of the times of `kind` to those before, with its bootstrap interval, and the equal answers."""
+    ratios = np.array([row[kind]["s"] / row[BEFORE]["s"] for row in rows])
     draws = np.random.default_rng(0).choice(ratios, (BOOTSTRAPS, len(ratios)))
     low, high = np.percentile(np.median(draws, axis=1), (2.5, 97.5))
-    total = sum(row[AFTER]["s"] for row in rows) / sum(row[BEFORE]["s"] for row in rows)
-    head = ("variant", "median s", "prefill", "decode", "new tokens of the prompt", "tokens of the answer", "right")
-    lines = markdown_table(head, [table_row(kind, [row[kind] for row in rows]) for kind in (BEFORE, AFTER)])
-    equal = sum(row[AFTER]["text"] == row[BEFORE]["text"] for row in rows)
-    lines.append(
-        f"{len(rows)} questions; median ratio {np.median(ratios):.2f} (95 % interval {low:.2f} to {high:.2f}), ratio "
-        f"of the sums {total:.2f}; {equal} equal answers"
+    total = sum(row[kind]["s"] for row in rows) / sum(row[BEFORE]["s"] for row in rows)
+    equal = sum(row[kind]["text"] == row[BEFORE]["text"] for row in rows)
+    return (
+        f"{kind}: {len(rows)} questions; median ratio {np.median(ratios):.2f} (95 % interval {low:.2f} to {high:.2f}), "
+        f"ratio of the sums {total:.2f}; {equal} equal answers"
     )
-    return lines
 
 
 def table_row(kind: str, answers: Sequence[dict[str, Any]]) -> tuple[str, ...]:

@@ -1,6 +1,8 @@
 """The report of the comparison of plans before and after a change."""
 
-from benchmarks.planner_speed.before_after import report
+from collections import Counter
+
+from benchmarks.planner_speed.before_after import report, rotated
 
 
 def one_answer(seconds, text, *, right, new=200):
@@ -27,3 +29,14 @@ def test_ratios_are_those_of_each_question():
 
 def test_no_rows_are_no_result():
     assert report([]) == ["no answers"]
+
+
+def test_the_variant_with_more_threads_has_a_ratio_of_its_own():
+    with_served = [row | {"served": one_answer(4.0, "a", right=True)} for row in rows([(10.0, 5.0, "a")] * 2)]
+    assert [line.partition(":")[0] for line in report(with_served)[-2:]] == ["after", "served"]
+    assert "median ratio 0.40 (95 % interval 0.40 to 0.40), ratio of the sums 0.40" in report(with_served)[-1]
+
+
+def test_each_variant_has_each_position_equally_often():
+    orders = [rotated(("before", "after", "served"), number) for number in range(6)]
+    assert all(Counter(at) == {"before": 2, "after": 2, "served": 2} for at in zip(*orders, strict=True))
