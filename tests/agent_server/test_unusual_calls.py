@@ -16,7 +16,7 @@ from dualbrain.agent_api.submission import SubmissionReport
 from dualbrain.agent_api.tools import MAX_INSTRUCTION
 from dualbrain.agent_server import mcp_server
 from dualbrain.agent_server.access_control import AccessControl, AccessPolicy
-from dualbrain.agent_server.mcp_server import make_mcp_server
+from dualbrain.agent_server.mcp_server import LIST_TIME, make_mcp_server
 from dualbrain.control.gatekeeper.protocol.client import ConnectionLostError
 from tests.agent_server.stub_robot import StubRobot
 
@@ -31,7 +31,7 @@ class WaitingRobot(StubRobot):
 
     def __init__(self):
         super().__init__()
-        self.ended, self.lost = threading.Event(), False
+        self.ended, self.lost, self.hangs = threading.Event(), False, False
 
     def outcome(self, submission_id="", *, timeout=0.0):
         if submission_id not in ("", "c-0001"):
@@ -48,7 +48,9 @@ class WaitingRobot(StubRobot):
         return super().schema(form)
 
     def _require_connection(self):
-        if self.lost:
+        if self.hangs:
+            time.sleep(5.0)
+        if self.lost or self.hangs:
             raise ConnectionLostError("the gatekeeper closed the connection")
 
 
@@ -61,7 +63,7 @@ def kept():
 
 @pytest.fixture
 def robot(kept):
-    kept.lost = False
+    kept.lost = kept.hangs = False
     kept.ended.clear()
     return kept
 
@@ -139,6 +141,20 @@ def test_the_tools_are_listed_without_a_gatekeeper(robot):
     assert {"stop", "get_scene", "submit_contract"} <= {one.name for one in tools}
 
 
+def test_the_first_call_to_a_gatekeeper_that_hangs_is_no_later_than_the_list_of_the_tools(robot):
+    """The client lists the tools after its first call, to check the result."""
+
+    async def stop(client):
+        started = time.monotonic()
+        result = await client.call_tool("stop", {})
+        return result.structured_content, time.monotonic() - started
+
+    robot.hangs = True
+    stopped, duration = use(robot, stop)
+    assert stopped["sent"]
+    assert duration < LIST_TIME + 1.0
+
+
 @pytest.mark.parametrize(
     "ask",
     [
@@ -181,7 +197,6 @@ def test_a_stop_overtakes_every_waiting_call(n_waiting, robot):
 
 def test_a_stop_overtakes_calls_that_hold_every_thread(robot):
     async def stop_beside_calls(client):
-        await client.list_tools()  # the client reads the definition of a tool after its first call
         async with anyio.create_task_group() as group:
             release = threading.Event()
             for _ in range(int(anyio.to_thread.current_default_thread_limiter().total_tokens) + 5):

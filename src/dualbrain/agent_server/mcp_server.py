@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from typing import Any, TypeVar, get_args
 
@@ -49,6 +50,8 @@ PROGRESS_PERIOD = 0.5
 """Time between two progress reports [s]."""
 LOOK_PERIOD = 0.1
 """Time between two looks at a submission for which a call waits [s]."""
+LIST_TIME = 1.0
+"""Longest wait for the scene when the tools are listed [s]: a client may list them before its first call returns."""
 MAX_WAITING = 64
 """Number of calls that wait for an outcome at the same time; further ones return the present state."""
 STOP_THREADS = 4
@@ -102,13 +105,12 @@ class Handlers:
     async def list_tools(self, context: Request, params: types.PaginatedRequestParams | None) -> types.ListToolsResult:
         """The tools, with the names of the present scene in the schema of a contract.
 
-        Without a scene, the schema of a contract is empty: `stop` is always listed.
+        Without a scene within `LIST_TIME`, the schema of a contract is empty: `stop` is always listed.
         """
         del context, params
-        try:
+        tools = available_tools(self.robot)
+        with anyio.move_on_after(LIST_TIME), suppress(DualbrainError):
             tools = await _in_thread(lambda: robot_tools(self.robot))
-        except DualbrainError:
-            tools = available_tools(self.robot)
         return types.ListToolsResult(tools=[_definition(one) for one in tools])
 
     async def call_tool(self, context: Request, params: types.CallToolRequestParams) -> types.CallToolResult:
