@@ -55,12 +55,13 @@ from experiments.robots.targets.host_kills import HostKills
 from experiments.robots.targets.target_bits import TargetBits
 from experiments.robots.targets.target_faults import TargetFaults
 from experiments.robots.zoo.robot_zoo import RobotZoo
-from experiments.safety.adversary import Adversary
+from experiments.safety.adversary.forward_invariance import Adversary
 from experiments.safety.conservatism import Conservatism
 from experiments.safety.margin_causes import MarginCauses
 from experiments.safety.no_obstacles import NoObstacles
 from experiments.safety.plant_adversary import PlantAdversary
 from experiments.safety.slow_tests import SlowTests
+from experiments.safety.speed_limits.speed_limits import SpeedLimits
 
 EXPERIMENTS: dict[str, Experiment] = {
     experiment.name: experiment
@@ -78,6 +79,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         BadBytes(),
         Adversary(),
         PlantAdversary(),
+        SpeedLimits(),
         CrossEmbodiment(),
         RobotZoo(),
         TargetBits(),

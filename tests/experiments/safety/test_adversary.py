@@ -7,8 +7,7 @@ import pytest
 from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Pose, Sphere
 from dualbrain.safety.cbf.filter import Obstacle
 from experiments.safety import random_scenes
-from experiments.safety.adversary import aggregate, load_panda, run_episode, run_trial
-from experiments.safety.adversary_classes import (
+from experiments.safety.adversary.classes import (
     CLASSES,
     LAG,
     MOVING_CLASSES,
@@ -16,7 +15,8 @@ from experiments.safety.adversary_classes import (
     STATIC_CLASSES,
     UNDISTURBED,
 )
-from experiments.safety.adversary_tables import adversary_tables, count_violations
+from experiments.safety.adversary.forward_invariance import aggregate, load_panda, run_episode, run_trial
+from experiments.safety.adversary.tables import adversary_tables, count_violations
 from experiments.safety.reference_judge import rotation_matrix, true_h
 from tests.safety import geometry_oracle
 

@@ -15,14 +15,14 @@ from dualbrain.safety.cbf.compiled._kernel import ReferenceDistance
 from dualbrain.safety.cbf.filter import SafetyFilter
 from experiments.engine.experiment import Options, Row, WorkUnit
 from experiments.safety import random_scenes
-from experiments.safety.adversary_classes import (
+from experiments.safety.adversary.classes import (
     CLASSES,
     MOVING_CLASSES,
     NEGATIVE_CONTROLS,
     STATIC_CLASSES,
     AdversaryClass,
 )
-from experiments.safety.adversary_tables import adversary_tables
+from experiments.safety.adversary.tables import adversary_tables
 from experiments.safety.reference_judge import build_judge, obstacle_rows
 
 EPISODES_PER_UNIT, STEPS_PER_EPISODE = 20, 10_000

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from experiments.figures.tables import markdown_table
-from experiments.safety.adversary_classes import CLASSES, MOVING_CLASSES, NEGATIVE_CONTROLS, STATIC_CLASSES
+from experiments.safety.adversary.classes import CLASSES, MOVING_CLASSES, NEGATIVE_CONTROLS, STATIC_CLASSES
 
 PREMISES = ("feasible", "fresh", "on time", "certified")
 STATUSES = ("safe", "modified", "relaxed", "stopped", "fault")

@@ -1,0 +1,60 @@
+"""The experiment `speed_limits`: its judge is exact, its classes hold, and its negative controls fail."""
+
+import numpy as np
+import pytest
+
+from dualbrain.robots.loader import load_robot
+from experiments.safety.speed_limits.classes import CLASSES, COMPLETE_CLASSES, HELD, NEGATIVE_CONTROLS
+from experiments.safety.speed_limits.point_speeds import PointSpeeds
+from experiments.safety.speed_limits.speed_limits import SpeedLimits, _jerk_shares, run_episode
+from tests.safety.kernel.cartesian_speed.speed_oracle import SpeedOracle
+
+STEPS = 2000
+
+
+@pytest.mark.parametrize("robot", ["panda", "ur5e"])
+def test_positions_and_speeds_are_those_of_finite_differences(robot):
+    model, rng = load_robot(robot), np.random.default_rng(4)
+    held = np.array(HELD)
+    points, oracle = PointSpeeds(model, held), SpeedOracle(model, held[:, :3])
+    q, u = rng.uniform(-2.0, 2.0, (20, model.n)), rng.uniform(-1.0, 1.0, (20, model.n))
+    positions, speeds = points.measure(q, u)
+    moved = [index for index, (frame, *_) in enumerate(oracle.local_points) if frame]
+    for at in range(20):
+        found = np.column_stack([positions[at], speeds[at]])
+        expected = np.column_stack([oracle.points(q[at]), oracle.speeds(q[at], u[at])])[moved]
+        order, other = (np.lexsort(np.round(one, 6).T) for one in (found, expected))
+        np.testing.assert_allclose(found[order], expected[other], atol=1e-8)
+    assert points.radii().shape == speeds.shape[1:]
+
+
+def test_the_jerk_of_a_step_from_rest_is_measured():
+    model = load_robot("panda")
+    jerk = np.array([joint.jerk.value for joint in model.joints])
+    u = np.zeros((5, model.n))
+    u[2:, 3] = 0.5 * jerk[3] * model.period**2
+    np.testing.assert_allclose(_jerk_shares(model, u), [0.0, 0.0, 0.5, 0.5, 0.0], atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", COMPLETE_CLASSES, ids=lambda kind: kind.name)
+def test_no_step_of_a_class_is_above_its_limits(kind):
+    row = run_episode(kind, 3, STEPS)
+    assert (row["above"], row["jerks"]) == (0, 0)
+    assert row["used"] > 0, "the limit is reached"
+    assert not kind.near or row["near"] > 0
+    assert sum(row[name] for name in ("safe", "modified", "relaxed", "stopped", "fault")) == STEPS
+
+
+@pytest.mark.parametrize("kind", NEGATIVE_CONTROLS, ids=lambda kind: kind.name)
+def test_a_negative_control_exceeds_the_limit_that_it_has_lost(kind):
+    row = run_episode(kind, 3, STEPS)
+    assert row["jerks" if kind.judges_jerk else "above"] > 50
+
+
+def test_the_report_counts_steps_and_controls():
+    experiment = SpeedLimits()
+    rows = [{"class": name, **run_episode(CLASSES[name], 0, 500)} for name in ("limit", "no limit")]
+    text = "\n".join(experiment.report(rows))
+    assert "**500** steps: a part above its limit on **0**" in text
+    assert "fails, as expected" in text
+    assert sum(unit.parameters["class"] == "limit" for unit in experiment.units(None)) * 100_000 * 10 >= 1e7
