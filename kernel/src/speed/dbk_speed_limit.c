@@ -299,7 +299,8 @@ void dbk_slow_down(const dbk_model *model, const dbk_scene *scene, const dbk_ctx
   }
 }
 
-/* The limits that braking exceeds become the speeds under braking. Returns 1 if a speed exceeds the allowed one. */
+/* The limits that braking exceeds become the speeds under braking, with room for cuts. Returns 1 if one of them is above
+ * the allowed speed. */
 static int32_t limit_as_braking(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_real *brake) {
   dbk_speed *speed = &ctx->speed;
   dbk_point_velocities v;
@@ -310,8 +311,8 @@ static int32_t limit_as_braking(const dbk_model *model, const dbk_scene *scene, 
     for (int32_t p = 0; p < speed->n_points; ++p) {
       const dbk_real attained = dbk_length(v.vx[p], v.vy[p], v.vz[p]);
       if (attained <= limit[p]) { continue; }
-      above |= !ramped && attained > speed->allowed[p];
       limit[p] = attained + attained * (dbk_real)2 * DBK_SPEED_SHRINK + DBK_SPEED_FLOOR;
+      above |= !ramped && limit[p] > speed->allowed[p];
     }
   }
   return above;

@@ -33,8 +33,8 @@ void dbk_slow_down(const dbk_model *model, const dbk_scene *scene, const dbk_ctx
 void dbk_speed_rows(const dbk_model *model, dbk_ctx *ctx);
 
 /* Moves the braking control to the closest one that keeps the limits. If there is none within the control bounds, the
- * limits become the speeds under braking; the result is DBK_OVERSPEED if one of them is above the allowed speed, else
- * 0. */
+ * limits become the speeds under braking; the result is DBK_OVERSPEED if one of these limits is above the allowed speed,
+ * else 0. */
 int32_t dbk_brake_within_speed(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx,
                                dbk_real brake[DBK_MAX_DOF]);
 

@@ -7,6 +7,7 @@ from dualbrain.robots.loader import load_robot
 from experiments.safety.speed_limits.classes import CLASSES, COMPLETE_CLASSES, HELD, NEGATIVE_CONTROLS
 from experiments.safety.speed_limits.point_speeds import PointSpeeds
 from experiments.safety.speed_limits.speed_limits import SpeedLimits, _jerk_shares, run_episode
+from experiments.safety.speed_limits.trial import make_trial
 from tests.safety.kernel.cartesian_speed.speed_oracle import SpeedOracle
 
 STEPS = 2000
@@ -51,10 +52,18 @@ def test_a_negative_control_exceeds_the_limit_that_it_has_lost(kind):
     assert row["jerks" if kind.judges_jerk else "above"] > 50
 
 
+@pytest.mark.parametrize(("name", "seed", "step"), [("person", 14, 4534), ("jerk", 16, 7415), ("limit, UR5e", 4, 5425)])
+def test_a_step_above_the_limit_is_one_that_the_filter_reports(name, seed, step):
+    """Steps that a run of 1.1e7 steps found; the filter does not report a step of the same loop long before."""
+    trial = make_trial(CLASSES[name], seed)
+    assert trial.reports_overspeed(step)
+    assert not trial.reports_overspeed(1000)
+
+
 def test_the_report_counts_steps_and_controls():
     experiment = SpeedLimits()
     rows = [{"class": name, **run_episode(CLASSES[name], 0, 500)} for name in ("limit", "no limit")]
     text = "\n".join(experiment.report(rows))
-    assert "**500** steps: a part above its limit on **0**" in text
+    assert "**500** steps: a part above its limit on 0 (0.0e+00), on **0** of them without a report" in text
     assert "fails, as expected" in text
     assert sum(unit.parameters["class"] == "limit" for unit in experiment.units(None)) * 100_000 * 10 >= 1e7
