@@ -24,7 +24,7 @@ class SpeedClass:
     limit: float | None = None
     """Largest speed of every part [m/s]."""
     near: NearSpeed | None = None
-    """Limit of the parts near a person, who stands within reach."""
+    """Limit of the parts near a person, who is within reach."""
     holds_object: bool = False
     """Whether the judge measures a grasped object."""
     knows_object: bool = True
