@@ -1,13 +1,13 @@
 """Time and correctness of plans with and without fixed examples and jump-forward decoding, in one run.
 
-    python -m benchmarks.planner_speed.before_after PLANNER [--count 50] [--threads 1] [--served-threads N] [--log FILE]
+    python -m benchmarks.planner_speed.before_after PLANNER [--count 50] [--variants before after served] [--log FILE]
 
 All variants answer the same questions, one after the other in changing order, so that other load affects all of them.
 `before`: every token generated; for models without an adapter, contracts with id and context in the prompt, examples
 chosen for each question, and the names in the scene listed after it. `after`: as planners serve, with saved states of
 the constant part of the prompt; a name such as `transformers:base-135m` compares this adapter in torch with llama.cpp
-before. `served` (with `--served-threads`): as `after`, with the number of threads that `dualbrain plan` and `run` give
-a planner where as many processors are idle. The first question of each process is not measured, nor is the first one
+before. `served`: as `after`, with the number of threads that `dualbrain plan` and `run` give a planner on this machine
+while it is idle; the others have one thread. The first question of each process is not measured, nor is the first one
 about all objects of a kind, because they read this constant part. The questions are the 60 held-out instructions of
 the experiment `starter` and 40 others of the same generator, mixed, so that any prefix is a sample of both. With
 `--log`, answers are appended to a JSONL file, and a later call continues.
@@ -16,6 +16,7 @@ the experiment `starter` and 40 others of the same generator, mixed, so that any
 from __future__ import annotations
 
 import argparse
+import os
 import statistics
 import sys
 import time
@@ -33,6 +34,7 @@ from dualbrain.adaptation.adapters.naming import TORCH_PREFIX, strip_torch_prefi
 from dualbrain.adaptation.adapters.packaged import packaged_names
 from dualbrain.adaptation.curation.sample import Sample
 from dualbrain.adaptation.serving.open_planner import N_CTX, open_adapter, open_planner
+from dualbrain.cli.common.planner_threads import free_processors
 from dualbrain.core.paths import cache_folder, dualbrain_home
 from dualbrain.core.storage.jsonl_log import JsonlLog
 from dualbrain.core.weights import locate_weights
@@ -65,8 +67,8 @@ def main() -> int:
     ]
     with ExitStack() as stack:
         states = Path(stack.enter_context(TemporaryDirectory()))
-        threads = variants(options) if missing else {}
-        planners = {kind: open_variant(options.planner, kind, n, states / kind) for kind, n in threads.items()}
+        kinds = options.variants if missing else ()
+        planners = {kind: open_variant(options.planner, kind, threads_of(kind), states / kind) for kind in kinds}
         for planner in planners.values():
             stack.callback(planner.close)
             for one in unmeasured_questions():
@@ -85,16 +87,14 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("planner")
     parser.add_argument("--count", type=int, default=50)
-    parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--served-threads", type=int, default=0)
+    parser.add_argument("--variants", nargs="+", choices=(BEFORE, AFTER, SERVED), default=[BEFORE, AFTER])
     parser.add_argument("--log", default="")
     return parser.parse_args(arguments)
 
 
-def variants(options: argparse.Namespace) -> dict[str, int]:
-    """The variants with their numbers of threads."""
-    served = {SERVED: options.served_threads} if options.served_threads else {}
-    return {BEFORE: options.threads, AFTER: options.threads} | served
+def threads_of(kind: str) -> int:
+    """The number of threads of a variant."""
+    return free_processors(os.cpu_count() or 1, 0.0) if kind == SERVED else 1
 
 
 def rotated(kinds: Sequence[str], number: int) -> list[str]:
