@@ -3,7 +3,7 @@
 
 #include "protocol/bytes.h"
 
-uint32_t crc32(const uint8_t *data, uint32_t size) {
+uint32_t frame_crc32(const uint8_t *data, uint32_t size) {
   uint32_t crc = 0xFFFFFFFFu;
   for (uint32_t i = 0; i < size; ++i) {
     crc ^= data[i];
@@ -42,7 +42,7 @@ frame_error frame_parse(const frame_reader *reader, frame *to) {
   if (reader->overflow) { return FRAME_TOO_LONG; }
   if (reader->left != 0u || reader->size < FRAME_HEADER + FRAME_TRAILER) { return FRAME_TORN; }
   const uint8_t *b = reader->bytes;
-  if (crc32(b, reader->size - 4u) != read_u32(b + reader->size - 4u)) { return FRAME_BAD_CRC; }
+  if (frame_crc32(b, reader->size - 4u) != read_u32(b + reader->size - 4u)) { return FRAME_BAD_CRC; }
   if (b[1] != FRAME_VERSION || b[2] != 0u || b[3] != 0u) { return FRAME_BAD_VERSION; }
   to->type = b[0];
   to->sequence = read_u32(b + 4);
@@ -86,6 +86,6 @@ uint32_t frame_encode(uint8_t type, uint32_t sequence, const uint8_t *payload, u
   write_u32(b + 4, sequence);
   for (uint32_t i = 0; i < size; ++i) { b[FRAME_HEADER + i] = payload[i]; }
   write_u64(b + FRAME_HEADER + size, siphash(key, b, FRAME_HEADER + size));
-  write_u32(b + FRAME_HEADER + size + 8u, crc32(b, FRAME_HEADER + size + 8u));
+  write_u32(b + FRAME_HEADER + size + 8u, frame_crc32(b, FRAME_HEADER + size + 8u));
   return stuff(b, FRAME_HEADER + size + FRAME_TRAILER, encoded);
 }

@@ -54,6 +54,6 @@ int frame_tag_valid(const frame *f, const siphash_key *key);
 uint32_t frame_encode(uint8_t type, uint32_t sequence, const uint8_t *payload, uint32_t size, const siphash_key *key,
                       uint8_t *encoded);
 
-uint32_t crc32(const uint8_t *data, uint32_t size);
+uint32_t frame_crc32(const uint8_t *data, uint32_t size);
 
 #endif

@@ -8,6 +8,8 @@ from collections.abc import Iterable, Sequence
 from dualbrain.core.untrusted.visible_text import visible_text
 
 MARKDOWN_SPECIAL_CHARACTERS = re.compile(r"([\\`*_{}\[\]<>#|!&])")
+BLOCK_START = re.compile(r"\A(\d{0,9})([-+.)](?= |\Z)|-(?=-)|[~=])")
+"""The beginning of a line that makes it a list item, a rule, a heading or a code block."""
 
 
 def markdown_table(head: Sequence[object], rows: Iterable[Sequence[object]], *, pipe: str = "/") -> list[str]:
@@ -28,4 +30,4 @@ def escape_markdown(text: str) -> str:
     line = " ".join(text.split())
     if text and not line:
         return "(blank)"
-    return MARKDOWN_SPECIAL_CHARACTERS.sub(r"\\\1", visible_text(line))
+    return BLOCK_START.sub(r"\1\\\2", MARKDOWN_SPECIAL_CHARACTERS.sub(r"\\\1", visible_text(line)))

@@ -97,6 +97,10 @@ def structure(text):
 @given(TEXTS.filter(bool), TEXTS.filter(bool))
 @example("0", " ")
 @example("\n", "\t")
+@example("0", "-")
+@example("1. a", "+ b")
+@example("7)", "---")
+@example("~~~", "===")
 def test_no_text_of_a_card_or_log_changes_the_form(first, second):
     def card(one, other):
         changed: AdapterCard = msgspec.structs.replace(
