@@ -51,4 +51,4 @@ def test_a_motion_continues_without_its_client_and_excludes_the_contract_of_anot
         running, busy, again = anyio.run(use, robot)
     assert (running["id"], running["state"]) == ("c-0001", "running")
     assert (busy["state"], busy["rejected"]["got"]) == ("rejected", "c-0001 is in progress")
-    assert (again["repeated"], again["outcome"]["succeeded"]) == (True, True)
+    assert (again["repeated"], again["outcome"]["succeeded"]) == (True, True), again
