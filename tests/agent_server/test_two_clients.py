@@ -39,7 +39,8 @@ async def use(robot):
         with anyio.move_on_after(0.6):
             async with connections.open() as leaving:
                 await call(leaving, "submit_contract", contract=first)
-        running = await call(other, "get_outcome")
+        while (running := await call(other, "get_outcome"))["state"] == "checking":
+            await anyio.sleep(0.02)
         busy = await call(other, "submit_contract", contract=second)
         again = await call(other, "submit_contract", contract=first)
     return running, busy, again
