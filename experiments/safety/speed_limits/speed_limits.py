@@ -31,8 +31,8 @@ class SpeedLimits:
     claim = (
         "In at least 1e7 adversarial steps of Panda and UR5e, also while the arm evades an obstacle, no part, also of "
         "a grasped object, is faster than the limit of the filter or, near a person, of the site, unless the filter "
-        "reports that the joints cannot brake enough (OVERSPEED); no joint exceeds its jerk limit; each negative "
-        "control fails."
+        "reports that it found no control that keeps the limit (OVERSPEED); no joint exceeds its jerk limit; each "
+        "negative control fails."
     )
 
     def units(self, options: Options) -> list[WorkUnit]:

@@ -46,7 +46,7 @@ class Trial:
         return self._loop(self._filter(), steps)
 
     def reports_overspeed(self, step: int) -> bool:
-        """Whether the filter reports in `step` that no control within the joint limits keeps the speed limits.
+        """Whether the filter reports in `step` that it found no control that keeps the speed limits.
 
         The loop is repeated up to this step. The report follows from the state alone, not from the nominal control.
         """

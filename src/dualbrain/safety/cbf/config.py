@@ -42,9 +42,9 @@ class FilterConfig(msgspec.Struct, frozen=True, kw_only=True):
       are dropped only in a step from which a joint would pass its position limit otherwise (`Reason.JERK`).
     - `lag_compensation`: evaluate barriers at y = q + lag·v.
     - `cartesian_speed`: limit of the speed [m/s] of the tool and of the centre of every collision sphere, also of a
-      grasped object. None: no limit. It holds for the returned control in every step, also while the robot evades a
-      person or stops: of two limits that no control can keep together, the speed limit has priority over the obstacle,
-      and the box of joint limits over the speed limit (`Reason.OVERSPEED`).
+      grasped object. None: no limit. It holds for the returned control in every step without `Reason.OVERSPEED`, also
+      while the robot evades a person or stops: of two limits that no control can keep together, the speed limit has
+      priority over the obstacle, and the box of joint limits over the speed limit.
     - `precision`: number type of the kernel.
 
     Raises `GeometryError` for a value of another type, below zero, not finite, or beyond `MAX_GAIN` (gains),
