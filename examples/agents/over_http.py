@@ -1,6 +1,6 @@
 """A robot over plain HTTP, without any SDK: one POST per call of the Model Context Protocol.
 
-Run `dualbrain mcp --scene 8 --http 8765`, which prints the FILE that holds its token, and then
+`pip install httpx`. Run `dualbrain mcp --scene 8 --http 8765`, which prints the FILE that holds its token, and then
 `DUALBRAIN_TOKEN=$(cat FILE) python examples/agents/over_http.py`.
 """
 

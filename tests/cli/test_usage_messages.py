@@ -15,6 +15,9 @@ from dualbrain.cli.main import run_command_line
         (["plan", "x", "--shots", "0"], "--shots: got 0, allowed: 1 to 5."),
         (["run", "x", "--headless", "--speed", "50%"], "Add --live, or leave out --speed."),
         (["operate", "speed"], "dualbrain operate speed --speed 25%"),
+        (["mcp", "--socket", "s", "--speed", "10%"], "The operator sets the speed: dualbrain operate speed"),
+        (["console", "--socket", "s", "--scene", "8"], "--scene belongs to a simulated robot"),
+        (["mcp", "--host", "0.0.0.0"], "Add --http PORT, or remove them."),
     ],
 )
 def test_a_usage_error_states_the_correct_call(arguments, expected, capsys):

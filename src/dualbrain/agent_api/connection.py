@@ -12,7 +12,7 @@ from pathlib import Path
 from dualbrain.contracts.gate.authorization import PLANNER
 from dualbrain.control.gatekeeper.config import GatekeeperConfig
 from dualbrain.control.gatekeeper.process import GatekeeperProcess
-from dualbrain.control.gatekeeper.protocol.authentication import load_keys
+from dualbrain.control.gatekeeper.protocol.authentication import read_keys
 from dualbrain.control.gatekeeper.protocol.client import GatekeeperClient
 from dualbrain.control.gatekeeper.protocol.messages import Message
 from dualbrain.control.gatekeeper.protocol.registration import REGISTRATIONS
@@ -92,7 +92,7 @@ def connect(
     if no gatekeeper listens, or if its skills are not those of the robot at this site, `ConnectionLostError` if it has
     a commander already.
     """
-    client = GatekeeperClient(socket, load_keys(keys, (PLANNER,)), PLANNER, on_report=on_report)
+    client = GatekeeperClient(socket, read_keys(keys, (PLANNER,)), PLANNER, on_report=on_report)
     stack.callback(client.close)
     model = load_robot(robot or client.welcome.robot)
     model = site_robot(model, read_site(site)) if site else model

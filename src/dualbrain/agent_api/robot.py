@@ -129,8 +129,8 @@ class Robot:
 
         Raises `ConfigurationError`, and `ConnectionLostError` if the robot has a commander already.
         """
-        where = socket or dualbrain_home() / "gatekeeper.sock"
-        secrets = keys or dualbrain_home() / "keys"
+        where = Path(socket or dualbrain_home() / "gatekeeper.sock")
+        secrets = Path(keys or dualbrain_home() / "keys")
         return cls(
             lambda receive, stack: connect(where, secrets, robot, site, receive, stack),
             planner=planner,

@@ -22,7 +22,7 @@ def load_token(path: Path, environ: Mapping[str, str]) -> str:
     Raises `ConfigurationError` for a token that is too short or not printable, and for a file that cannot be read.
     """
     if given := environ.get(TOKEN_VARIABLE, ""):
-        return _checked(given, f"the environment variable {TOKEN_VARIABLE}")
+        return _checked(given, f"the environment variable {TOKEN_VARIABLE}", "Unset it, or set another one.")
     try:
         create_private_folder(path.parent)
         if not path.exists():
@@ -35,13 +35,13 @@ def load_token(path: Path, environ: Mapping[str, str]) -> str:
         raise ConfigurationError.stating(
             f"The token file {path} cannot be used: {error}.", fix="Name another file with --token-file."
         ) from error
-    return _checked(text.strip(), f"the file {path}")
+    return _checked(text.strip(), f"the file {path}", "Delete it; a new token is then made.")
 
 
-def _checked(token: str, where: str) -> str:
+def _checked(token: str, where: str, fix: str) -> str:
     if MIN_LENGTH <= len(token) <= MAX_LENGTH and token.isascii() and token.isprintable() and " " not in token:
         return token
     raise ConfigurationError.stating(
         f"The token in {where} is not {MIN_LENGTH} to {MAX_LENGTH} printable characters without spaces.",
-        fix="Delete it; a new token is then made.",
+        fix=fix,
     )

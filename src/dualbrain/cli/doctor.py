@@ -29,6 +29,7 @@ OPTIONAL_PACKAGES = (
     ("memory", "onnxruntime"),
     ("knowledge", "pypdf"),
     ("view", "viser"),
+    ("mcp", "mcp"),
     ("import", "yourdfpy"),
     ("evaluation", "arro3-io"),
     ("adapt", "torch"),

@@ -71,10 +71,14 @@ def running_gatekeepers(home: Path) -> list[RunningGatekeeper]:
     Each is asked for its status over its socket, as an observer, which changes nothing. One that does not answer, and
     still runs after `SETTLING_TIME_S`, has a problem; one that has ended by then is left out.
     """
+    return [examined for one in find_gatekeepers(home) if (examined := _examine_settled(one)) is not None]
+
+
+def find_gatekeepers(home: Path) -> list[Registration]:
+    """All gatekeepers as `running_gatekeepers` finds them, without a question to any."""
     found = {one.pid: one for one in _from_process_list()}
     found |= {one.pid: one for one in read_registrations(home / REGISTRATIONS)}
-    whole = [one for pid, one in sorted(found.items()) if not _is_part_of(found.get(_parent(pid)), one)]
-    return [examined for one in whole if (examined := _examine_settled(one)) is not None]
+    return [one for pid, one in sorted(found.items()) if not _is_part_of(found.get(_parent(pid)), one)]
 
 
 def running_sockets(home: Path) -> list[Path]:

@@ -11,19 +11,20 @@ from typing import TextIO
 
 
 def stop_running_robots(home: Path) -> list[str]:
-    """Abort the contracts of all registered gatekeepers in the data folder `home`; one line per gatekeeper.
+    """Abort the contracts of all running gatekeepers of this user; one line per gatekeeper.
 
-    The arm of each of them brakes to rest. Nothing is started, and no planner is asked.
+    They are registered in the data folder `home`, or found in the list of processes. The arm of each of them brakes to
+    rest. Nothing is started, and no planner is asked.
     """
-    from dualbrain.control.gatekeeper.protocol.authentication import load_keys
+    from dualbrain.cli.common.running_gatekeepers import find_gatekeepers
+    from dualbrain.control.gatekeeper.protocol.authentication import read_keys
     from dualbrain.control.gatekeeper.protocol.client import GatekeeperClient
-    from dualbrain.control.gatekeeper.protocol.registration import REGISTRATIONS, read_registrations
     from dualbrain.errors import DualbrainError
 
     lines: list[str] = []
-    for one in read_registrations(home / REGISTRATIONS):
+    for one in find_gatekeepers(home):
         try:
-            link = GatekeeperClient(Path(one.socket), load_keys(Path(one.keys), ("operator",)), "operator")
+            link = GatekeeperClient(Path(one.socket), read_keys(Path(one.keys), ("operator",)), "operator")
             try:
                 link.operate("abort")
             finally:

@@ -143,9 +143,10 @@ def operate(
     speed
         With the command `speed`, which requires it: the speed scale, as 10% or 0.1.
     socket
-        Path of the gatekeeper's socket. Default: gatekeeper.sock in the data folder of dualbrain.
+        Path of the gatekeeper's socket. Default: gatekeeper.sock in the data folder of dualbrain, or that of the only
+        running gatekeeper.
     keys
-        Key folder, of which operator.key is read. Default: keys in the data folder.
+        Key folder, of which operator.key is read. Default: that of the running gatekeeper at the socket.
     run
         Run folder of a `dualbrain run --live`, whose gatekeeper gets the command.
     """
@@ -157,9 +158,37 @@ def operate(
         )
     if act == "estop":
         return _stop_all() if socket is None and run is None else _stop(socket or run_address(run)[0])
-    where = socket or (run_address(run)[0] if run is not None else dualbrain_home() / "gatekeeper.sock")
-    secrets = keys or (run_address(run)[1] if run is not None else dualbrain_home() / "keys")
-    return _send_command(where, secrets, act, parse_fraction(speed) if speed else 1.0)
+    found = run_address(run) if run is not None else running_address(dualbrain_home(), socket)
+    return _send_command(socket or found[0], keys or found[1], act, parse_fraction(speed) if speed else 1.0)
+
+
+def running_address(home: Path, socket: Path | None) -> tuple[Path, Path]:
+    """Socket and keys of the gatekeeper at `socket`, by default of the one in the data folder `home`.
+
+    If none runs there, of the only one that runs: an agent or a program may have started it. Raises `UsageError` if
+    several run elsewhere, because the command is for one robot.
+    """
+    import shlex
+
+    from dualbrain.cli.common.running_gatekeepers import find_gatekeepers
+    from dualbrain.errors import UsageError
+
+    default = socket or home / "gatekeeper.sock", home / "keys"
+    if socket is None and default[0].exists():
+        return default
+    others = [(one.robot, Path(one.socket), Path(one.keys)) for one in find_gatekeepers(home) if one.keys]
+    if socket is not None:
+        return next((one[1:] for one in others if one[1] == socket.absolute()), default)
+    if len(others) > 1:
+        names = [
+            f"robot {robot}: --socket {shlex.quote(str(socket))} --keys {shlex.quote(str(keys))}"
+            for robot, socket, keys in others
+        ]
+        raise UsageError.stating(
+            f"{len(others)} gatekeepers run, and none of them is the one of the data folder.",
+            fix="Name one of them. " + "; ".join(names),
+        )
+    return others[0][1:] if others else default
 
 
 def run_address(run: Path | None) -> tuple[Path, Path]:
@@ -208,10 +237,10 @@ def _send_command(where: Path, secrets: Path, act: OperatorAction, speed_scale: 
     """Send a command that needs the operator's key, and print the state of the gatekeeper after it."""
     import time
 
-    from dualbrain.control.gatekeeper.protocol.authentication import load_keys
+    from dualbrain.control.gatekeeper.protocol.authentication import read_keys
     from dualbrain.control.gatekeeper.protocol.client import GatekeeperClient
 
-    link = GatekeeperClient(where, load_keys(secrets, ("operator",)), "operator")
+    link = GatekeeperClient(where, read_keys(secrets, ("operator",)), "operator")
     link.operate(act, speed_scale)
     time.sleep(0.2)
     status = link.status

@@ -25,7 +25,12 @@ def mcp(*, http: int = 0, robot: RobotOptions = DEFAULT_ROBOT, server: HttpOptio
     if http:
         return serve_robot("dualbrain mcp", http, robot, server)
     from dualbrain.agent_server.stdio_server import StandardStreams, serve_stdio
+    from dualbrain.errors import UsageError
 
+    if server != DEFAULT_HTTP:
+        raise UsageError.stating(
+            "--host, --token-file, --tls-cert and --tls-key belong to --http.", fix="Add --http PORT, or remove them."
+        )
     streams = StandardStreams()  # before the gatekeeper starts, which inherits standard output
     with open_robot(robot) as opened:
         print(f"dualbrain mcp: the robot {opened.name} is ready.", file=sys.stderr)

@@ -72,6 +72,7 @@ def open_robot(options: RobotOptions) -> Robot:
             ledger=options.ledger,
             runs=options.runs,
         )
+    _refuse_simulation_options(options)
     return Robot.connect(
         options.socket,
         options.keys,
@@ -81,3 +82,16 @@ def open_robot(options: RobotOptions) -> Robot:
         ledger=options.ledger,
         runs=options.runs,
     )
+
+
+def _refuse_simulation_options(options: RobotOptions) -> None:
+    """Raise `UsageError` for an option that a running gatekeeper would ignore."""
+    from dualbrain.errors import UsageError
+
+    ignored = [name for name in ("scene", "seed", "speed") if getattr(options, name) != getattr(DEFAULT_ROBOT, name)]
+    if ignored:
+        fix = "The operator sets the speed: dualbrain operate speed --speed 25%" if ignored == ["speed"] else ""
+        raise UsageError.stating(
+            f"--{ignored[0]} belongs to a simulated robot, and --socket to a running gatekeeper.",
+            fix=fix or f"Remove --{ignored[0]}.",
+        )

@@ -324,7 +324,10 @@ class Gatekeeper:
         secret = self._keys.secrets.get(hello.principal)
         if hello.principal:
             if secret is None or not verify_hello_proof(secret, connection.nonce, hello.principal, hello.proof):
-                connection.fault = "the proof of the principal is not valid"
+                connection.fault = (
+                    "the proof of the principal is not valid: its key is not one of this gatekeeper. Name the key "
+                    "folder with --keys (`dualbrain doctor` lists it)"
+                )
                 return
             if self.server.is_full:
                 connection.fault = "there are too many connections"
@@ -337,7 +340,10 @@ class Gatekeeper:
                 connection.fault = "no capability was granted to this principal"
                 return
             if self._commander is not None and now - self._commander.last_received_at <= HEARTBEAT_TIMEOUT:
-                connection.fault = "there is a commander already"
+                connection.fault = (
+                    "there is a commander already. Several agents share one through `dualbrain mcp --http`, and the "
+                    "console of that server"
+                )
                 return
             if self._commander is not None:
                 self._commander.fault = "silent, and another commander connected"

@@ -14,7 +14,7 @@ from dualbrain.contracts.gate.authorization import PLANNER
 from dualbrain.control.gatekeeper.config import GatekeeperConfig
 from dualbrain.control.gatekeeper.gatekeeper import OPERATOR
 from dualbrain.control.gatekeeper.process import GatekeeperProcess
-from dualbrain.control.gatekeeper.protocol.authentication import load_keys
+from dualbrain.control.gatekeeper.protocol.authentication import read_keys
 from dualbrain.control.gatekeeper.protocol.client import ConnectionLostError, GatekeeperClient
 from dualbrain.control.gatekeeper.protocol.emergency_stop import send_emergency_stop
 from dualbrain.control.gatekeeper.protocol.messages import EventReport, Message, OperatorAction, TickReport
@@ -110,8 +110,8 @@ class GatekeeperBackend:
             return report.judgement if report else None
 
         where, keys = Path(config.socket), Path(config.keys)
-        client = GatekeeperClient(where, load_keys(keys, (PLANNER,)), PLANNER, on_report=watch)
-        self._operator = operator = GatekeeperClient(where, load_keys(keys, (OPERATOR,)), OPERATOR)
+        client = GatekeeperClient(where, read_keys(keys, (PLANNER,)), PLANNER, on_report=watch)
+        self._operator = operator = GatekeeperClient(where, read_keys(keys, (OPERATOR,)), OPERATOR)
         log = FlightLog(Trace(model.n), None, observer.on_event, observer.on_attempt)
         executor = RemoteExecutor(model, client, log, context.interrupted)
         truth = GroundTruth(

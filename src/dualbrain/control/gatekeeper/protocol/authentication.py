@@ -73,6 +73,21 @@ def load_keys(folder: Path, principals: Sequence[str]) -> Keys:
     return Keys({name: _load_secret(folder / f"{name}{KEY_SUFFIX}") for name in principals}, notice)
 
 
+def read_keys(folder: Path, principals: Sequence[str]) -> Keys:
+    """The secrets of `principals` as `load_keys`, for a client: only the gatekeeper creates keys.
+
+    Raises `ConfigurationError` also if a file is missing.
+    """
+    if missing := [name for name in principals if _lstat(folder / f"{name}{KEY_SUFFIX}") is None]:
+        _split_old_key_file(folder, principals)  # explains an old key file
+        raise ConfigurationError.stating(
+            f"The key folder {folder} has no {missing[0]}{KEY_SUFFIX}: no gatekeeper was started with it.",
+            fix="Start `dualbrain gatekeeper`, or name the socket and the key folder of a running one with --socket "
+            "and --keys (`dualbrain doctor` lists them).",
+        )
+    return load_keys(folder, principals)
+
+
 def _load_secret(path: Path) -> bytes:
     """The secret in the key file `path`, which is created if it is missing."""
     _check_private(_lstat(path), path, "key file", stat.S_IFREG, FILE_MODE)

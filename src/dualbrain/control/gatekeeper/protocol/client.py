@@ -88,7 +88,9 @@ class GatekeeperClient:
         except OSError as error:
             self._socket.close()
             raise ConfigurationError.stating(
-                f"No gatekeeper listens at {path}: {error.strerror}.", fix="Start `dualbrain gatekeeper`."
+                f"No gatekeeper listens at {path}: {error.strerror}.",
+                fix="Start `dualbrain gatekeeper`, or name a running one with --socket and --keys (`dualbrain doctor` "
+                "lists them).",
             ) from error
         self._secret = keys.secrets[principal] if keys and principal else b""
         self._lock, self._sent = Lock(), 0
