@@ -167,6 +167,8 @@ def test_a_changed_tool_action_states_the_motion_of_the_commanded_configuration(
 
 def test_shadow_mode_reports_and_changes_nothing():
     shadow = ShadowFilter(SafetyFilter(DERATED_PANDA, EXACT_CONFIG, obstacles=OBSTACLES))
+    with pytest.raises(ConfigurationError, match=r"a ShadowFilter changes nothing.*nearest"):
+        PolicyGuard(shadow, JointVelocity(), deviation="along_path")
     guard = PolicyGuard(shadow, JointVelocity())
     for action in (np.full(7, 1.5), np.full(7, np.nan)):
         assert guard(action, HOME, np.zeros(7)) is action

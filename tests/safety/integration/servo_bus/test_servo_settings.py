@@ -40,6 +40,16 @@ def test_a_site_file_gives_planes_boxes_and_limits(tmp_path):
     assert set(obstacles(guarded)) == {"desk", "screen"}
 
 
+def test_a_site_file_keeps_the_period_of_the_bus_and_does_not_remove_the_table(tmp_path):
+    plane = '[[plane]]\nname = "desk"\npoint = [0, 0, 0]\ninward = [0, 0, 1]\nparts = ["arm"]\n'
+    site = tmp_path / "desk.toml"
+    site.write_text(f"[robot]\nperiod = 0.002\n{plane}")
+    assert make_guarded_servos(ServoSettings(model="so101", site=str(site)), KEYS).period == 0.005
+    site.write_text("[limits]\nvelocity = 0.5\n")
+    with pytest.raises(ConfigurationError, match=r"no plane and no keep-out box.*Add at least one \[\[plane\]\]"):
+        make_guarded_servos(ServoSettings(model="so101", site=str(site)), KEYS)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -65,7 +75,7 @@ def test_another_robot_and_a_model_that_is_not_identified_are_refused(tmp_path):
     )
     file = tmp_path / "body.json"
     file.write_bytes(encode_robot(changed))
-    with pytest.raises(ConfigurationError, match=r"not identified.*Identify the servos"):
+    with pytest.raises(ConfigurationError, match=r"not identified.*as `tracking` in body.json"):
         make_guarded_servos(ServoSettings(model=str(tmp_path)), KEYS)
     assert model_digest(changed) != DIGEST
     assert model_digest(load_robot("so101")) == DIGEST

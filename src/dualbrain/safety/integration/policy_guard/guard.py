@@ -147,13 +147,18 @@ class PolicyGuard:
 
         Raises:
             ConfigurationError: the period or the layout does not fit; a robot with a mobile base gets other actions
-                than velocities, one per period; or "along_path" with a mobile base or Python barriers.
+                than velocities, one per period; or "along_path" with a mobile base, Python barriers or `ShadowFilter`.
         """
         self.shadow = safety if isinstance(safety, ShadowFilter) else None
         self.safety = safety.safety if isinstance(safety, ShadowFilter) else safety
         self.space, self.limits, self._brakes_along_path = space, limits, deviation == "along_path"
         if deviation not in DEVIATIONS:
             raise ConfigurationError("deviation of the guard", got=deviation, allowed=" or ".join(DEVIATIONS))
+        if self._brakes_along_path and self.shadow:
+            raise ConfigurationError.stating(
+                'deviation="along_path" changes the control, and a ShadowFilter changes nothing.',
+                fix='Observe with deviation="nearest".',
+            )
         if self._brakes_along_path and not self.safety.has_batch:
             raise ConfigurationError.stating(
                 'deviation="along_path" compares controls at once: it needs a fixed base and no Python barriers.',

@@ -18,7 +18,7 @@ from dualbrain.safety.integration.derating import derate
 from dualbrain.safety.integration.policy_guard.guard import Deviation
 from dualbrain.safety.integration.servo_bus.guarded_servos import GuardedServos
 from dualbrain.safety.integration.servo_bus.servo_map import ServoCalibration, ServoMap
-from dualbrain.safety.integration.site import site_filter
+from dualbrain.safety.integration.site import site_obstacles, site_robot
 
 MIN_RATE, MAX_RATE = 100.0, 1000.0
 """Bounds of the rate of the bus [1/s]."""
@@ -31,8 +31,9 @@ class ServoSettings:
     """What a guarded servo arm needs.
 
     `model`: a packaged robot, or the folder of an imported one. `site`: a site file (TOML) with planes, keep-out boxes
-    and limits; "" is a table, the plane z = 0 in the frame of the base. `rate` [1/s] of the bus, `action_rate` [1/s] of
-    the policy. `calibration` by joint. `digest`: the beginning of the expected `model_digest`, "" for any.
+    and limits; "" is a table, the plane z = 0 in the frame of the base. A control period in it is not used. `rate`
+    [1/s] of the bus, `action_rate` [1/s] of the policy. `calibration` by joint. `digest`: the beginning of the expected
+    `model_digest`, "" for any.
     """
 
     model: str
@@ -58,7 +59,8 @@ def make_guarded_servos(settings: ServoSettings, keys: Sequence[str]) -> Guarded
         raise ConfigurationError.stating(
             f"The tracking error of {robot_model.name} is not identified: the filter would have no margin for the sag "
             "and the lag of its servos.",
-            fix="Identify the servos, and write lag and error into the robot model.",
+            fix="Measure lag and position error of the servos, and enter them as `tracking` in body.json of the robot "
+            "folder.",
         )
     safety = make_filter(derate(robot_model, period=1.0 / settings.rate), settings.site)
     servos = ServoMap.of(safety.robot_model, keys, calibration=settings.calibration)
@@ -84,13 +86,23 @@ def check_digest(robot_model: RobotModel, expected: str) -> None:
 def make_filter(robot_model: RobotModel, site: str) -> SafetyFilter:
     """The filter of `robot_model` at the site file `site`; without one ("") above a table, the plane z = 0 of the base.
 
+    The period stays that of `robot_model`: the bus or the loop runs at it.
+
     Raises:
-        ConfigurationError: the site file cannot be used.
+        ConfigurationError: the site file cannot be used, or has no plane and no keep-out box.
     """
-    if site:
-        return site_filter(read_site(site), robot_model)
-    table = Obstacle("table", HalfSpace())
-    return SafetyFilter(robot_model, operating_config(robot_model), obstacles=[table])
+    if not site:
+        table = Obstacle("table", HalfSpace())
+        return SafetyFilter(robot_model, operating_config(robot_model), obstacles=[table])
+    file = read_site(site)
+    narrowed = derate(site_robot(robot_model, file), period=robot_model.period)
+    obstacles = site_obstacles(narrowed, file)
+    if not obstacles:
+        raise ConfigurationError.stating(
+            f"The site file {site} has no plane and no keep-out box: not even the table would be protected.",
+            fix='Add at least one [[plane]], for example name = "table", point = [0, 0, 0], inward = [0, 0, 1].',
+        )
+    return SafetyFilter(narrowed, operating_config(narrowed), obstacles=obstacles)
 
 
 def _check_rates(settings: ServoSettings) -> None:
