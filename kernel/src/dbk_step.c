@@ -11,6 +11,7 @@
 #include "qp/dbk_relaxation.h"
 #include "qp/dbk_retreat.h"
 #include "qp/dbk_warm_start.h"
+#include "speed/dbk_speed_braking.h"
 #include "speed/dbk_speed_limit.h"
 
 void dbk_init(dbk_ctx *ctx) {

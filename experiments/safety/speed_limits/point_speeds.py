@@ -25,15 +25,25 @@ class PointSpeeds:
 
     def measure(self, q: Array, u: Array) -> tuple[Array, Array]:
         """Positions (t, k, 3) [m] and speeds (t, k) [m/s] at the postures q (t, n) and joint velocities u (t, n)."""
-        positions, speeds = [], []
+        positions, velocities = self._move(q, u)
+        return positions, np.linalg.norm(velocities, axis=2)
+
+    def jacobians(self, q: Array) -> Array:
+        """Jacobians (k, 3, n) [m/rad] of the points at the posture q (n,)."""
+        units = np.eye(self.robot_model.n)
+        return np.moveaxis(self._move(np.broadcast_to(q, units.shape), units)[1], 0, 2)
+
+    def _move(self, q: Array, u: Array) -> tuple[Array, Array]:
+        """Positions and velocities (t, k, 3) of the points."""
+        positions, velocities = [], []
         for frame, (turn, origin, spin, velocity) in enumerate(self._frames(q, u)):
             points = self._points(frame)
             if len(points) == 0:
                 continue
             arms = points @ np.swapaxes(turn, 1, 2)
             positions.append(origin[:, None] + arms)
-            speeds.append(np.linalg.norm(velocity[:, None] + np.cross(spin[:, None], arms), axis=2))
-        return np.concatenate(positions, axis=1), np.concatenate(speeds, axis=1)
+            velocities.append(velocity[:, None] + np.cross(spin[:, None], arms))
+        return np.concatenate(positions, axis=1), np.concatenate(velocities, axis=1)
 
     def radii(self) -> Array:
         """Radii (k,) [m] of the points in the order of `measure`; the tool is a point."""

@@ -19,11 +19,11 @@ def speed_tables(totals: dict[str, Row]) -> list[str]:
 def _verdict(totals: dict[str, Row]) -> list[str]:
     found = [totals[kind.name] for kind in COMPLETE_CLASSES if kind.name in totals]
     steps, above = sum(one["steps"] for one in found), sum(one["above"] for one in found)
-    unreported, jerks = (sum(one[name] for one in found) for name in ("unreported", "jerks"))
+    unreported, avoidable, jerks = (sum(one[name] for one in found) for name in ("unreported", "avoidable", "jerks"))
     return [
         f"**{steps:.3g}** steps: a part above its limit on {above} ({above / max(steps, 1):.1e}), on **{unreported}** "
-        f"of them without a report; a joint above its jerk limit on **{jerks}** (none: upper 95 % bound "
-        f"{3 / max(steps, 1):.1e})."
+        f"of them without a report, on {avoidable} of them although a control kept all limits; a joint above its jerk "
+        f"limit on **{jerks}** (none: upper 95 % bound {3 / max(steps, 1):.1e})."
     ]
 
 
@@ -34,6 +34,7 @@ def _class_table(totals: dict[str, Row]) -> list[str]:
         "steps",
         "above",
         "unreported",
+        "avoidable",
         f"steps above {USED:.0%} of the limit",
         "largest share of the limit",
     )
@@ -49,6 +50,7 @@ def _class_cells(kind: SpeedClass, totals: dict[str, Row]) -> tuple[object, ...]
         f"{one['steps']:.3g}",
         one["above"],
         one["unreported"],
+        one["avoidable"],
         f"{one['used'] / one['steps']:.1%}",
         f"{one['largest']:.5f}",
         f"{one['near'] / one['steps']:.1%}" if kind.near else "",

@@ -34,8 +34,8 @@ enum {
   DBK_UNAVOIDABLE = 1024, /* an obstacle moves toward a part of the robot that cannot move away */
   DBK_JERK = 2048,        /* information only: another limit has overridden the jerk limit in this step */
   DBK_UNVERIFIED = 4096,  /* the independent check rejected the solution of the QP; the result is nearer to braking */
-  DBK_OVERSPEED = 8192,   /* no control within the control bounds keeps the speed limits; no part is faster than under
-                             braking */
+  DBK_OVERSPEED = 8192,   /* no control was found that keeps the speed limits; no part is faster than its limit or,
+                             if that is more, 0.4 % faster than under braking */
   DBK_RETREAT = 16384     /* every row that cannot be satisfied is of an obstacle that the robot evades in time */
 };
 

@@ -160,9 +160,8 @@ DBK_SIMD_CLONES static int32_t too_fast(const dbk_speed *speed, const dbk_real *
   return any;
 }
 
-/* velocities at u, or after the ramp that follows u; the limits for them */
-static const dbk_real *velocities(const dbk_model *model, const dbk_scene *scene, const dbk_ctx *ctx, const dbk_real *u,
-                                  int32_t ramped, dbk_point_velocities *out) {
+const dbk_real *dbk_limited_velocities(const dbk_model *model, const dbk_scene *scene, const dbk_ctx *ctx,
+                                       const dbk_real u[DBK_MAX_DOF], int32_t ramped, dbk_point_velocities *out) {
   const dbk_speed *speed = &ctx->speed;
   dbk_real end[DBK_MAX_DOF] = {(dbk_real)0};
   for (int32_t k = 0; k < model->n; ++k) { end[k] = ramped ? speed->gain[k] * u[k] + speed->shift[k] : u[k]; }
@@ -175,7 +174,7 @@ int32_t dbk_keeps_speed(const dbk_model *model, const dbk_scene *scene, const db
   dbk_point_velocities v;
   if (!ctx->speed.active) { return 1; }
   for (int32_t ramped = 0; ramped <= ctx->speed.ramped; ++ramped) {
-    const dbk_real *limit = velocities(model, scene, ctx, u, ramped, &v);
+    const dbk_real *limit = dbk_limited_velocities(model, scene, ctx, u, ramped, &v);
     if (too_fast(&ctx->speed, limit, &v)) { return 0; }
   }
   return 1;
@@ -230,6 +229,12 @@ void dbk_speed_rows(const dbk_model *model, dbk_ctx *ctx) {
   for (int32_t c = 0; c < ctx->speed.n_cuts; ++c) { append_row(model, ctx, c); }
 }
 
+void dbk_only_speed_rows(const dbk_model *model, dbk_ctx *ctx) {
+  ctx->rows.count = ctx->rows.overflow = 0;
+  dbk_speed_rows(model, ctx);
+  pad_rows(model, &ctx->rows);
+}
+
 /* the point of first..last-1 that exceeds its limit by the largest factor; -1 if none does */
 static int32_t fastest(const dbk_real *limit, const dbk_point_velocities *v, int32_t first, int32_t last) {
   dbk_real most = (dbk_real)1;
@@ -269,7 +274,7 @@ int32_t dbk_cut_speed(const dbk_model *model, const dbk_scene *scene, dbk_ctx *c
   int32_t fast = 0, room = 1;
   if (!ctx->speed.active) { return 0; }
   for (int32_t ramped = 0; ramped <= ctx->speed.ramped; ++ramped) {
-    const dbk_real *limit = velocities(model, scene, ctx, u, ramped, &v);
+    const dbk_real *limit = dbk_limited_velocities(model, scene, ctx, u, ramped, &v);
     if (!too_fast(&ctx->speed, limit, &v)) { continue; }
     fast = 1;
     /* one cut for every link: the velocities of its points are similar */
@@ -297,48 +302,4 @@ void dbk_slow_down(const dbk_model *model, const dbk_scene *scene, const dbk_ctx
   for (int32_t k = 0; k < model->n; ++k) {
     u[k] = dbk_clamp(brake[k] + share * (start[k] - brake[k]), ctx->lower[k], ctx->upper[k]);
   }
-}
-
-/* The limits that braking exceeds become the speeds under braking, with room for cuts. Returns 1 if one of them is above
- * the allowed speed. */
-static int32_t limit_as_braking(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_real *brake) {
-  dbk_speed *speed = &ctx->speed;
-  dbk_point_velocities v;
-  int32_t above = 0;
-  for (int32_t ramped = 0; ramped <= speed->ramped; ++ramped) {
-    (void)velocities(model, scene, ctx, brake, ramped, &v);
-    dbk_real *limit = ramped ? speed->ramp_limit : speed->limit;
-    for (int32_t p = 0; p < speed->n_points; ++p) {
-      const dbk_real attained = dbk_length(v.vx[p], v.vy[p], v.vz[p]);
-      if (attained <= limit[p]) { continue; }
-      limit[p] = attained + attained * (dbk_real)2 * DBK_SPEED_SHRINK + DBK_SPEED_FLOOR;
-      above |= !ramped && limit[p] > speed->allowed[p];
-    }
-  }
-  return above;
-}
-
-int32_t dbk_brake_within_speed(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx,
-                               dbk_real brake[DBK_MAX_DOF]) {
-  dbk_speed *speed = &ctx->speed;
-  dbk_real u[DBK_MAX_DOF];
-  if (!speed->active) { return 0; }
-  const int32_t kept = speed->n_cuts; /* of the last step */
-  for (int32_t k = 0; k < model->n; ++k) { u[k] = brake[k]; }
-  ctx->rows.count = ctx->rows.overflow = 0;
-  for (int32_t tries = 0; tries < DBK_SPEED_ROUNDS; ++tries) {
-    const int32_t cut = dbk_cut_speed(model, scene, ctx, u);
-    if (cut == 0) {
-      for (int32_t k = 0; k < model->n; ++k) { brake[k] = u[k]; }
-      speed->n_cuts = kept;
-      return 0;
-    }
-    if (cut < 0 || dbk_qp(&ctx->rows, model->n, model->scale, ctx->lower, ctx->upper, brake, 0, DBK_QP_SHIFT, 0, 0,
-                          &ctx->solution) != 0) {
-      break;
-    }
-    for (int32_t k = 0; k < model->n; ++k) { u[k] = dbk_clamp(ctx->solution.u[k], ctx->lower[k], ctx->upper[k]); }
-  }
-  speed->n_cuts = kept;
-  return limit_as_braking(model, scene, ctx, brake) ? DBK_OVERSPEED : 0;
 }

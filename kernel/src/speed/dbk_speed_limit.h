@@ -2,13 +2,13 @@
  *
  * A solution that is too fast is cut off by the row n'J_p u <= v with n the direction of the velocity of p, and the QP
  * is solved again. Every cut holds for all admissible controls, so a solution that keeps the limits is the closest one,
- * up to DBK_SPEED_SHRINK. Only an evaluation of all speeds accepts a control. The limits are convex, and braking keeps
- * them: a control between an admissible one and braking keeps them as well.
+ * up to DBK_SPEED_SHRINK. Only an evaluation of all speeds accepts a control. The limits are convex, and the braking
+ * control of the step keeps them: a control between an admissible one and this one keeps them as well.
  */
 #ifndef DBK_SPEED_LIMIT_H
 #define DBK_SPEED_LIMIT_H
 
-#include "dbk_math.h"
+#include "speed/dbk_point_speed.h"
 
 /* Sets the limits of all points for a step from the control u_prev; the kinematics must be set. With `u_change`, the
  * last change of the control, the speeds also stay within their limits while the acceleration is reduced to zero within
@@ -29,13 +29,14 @@ int32_t dbk_cut_speed(const dbk_model *model, const dbk_scene *scene, dbk_ctx *c
 void dbk_slow_down(const dbk_model *model, const dbk_scene *scene, const dbk_ctx *ctx,
                    const dbk_real brake[DBK_MAX_DOF], dbk_real u[DBK_MAX_DOF]);
 
+/* velocities of all points at u, or after the ramp that follows u; returns the limits for them */
+const dbk_real *dbk_limited_velocities(const dbk_model *model, const dbk_scene *scene, const dbk_ctx *ctx,
+                                       const dbk_real u[DBK_MAX_DOF], int32_t ramped, dbk_point_velocities *out);
+
 /* appends the rows of all cuts */
 void dbk_speed_rows(const dbk_model *model, dbk_ctx *ctx);
 
-/* Moves the braking control to the closest one that keeps the limits. If there is none within the control bounds, the
- * limits become the speeds under braking; the result is DBK_OVERSPEED if one of these limits is above the allowed speed,
- * else 0. */
-int32_t dbk_brake_within_speed(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx,
-                               dbk_real brake[DBK_MAX_DOF]);
+/* the rows of all cuts, and no others */
+void dbk_only_speed_rows(const dbk_model *model, dbk_ctx *ctx);
 
 #endif

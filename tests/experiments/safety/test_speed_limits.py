@@ -2,11 +2,14 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
 from dualbrain.robots.loader import load_robot
 from experiments.safety.speed_limits.classes import CLASSES, COMPLETE_CLASSES, HELD, NEGATIVE_CONTROLS
+from experiments.safety.speed_limits.judge import _jerk_shares
+from experiments.safety.speed_limits.least_share import control_bounds, least_share
 from experiments.safety.speed_limits.point_speeds import PointSpeeds
-from experiments.safety.speed_limits.speed_limits import SpeedLimits, _jerk_shares, run_episode
+from experiments.safety.speed_limits.speed_limits import SpeedLimits, run_episode
 from experiments.safety.speed_limits.trial import make_trial
 from tests.safety.kernel.cartesian_speed.speed_oracle import SpeedOracle
 
@@ -27,6 +30,37 @@ def test_positions_and_speeds_are_those_of_finite_differences(robot):
         order, other = (np.lexsort(np.round(one, 6).T) for one in (found, expected))
         np.testing.assert_allclose(found[order], expected[other], atol=1e-8)
     assert points.radii().shape == speeds.shape[1:]
+    np.testing.assert_allclose(np.linalg.norm(points.jacobians(q[3]) @ u[3], axis=1), speeds[3], atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_least_share_is_that_of_a_general_solver(seed):
+    rng = np.random.default_rng(seed)
+    jacobians, limits = rng.standard_normal((12, 3, 4)), rng.uniform(0.5, 2.0, 12)
+    lower = rng.uniform(-1.0, 1.0, 4)
+    upper = lower + rng.uniform(0.1, 1.0, 4)
+    room = {
+        "type": "ineq",
+        "fun": lambda x: (x[4] * limits) ** 2 - np.sum((jacobians @ x[:4]) ** 2, axis=1),
+    }
+    start = np.append((lower + upper) / 2.0, 100.0)
+    bounds = [*zip(lower, upper, strict=True), (0.0, None)]
+    other = minimize(lambda x: x[4], start, bounds=bounds, constraints=[room], options={"maxiter": 500, "ftol": 1e-12})
+    assert other.success
+    assert least_share(jacobians, limits, (lower, upper)) == pytest.approx(other.x[4], abs=1e-4)
+
+
+def test_the_bounds_of_a_control_follow_from_speed_acceleration_and_jerk():
+    model = load_robot("panda")
+    before, change = np.full(model.n, 0.1), np.full(model.n, 1e-3)
+    lower, upper = control_bounds(model, before, change, limits_jerk=False)
+    steps = [joint.acceleration.value * model.period for joint in model.joints]
+    np.testing.assert_allclose(upper - lower, np.multiply(2.0, steps))
+    narrow = control_bounds(model, before, change, limits_jerk=True)
+    assert np.all(narrow[0] >= lower)
+    assert np.all(narrow[1] <= upper)
+    jumps = [joint.jerk.value * model.period**2 for joint in model.joints]
+    np.testing.assert_array_less(narrow[1] - narrow[0], np.multiply(2.0, jumps) + 1e-12)
 
 
 def test_the_jerk_of_a_step_from_rest_is_measured():

@@ -39,7 +39,8 @@ BARRIER = BarrierSpec(
     h="h = v_max − |J_p u|, least over the points p",
     row="−n'J_p u ≥ −v_max for directions n of too fast points, until no point is too fast: an exact cone up to 0.1 %",
     rank=None,
-    alpha="none: the speed depends directly on the control; what it grows in four periods is reserved",
+    alpha="none: the speed depends directly on the control; what it grows in four periods is reserved; if "
+    "no control has this reserve, the limit itself is tried, then the least part of the excess of braking",
     margins=("sampling", "rounding"),
     source="FilterConfig.cartesian_speed, tool_speed of the robot model or site file; formula of power and force "
     "limiting in ISO/TS 15066, not a certified function",
