@@ -170,13 +170,21 @@ static int32_t solve_full(const dbk_model *model, const dbk_scene *scene, dbk_ct
   return failed & DBK_INFEASIBLE ? failed | relax(model, scene, ctx, u_prev, brake, u, out) : failed;
 }
 
+/* braking along the direction of motion within the control bounds, whatever the speed limits */
+static void full_braking(const dbk_model *model, const dbk_ctx *ctx, dbk_real u[DBK_MAX_DOF]) {
+  dbk_brake(model, ctx->u_prev, u);
+  dbk_limit_brake_jerk(model, ctx->u_prev, ctx->u_change, u);
+  for (int32_t k = 0; k < model->n; ++k) { u[k] = dbk_clamp(u[k], ctx->lower[k], ctx->upper[k]); }
+}
+
 /* Keeps u if the next state is certified. Otherwise u moves in four steps toward braking, never toward zero, until the
  * next state is certified; u also keeps the speed limits. If none is, an obstacle is about to touch the robot: the result is the relaxed control, for
  * which no pair closes faster than under braking, or else the braking control. Adds DBK_UNVERIFIED to *flags if u
  * violates a row that the QP was to satisfy. */
 static int32_t certify(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_in *in,
                        const dbk_real *brake, int32_t relaxed, dbk_real *u, int32_t *flags) {
-  dbk_real start[DBK_MAX_DOF];
+  dbk_real start[DBK_MAX_DOF], full[DBK_MAX_DOF];
+  const dbk_real *last = brake;
   const int32_t n = model->n;
   for (int32_t k = 0; k < n; ++k) { start[k] = u[k]; }
   for (int32_t tries = 0; tries <= 4; ++tries) {
@@ -194,9 +202,15 @@ static int32_t certify(const dbk_model *model, const dbk_scene *scene, dbk_ctx *
     if (tries == 0 && !satisfied) { *flags |= DBK_UNVERIFIED; }
     if (satisfied && dbk_keeps_speed(model, scene, ctx, u) && dbk_certify(model, scene, ctx, in, u)) { return 1; }
   }
+  if (*flags & DBK_OVERSPEED) { /* no part is faster than under full braking, which closes no pair faster */
+    full_braking(model, ctx, full);
+    for (int32_t k = 0; k < n; ++k) { u[k] = full[k]; }
+    if (dbk_certify(model, scene, ctx, in, u)) { return 1; }
+    last = full;
+  }
   const int32_t keep = relaxed && dbk_check(&ctx->rows, n, ctx->lower, ctx->upper, start, DBK_CHECK_TOL) &&
                        dbk_keeps_speed(model, scene, ctx, start);
-  for (int32_t k = 0; k < n; ++k) { u[k] = keep ? start[k] : brake[k]; }
+  for (int32_t k = 0; k < n; ++k) { u[k] = keep ? start[k] : last[k]; }
   return 0;
 }
 

@@ -78,10 +78,10 @@ static int32_t find_control(const dbk_model *model, const dbk_scene *scene, dbk_
   set_steps(model, scene, ctx, brake, kind, &search);
   for (int32_t k = 0; k < model->n; ++k) { u[k] = brake[k]; }
   ctx->rows.count = ctx->rows.overflow = 0;
-  for (int32_t tries = 0; tries < DBK_SPEED_ROUNDS; ++tries) {
+  for (int32_t tries = 0; tries <= DBK_SPEED_ROUNDS; ++tries) {
     if (kind != WITH_RESERVE) { set_limits(&ctx->speed, &search, excess); }
     const int32_t cut = dbk_cut_speed(model, scene, ctx, u);
-    if (cut <= 0) { return cut == 0; }
+    if (cut <= 0 || tries == DBK_SPEED_ROUNDS) { return cut == 0; }
     if (kind != WITH_RESERVE) { set_soft_rows(model, ctx, &search); }
     const dbk_real shift = search.soft ? (dbk_real)0 : DBK_QP_SHIFT;
     if (dbk_qp(&ctx->rows, model->n, model->scale, ctx->lower, ctx->upper, brake, search.soft, shift, 0, 0,
@@ -89,6 +89,7 @@ static int32_t find_control(const dbk_model *model, const dbk_scene *scene, dbk_
       return 0;
     }
     excess = SLACK_STEP * dbk_max(ctx->solution.slack, (dbk_real)0) / search.largest;
+    if (kind == LEAST_EXCESS) { excess = dbk_min(excess, (dbk_real)1); }
     for (int32_t k = 0; k < model->n; ++k) { u[k] = dbk_clamp(ctx->solution.u[k], ctx->lower[k], ctx->upper[k]); }
   }
   return 0;

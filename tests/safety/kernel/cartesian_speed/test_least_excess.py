@@ -10,7 +10,7 @@ from dualbrain.safety.stop_cause import Reason
 from experiments.safety.speed_limits.least_share import control_bounds, least_share
 from tests.safety.kernel.cartesian_speed.speed_oracle import SpeedOracle
 
-ROOM = 0.004
+ROOM = 0.0045
 """Share that the filter leaves for the approximation by cuts."""
 
 
@@ -46,7 +46,7 @@ def test_a_limit_is_kept_if_a_control_keeps_it_and_no_part_is_faster_than_under_
             continue
         bounds = control_bounds(robot_model, before, np.zeros(robot_model.n), limits_jerk=False)
         least = least_share(jacobians, np.full(len(jacobians), limit), bounds)
-        braking = speeds(jacobians, before - np.clip(before, -step, step))
+        braking = speeds(jacobians, before * max(0.0, float((1.0 - step / np.abs(before)).max())))
         safety.reset(before)
         result = safety(q, before, rng.uniform(-1.0, 1.0, robot_model.n) * v_max, 0.0, 0.0)
         attained = speeds(jacobians, result.u)
