@@ -153,7 +153,7 @@ class Commander(SiteEntry, frozen=True):
     skills: tuple[str, ...]
 
 
-NAMED_TABLES = {"joint": JointCaps, "object": ObjectEntry, "commander": Commander}
+NAMED_TABLES = {"joint": JointCaps, "object": ObjectEntry, "person": PersonEntry, "commander": Commander}
 """Tables with names of their own, which are checked one by one because msgspec omits these names from its paths."""
 
 

@@ -19,6 +19,7 @@ from dualbrain.adaptation.idle_scheduler import (
 )
 from dualbrain.cli.common.console import StderrConsole
 from dualbrain.cli.common.exit_codes import ExitCode
+from dualbrain.cli.common.running_gatekeepers import running_sockets
 from dualbrain.cli.common.signals import interrupt_handler
 from dualbrain.cli.memory.open_memory import ledger_path
 from dualbrain.core.paths import dualbrain_home
@@ -47,7 +48,8 @@ def adapt_when_idle(
         return subprocess.Popen(command, start_new_session=True, preexec_fn=preexec)  # noqa: PLW1509  (no other thread)
 
     def get_blocking_reason(own_pid: int | None) -> str:
-        activity = robot_activity(ledger_file, (dualbrain_home() / "gatekeeper.sock",), own_pid=own_pid)
+        home = dualbrain_home()
+        activity = robot_activity(ledger_file, (home / "gatekeeper.sock", *running_sockets(home)), own_pid=own_pid)
         return blocking_reason(read_machine_load(), activity, own_threads=threads if own_pid is not None else 0)
 
     with interrupt_handler(_raise_interrupt):

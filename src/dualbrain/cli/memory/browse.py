@@ -19,9 +19,9 @@ from dualbrain.cli.memory.open_memory import (
     RUN_FOLDERS,
     ledger_path,
     load_encoder,
+    memory_config,
     open_memory,
     open_reader,
-    posture_limits,
     print_json,
 )
 from dualbrain.core.storage.private_files import open_private
@@ -199,7 +199,7 @@ def search(
 
     if k < 1:
         raise UsageError("--k", got=k, allowed="at least 1")
-    perceived = scene_from_spec(open_scene(scene))
+    perceived = scene_from_spec(open_scene(scene, robot))
     state = home_state(load_robot(robot))
     posture = Posture(tuple(state.q.tolist()), state.opening)
     where = Filter(
@@ -276,7 +276,7 @@ def verify(*, vectors: Flag = False, accept: str = "", ledger: Path | None = Non
     if accept:
         _accept(ledger_path(ledger), accept)
     with open_reader(ledger, warn=False) as opened:
-        embedding = JointEmbedding(load_encoder(), posture_limits("panda")) if vectors else None
+        embedding = JointEmbedding(load_encoder(), memory_config(opened).limits) if vectors else None
         found = examine(opened, embedding=embedding, run_folders=RUN_FOLDERS)
     if json:
         print_json({"whole": found.is_intact, **msgspec.to_builtins(found)})

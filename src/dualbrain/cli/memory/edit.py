@@ -23,7 +23,7 @@ from dualbrain.cli.memory.open_memory import (
     print_json,
 )
 from dualbrain.core.text import count_noun
-from dualbrain.errors import ConfigurationError, UnknownNameError
+from dualbrain.errors import ConfigurationError, UnknownNameError, UsageError
 
 if TYPE_CHECKING:
     from dualbrain.memory.maintenance.audit import SourceReport
@@ -268,6 +268,10 @@ def _apply_change(
 ) -> int:
     with open_memory(ledger, writing=what) as opened:
         more = [memo.id for memo in opened.state.memories if source and memo.provenance.source == source]
+        if source and not more:
+            raise UsageError.stating(
+                f"No memory has the source {source!r}.", fix="`dualbrain memory show ID` prints the source of a memory."
+            )
         names = tuple(dict.fromkeys((*ids, *more)))
         before = opened.weights()
         apply(opened, names, reason, now=time.time(), actor=COMMAND)
