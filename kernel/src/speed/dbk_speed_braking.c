@@ -75,24 +75,26 @@ static int32_t find_control(const dbk_model *model, const dbk_scene *scene, dbk_
                             const dbk_real *brake, dbk_real *u) {
   limit_search search;
   dbk_real excess = (dbk_real)0;
+  int32_t cut = 0;
   set_steps(model, scene, ctx, brake, kind, &search);
   for (int32_t k = 0; k < model->n; ++k) { u[k] = brake[k]; }
   ctx->rows.count = ctx->rows.overflow = 0;
   for (int32_t tries = 0; tries <= DBK_SPEED_ROUNDS; ++tries) {
     if (kind != WITH_RESERVE) { set_limits(&ctx->speed, &search, excess); }
-    const int32_t cut = dbk_cut_speed(model, scene, ctx, u);
-    if (cut <= 0 || tries == DBK_SPEED_ROUNDS) { return cut == 0; }
+    cut = dbk_cut_speed(model, scene, ctx, u);
+    if (cut <= 0 || tries == DBK_SPEED_ROUNDS) { break; }
     if (kind != WITH_RESERVE) { set_soft_rows(model, ctx, &search); }
     const dbk_real shift = search.soft ? (dbk_real)0 : DBK_QP_SHIFT;
     if (dbk_qp(&ctx->rows, model->n, model->scale, ctx->lower, ctx->upper, brake, search.soft, shift, 0, 0,
                &ctx->solution)) {
-      return 0;
+      cut = -1;
+      break;
     }
     excess = SLACK_STEP * dbk_max(ctx->solution.slack, (dbk_real)0) / search.largest;
     if (kind == LEAST_EXCESS) { excess = dbk_min(excess, (dbk_real)1); }
     for (int32_t k = 0; k < model->n; ++k) { u[k] = dbk_clamp(ctx->solution.u[k], ctx->lower[k], ctx->upper[k]); }
   }
-  return 0;
+  return cut == 0;
 }
 
 /* The limits that u exceeds become its speeds, with room for cuts up to the allowed speed. Returns 1 if u exceeds an

@@ -76,7 +76,8 @@ REASON_TEXTS = {
     "BAD_SCENE": "the obstacles, a constraint row or the grasped object cannot be used",
     "UNCERTIFIED": "not even braking keeps clear",
     "UNAVOIDABLE": "something comes at a part that cannot move away",
-    "OVERSPEED": "no control was found that keeps the speed limits; no part above its limit is clearly faster than under braking",
+    "OVERSPEED": "no control was found that keeps the speed limits; no part above its limit is clearly faster than "
+    "under braking",
     "RETREAT": "the retreat ends the approach of the obstacle in time",
     "UNVERIFIED": "the independent check rejected the solution of the optimisation",
 }
