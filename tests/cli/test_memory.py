@@ -175,6 +175,8 @@ NOT_THERE = "is not a memory of this ledger"
         (("forget", "a", "nothing", "--reason", "x"), NOT_THERE),
         (("forget", "--reason", "x"), "No memory was named. List the ids with `dualbrain memory list`."),
         (("forget", "a", "--reason", " "), "The reason is empty. State a reason with --reason."),
+        (("quarantine", "--source", "elsewhere", "--reason", "x"), "No memory has the source 'elsewhere'."),
+        (("release", "--source", "elsewhere", "--reason", "x"), "No memory has the source 'elsewhere'."),
         (("rollback", "9999", "--reason", "x"), "rollback target: got 9999"),
         (("replay", "a", "--tries", "0"), "tries: got 0"),
         (("list", "--at", "yesterday"), "time: got 'yesterday', allowed: ISO 8601"),

@@ -13,7 +13,7 @@ TOLERANCE = 1e-6
 
 
 def least_share(jacobians: Array, limits: Array, bounds: tuple[Array, Array]) -> float:
-    """min over u within `bounds` of max over p of |J_p u| / v_p, for Jacobians (k, 3, n) and limits (k,) [m/s].
+    """The least over u within `bounds` of max_p |J_p u| / v_p, for Jacobians (k, 3, n) and limits (k,) [m/s].
 
     Each round adds n_p'J_p u ≤ t v_p with n_p the direction of J_p u for the fastest parts. The result is a lower bound
     that is exact up to `TOLERANCE`, or the best one after `ROUNDS`.

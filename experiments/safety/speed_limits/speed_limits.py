@@ -61,10 +61,14 @@ def run_episode(kind: SpeedClass, seed: int, steps: int = STEPS_PER_EPISODE) -> 
     q, u, counts = trial.run(steps)
     above, row = judge.judge(q, u, trial.person)
     examined = [] if kind.compared_with else above
-    return row | counts | {
-        "unreported": sum(not trial.reports_overspeed(step) for step in examined),
-        "avoidable": sum(judge.least_share(q, u, trial.person, step) < AVOIDABLE for step in examined),
-    }
+    return (
+        row
+        | counts
+        | {
+            "unreported": sum(not trial.reports_overspeed(step) for step in examined),
+            "avoidable": sum(judge.least_share(q, u, trial.person, step) < AVOIDABLE for step in examined),
+        }
+    )
 
 
 def aggregate(counts: Iterable[Row]) -> Row:

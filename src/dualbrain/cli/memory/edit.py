@@ -23,7 +23,7 @@ from dualbrain.cli.memory.open_memory import (
     print_json,
 )
 from dualbrain.core.text import count_noun
-from dualbrain.errors import ConfigurationError, UnknownNameError, UsageError
+from dualbrain.errors import ConfigurationError, UnknownNameError
 
 if TYPE_CHECKING:
     from dualbrain.memory.maintenance.audit import SourceReport
@@ -269,7 +269,7 @@ def _apply_change(
     with open_memory(ledger, writing=what) as opened:
         more = [memo.id for memo in opened.state.memories if source and memo.provenance.source == source]
         if source and not more:
-            raise UsageError.stating(
+            raise ConfigurationError.stating(
                 f"No memory has the source {source!r}.", fix="`dualbrain memory show ID` prints the source of a memory."
             )
         names = tuple(dict.fromkeys((*ids, *more)))

@@ -44,6 +44,6 @@ BARRIER = BarrierSpec(
     margins=("sampling", "rounding"),
     source="FilterConfig.cartesian_speed, tool_speed of the robot model or site file; formula of power and force "
     "limiting in ISO/TS 15066, not a certified function",
-    implementation="kernel/src/speed/dbk_speed_limit.c",
+    implementation="kernel/src/speed/dbk_speed_limit.c, kernel/src/speed/dbk_speed_braking.c",
     scenario=_scenario,
 )

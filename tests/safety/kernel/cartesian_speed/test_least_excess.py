@@ -1,4 +1,4 @@
-"""If no control keeps the speed limit with its reserve: the limit itself, then the least part of the excess of braking."""
+"""If no control keeps the speed limit with its reserve: the limit itself, then the least part of the excess."""
 
 import msgspec
 import numpy as np

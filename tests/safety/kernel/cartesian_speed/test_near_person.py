@@ -200,6 +200,13 @@ def test_a_wrong_entry_of_a_site_file_is_reported_with_its_line(tmp_path, old, n
         site_persons(read_site(path))
 
 
+def test_an_entry_of_the_wrong_type_is_reported_with_its_line(tmp_path):
+    path = tmp_path / "lab.toml"
+    path.write_text(SITE.replace("distance = 0.4", 'distance = "far"'))
+    with pytest.raises(SiteError, match=r"lab\.toml, line 11, column 12: person\.operator\.distance must be a number"):
+        site_persons(read_site(path))
+
+
 def test_own_numbers_of_a_region_need_a_source(tmp_path):
     path = tmp_path / "lab.toml"
     own = '"own"\nmass = 40.0\nstiffness = 25e3\nforce = 140.0\ntransient = 2.0\nsource = "measured at this cell"'
