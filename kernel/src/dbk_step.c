@@ -170,7 +170,7 @@ static int32_t solve_full(const dbk_model *model, const dbk_scene *scene, dbk_ct
   return failed & DBK_INFEASIBLE ? failed | relax(model, scene, ctx, u_prev, brake, u, out) : failed;
 }
 
-/* braking along the direction of motion within the control bounds, whatever the speed limits */
+/* braking along the direction of motion within the control bounds, without regard to the speed limits */
 static void full_braking(const dbk_model *model, const dbk_ctx *ctx, dbk_real u[DBK_MAX_DOF]) {
   dbk_brake(model, ctx->u_prev, u);
   dbk_limit_brake_jerk(model, ctx->u_prev, ctx->u_change, u);

@@ -61,6 +61,11 @@ _CONTRACTIONS = {
     "they've": "they have",
     "w/o": "without",
 }
+_COMMON_WORDS = (
+    "could", "would", "should", "please", "that", "this", "with", "them", "into", "onto", "table", "left", "right",
+    "front", "side", "place", "move", "bring", "drop", "take", "carry", "push",
+)  # fmt: skip
+"""Words in which exchanged letters are corrected; no exchange gives another word."""
 MISSPELLINGS = {
     "mv": "move",
     "ontop": "on top",
@@ -189,9 +194,25 @@ def _expand(word: str) -> str:
         return _CONTRACTIONS[word]
     if word.endswith("n't"):
         return f"{word[:-3]} not"
+    corrected = corrected_function_word(word)
+    return _nearest_function_word(word) if corrected == word else corrected
+
+
+def corrected_function_word(word: str) -> str:
+    """The function word that `word` commonly misspells, or in which two neighbouring letters are exchanged."""
     if word in MISSPELLINGS:
         return MISSPELLINGS[word]
-    return _nearest_function_word(word)
+    return next((known for known in _COMMON_WORDS if are_letters_exchanged(word, known)), word)
+
+
+def are_letters_exchanged(word: str, known: str) -> bool:
+    """Whether two neighbouring letters of a `known` word of at least four are exchanged, not the first one."""
+    return (
+        len(known) >= 4
+        and len(word) == len(known)
+        and word != known
+        and (sorted(word) == sorted(known) and is_one_edit_away(word, known))
+    )
 
 
 def _nearest_function_word(word: str) -> str:

@@ -128,7 +128,7 @@ def test_a_contract_that_does_the_whole_instruction_passes(instruction, steps, h
     assert uncovered(instruction, *steps, holding=holding) is None
 
 
-DECLINE = ("decline", {"reason": "there is no red cube here"})
+DECLINE = ("decline", {"reason": "no skill can do this"})
 
 
 def unfounded(instruction, *steps, holding=None):
@@ -164,6 +164,13 @@ def test_a_decline_of_an_instruction_that_a_contract_can_express_is_rejected(ins
 )
 def test_a_decline_with_a_possible_reason_passes(instruction):
     assert unfounded(instruction, DECLINE) is None
+
+
+def test_a_decline_because_of_a_thing_that_is_here_is_rejected_also_if_the_words_are_not_read():
+    rejected = unfounded("arrange the red cube nicely", ("decline", {"reason": "there is no red cube here"}))
+    assert rejected is not None
+    assert "the red cube is here" in rejected.hint
+    assert unfounded("arrange the banana nicely", ("decline", {"reason": "there is no banana here"})) is None
 
 
 def test_only_declines_are_rejected_and_none_of_a_request_that_is_fulfilled_already():

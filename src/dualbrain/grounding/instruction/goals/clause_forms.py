@@ -49,8 +49,12 @@ LIFTING = re.compile(
     rf"|(?: by)?(?: about| roughly)? {goal_words.NUMBER}{goal_words.GAP}{goal_words.LENGTH}(?: up| high)?)*"
 )
 BELONGING = re.compile(
-    r" (?:all )?(?:belongs?|goes?|lives?|comes?|(?:can|could|may|wants? to) go|(?:should|must|had better|has to"
-    r"|have to|needs? to) (?:all )?(?:stand|go|end up|lie|be)(?: put| placed| moved| tidied away| stored)?)(?: over)? "
+    r" (?:all )?(?:belongs?|goes?|lives?|comes?|moves?|(?:can|could|may|might|wants? to|should|must"
+    r"|shall|will|had better"
+    r"|has to|have to|has got to|needs? to|ought to|(?:is|are) (?:supposed|meant|to)(?: to)?|would) (?:all )?"
+    r"(?:go|live|stand|sit|lie|rest|end up|move|come|be)(?: put| placed| moved| tidied away| stored| sitting| standing"
+    r"| lying| resting| better(?: off)?| happier| safer)?"
+    r"|needs? (?:putting|placing|moving|clearing|tidying|storing|setting)(?: away)?)(?: over| across)? "
 )
 """Between an object and its destination: "the tin belongs in the bowl"."""
 STATING = (
@@ -60,6 +64,11 @@ STATING = (
     ),
     re.compile(r"(.+?): ((?:into|in|on|to) .+?)(?: with it)?"),
     re.compile(r"no (.+?) on the table any more: they (?:go) (.+)"),
+    re.compile(r"have (.+?) ((?:in|on|at|into) .+)"),
+    re.compile(
+        r"(?:make sure|ensure|see(?: to it)?)(?: that)? (.+?) (?:is|are|ends? up|gets?|goes"
+        r"|lands?) ((?:in|into|on|at|to) .+)"
+    ),
 )
 HANDING = (
     re.compile(rf"(?:{goal_words.HANDING_VERBS}) me (.+)"),
@@ -69,7 +78,8 @@ HANDING = (
 PUSHING = re.compile(rf"(?:{goal_words.PUSHING_VERBS}) (.+)")
 OBSERVING = re.compile(rf"(?:{goal_words.OBSERVING_PHRASES}) (.+?)(?: from above| without touching (?:it|them))*")
 FORBIDDING = re.compile(
-    r"(?:do not|don't|never) (?:touch|move|pick(?: up)?|grasp|take|push|lift|put|place|shift) (.+?)(?: up)?"
+    r"(?:do not|don't|never) (?:touch|move|pick(?: up)?|grasp|take|push|lift|put|place|shift|knock(?: over| into)?|hit"
+    r"|bump(?: into)?|disturb|tip(?: over)?) (.+?)(?: up| over)?"
 )
 LACKING = re.compile(r"what (.+?) (?:lacks|needs|misses) is (.+)")
 INTO_WITH = re.compile(r"(?:off )?((?:into|in|onto|on|to) .+?) with (.+)")
@@ -84,10 +94,14 @@ DISTANCE = re.compile(
 )
 """The distance of a push, which contracts state."""
 HOLD_TIME = re.compile(rf",? {goal_words.DURATION}$")
-KEEPING = re.compile(r"(?:leave|keep) (.+?) (?:where it is|where they are|in its place|alone|as it is)")
+KEEPING = re.compile(
+    r"(?:leave|keep) (.+?) (?:(?:exactly |just |right )?(?:where it is|where they are|in its place|as it is)|alone)"
+)
 DRIVING = re.compile(
-    r"(?:(?:go|drive|move|come|head|travel|roll|return|run|bring|make your way|stop|stand|go and stand|carry on"
-    r"|continue|proceed|end|finish|scoot)(?: yourself| on| back| over| off| down| along| up| straight| out)*"
+    r"(?:(?:go|drive|move|come|head|travel|roll|return|run|bring|make your way|stop|stand"
+    r"|go and stand|meet (?:me|us)|carry on"
+    r"|continue|proceed|end|finish|scoot|get yourself)(?: yourself| on| back| over| off| down| along"
+    r"| up| straight| out)*"
     r"(?: to| at| by| for| into| down)|visit|(?:(?:back|over|off|on|down|straight) )*to) (.+?)(?: first| now)?"
 )
 UNDIRECTED = re.compile(
@@ -112,6 +126,9 @@ PARTICIPLES = {
     "shifted": "shift",
     "go": "put",
     "be": "put",
+    "live": "put",
+    "stand": "put",
+    "sit": "put",
     "lifted": "lift",
     "picked": "pick",
     "stood": "stand",
@@ -119,14 +136,19 @@ PARTICIPLES = {
     "tidied": "tidy",
     "transferred": "transfer",
 }
-_PARTICIPLE = "|".join(verb for verb in PARTICIPLES if verb not in ("go", "be"))
+_PARTICIPLE = "|".join(verb for verb in PARTICIPLES if verb not in ("go", "be", "live", "stand", "sit"))
 PASSIVE = (
+    re.compile(
+        r"(?:(?:would|will) it be|is it) (?:possible|ok|okay"
+        r"|fine) for (?P<object>.+?) to (?P<verb>go|be|live|stand|sit) "
+        r"(?P<rest>(?:in|into|inside|on|onto|to|at|over) .+)"
+    ),
     re.compile(
         rf"(?:could|can|might|may|would|will|should|must) (?P<object>.+?) be (?P<verb>{_PARTICIPLE}) (?P<rest>.+)"
     ),
     re.compile(
-        r"(?:could|can|might|may|would|should|shall) (?P<object>.+?) (?P<verb>go|be) (?P<rest>(?:in|into|on|onto|to"
-        r"|at|over) .+)"
+        r"(?:could|can|might|may|would|should|shall) (?P<object>.+?) (?P<verb>go|be|live|stand|sit) "
+        r"(?P<rest>(?:in|into|inside|on|onto|to|at|over) .+)"
     ),
     re.compile(
         r"(?:(?:i|we|(?:my |our |the )?[a-z]+) )?(?:would like|would need|wants?|needs?|'d like|would love|'d love"
@@ -253,7 +275,9 @@ def _pushed(
     form = PUSHING.fullmatch(GIVEN_PUSH.sub(r"push \1", text))
     if form is None:
         return None
-    words = re.sub(r" (?:without lifting it|a little|a bit|slightly|somewhere|some way)\b", "", form.group(1))
+    words = re.sub(
+        r" (?:without lifting it|a little|a bit|a tiny bit|a touch|slightly|somewhere|some way)\b", "", form.group(1)
+    )
     words = DISTANCE.sub("", words)
     if off := re.fullmatch(r"(.+?) off (?:of )?(?:the )?(?:table|edge)", words):
         return Goal(decline=f"pushing {off.group(1)} off the table could damage it")

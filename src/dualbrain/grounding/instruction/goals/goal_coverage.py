@@ -7,6 +7,7 @@ answer. An instruction that is not read (`Unread`) is not compared; its outcome 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -25,6 +26,7 @@ from dualbrain.grounding.instruction.goals.goal import (
     RobotEnds,
     Unread,
 )
+from dualbrain.grounding.instruction.goals.noun_phrases import Found, Vocabulary
 from dualbrain.grounding.instruction.stated_values import PARAMETER_NAMES
 from dualbrain.records import Scene
 
@@ -37,6 +39,9 @@ RESTING = (RobotEnds("still"), RobotEnds("rest"))
 """Conditions that a robot at rest fulfils."""
 NAME_PARAMETERS = ("object", "destination", "target", "place")
 """Parameters with the name of an object or a place."""
+
+_ABSENCE = re.compile(r"\bthere is no (?P<phrase>[a-z]+(?: [a-z]+){0,2}) here\b")
+"""The reason of a decline that a thing is absent, in the words that the planners learn."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -117,8 +122,10 @@ def find_unfounded_decline(
     to be at rest is fulfilled by a decline. Clauses that no contract can express are declined before the planner
     (`clauses/`), and their goals are not read again here.
     """
-    if isinstance(goal, Unread) or any(action.skill != DECLINE for action in contract.action_sequence):
+    if any(action.skill != DECLINE for action in contract.action_sequence):
         return None
+    if isinstance(goal, Unread):
+        return _reject_false_absence(contract, scene)
     if goal.decline or goal.beyond_contracts or _too_long(goal, scene, holding):
         return None
     effects = _Effects(in_hand=holding)
@@ -127,6 +134,17 @@ def find_unfounded_decline(
     if not hints:
         return None
     return _rejected("decline", "a contract that carries out the instruction", f"all its names are here: {hints[0]}")
+
+
+def _reject_false_absence(contract: Contract, scene: Scene) -> Rejected | None:
+    """The rejection of a decline whose reason states that a thing is absent, although it is in `scene`."""
+    for action in contract.action_sequence:
+        claim = _ABSENCE.search(str(action.params.get("reason", "")))
+        found = Vocabulary(scene).resolve_reference(claim["phrase"]) if claim else None
+        if claim and isinstance(found, Found):
+            hint = f"the {claim['phrase']} is here: {found.names[0]}"
+            return _rejected("decline", "a contract that carries out the instruction", hint)
+    return None
 
 
 def _effects(contract: Contract, scene: Scene, holding: str | None) -> _Effects | None:

@@ -58,10 +58,15 @@ HOME_WORDS = re.compile(
     r"\b(?:home|rest|resting|retract|park|initial|start(?:ed|ing)? ?(?:pose|posture|position)?|"
     r"out of (?:the|my) way|take a break|go back|return|back where|all for today|move away|step back|away)\b"
 )
+GOING_TO = re.compile(r"\bgo and (?:wait|stand|stay) (?=(?:by|at|near|next|in)\b)|\bget yourself (?:over )?(?=to\b)")
+AT_ONCE = ("go", "go ahead", "do it", "off you go")
+"""The end of a request of single phrases: "yellow tin. right side of the table. go"."""
 NOTHING_ELSE = re.compile(
-    r",? ?(?:and|but)? ?(?:nothing else(?: on the table)?(?: should be| may be| is)? ?(?:touched|moved)?"
+    r",? ?(?:and|but)? ?(?:everything else (?:stays|remains|(?:can|should|must|may) stay)"
+    r"(?: put| as it is| (?:exactly |just |right )?(?:where it is|there))?"
+    r"|nothing else(?: on the table)?(?: should be| may be| is)? ?(?:touched|moved)?"
     r"|do not (?:touch|move) anything else|don't (?:touch|move) anything else"
-    r"|without (?:touching|moving) anything else|leave everything else(?: where it is| alone)?)\b"
+    r"|without (?:touching|moving) anything else|leave everything else(?: (?:exactly |just )?where it is| alone)?)\b"
 )
 
 
@@ -144,12 +149,13 @@ def requests_home(instruction: str) -> bool:
 def _read_text(text: str, scene: Scene, vocabulary: Vocabulary) -> Goal | Unread:
     if condition := CONDITIONAL.fullmatch(text.rstrip(" .!")):
         return _read_conditional(condition, scene, vocabulary)
-    text = NOTHING_ELSE.sub("", text).replace("take your time and ", "")
+    text = GOING_TO.sub("go ", NOTHING_ELSE.sub("", text).replace("take your time and ", ""))
     if swapped := BEFORE.fullmatch(text):
         text = f"{swapped.group(2)}, then {swapped.group(1)}"
     text = _in_order(text.rstrip(" .!"))
     read = _Clauses()
     clauses = [words for clause in CLAUSE_ENDS.split(text) if (words := strip_fillers(clause))]
+    clauses = _join_phrases(clauses, vocabulary)
     for number, words in enumerate(clauses):
         if topic := _topic(words, clauses[number + 1 :], vocabulary):
             read = replace(read, last=topic)
@@ -167,6 +173,24 @@ def _read_text(text: str, scene: Scene, vocabulary: Vocabulary) -> Goal | Unread
     ordered = re.search(r"\b(?:then|after that|afterwards|once|when) \b", text) is not None
     pauses = 0 if conditions == (RobotEnds("still"),) else read.pauses
     return Goal(conditions=conditions, movable=_movable(conditions), ordered=ordered, pauses=pauses, visits=read.visits)
+
+
+def _join_phrases(clauses: Sequence[str], vocabulary: Vocabulary) -> list[str]:
+    """`clauses` with a placement in place of an object and a destination that are phrases of their own."""
+    joined: list[str] = []
+    for words in (part for clause in clauses for part in clause.split(": ")):
+        before = joined[-1] if joined else ""
+        for thing, destination in ((before, words), (words, before)):
+            relation = vocabulary.relation_to(destination) if before else ""
+            if relation and isinstance(vocabulary.resolve_object(thing), Found):
+                joined[-1] = f"{thing} {relation} {destination}"
+                break
+        else:
+            joined.append(words)
+    whole = len(joined) < sum(len(clause.split(": ")) for clause in clauses)
+    if not whole:
+        return list(clauses)
+    return joined[:-1] if joined[-1] in AT_ONCE else joined
 
 
 def _topic(words: str, following: Sequence[str], vocabulary: Vocabulary) -> tuple[str, ...]:

@@ -68,7 +68,7 @@ LIFTING_VERBS = (
 GATHERING_VERBS = "collect|gather up|gather|find|pick out|start with|begin with|take care of"
 """Verbs that name objects for a later clause."""
 HANDING_VERBS = "hand|give|pass|bring|hand over|fetch|get"
-PUSHING_VERBS = "push|shove|slide|nudge|scoot|budge"
+PUSHING_VERBS = "push|shove|slide|nudge|scoot|budge|edge"
 OBSERVING_PHRASES = (
     "look at|have a look at|hover over|hover above|point at|point to|check on|move above|move your hand above|"
     "hold your hand over|go over|go above|show me|inspect|"
@@ -104,6 +104,10 @@ HOME_CLAUSES = (
     r"(?: the arm| your arm| yourself| back| up| off| on| straight| over)*(?: to| at| in| into)?(?: the| your| its)?"
     r"(?: home| resting| rest| start| starting| initial| parking)+(?: posture| position| pose| place)?",
     r"(?:retract|park)(?: the| your)? (?:arm|robot)",
+    r"(?:go|move|return|fold|tuck|pull|retract|withdraw|come|get)(?: yourself| the arm"
+    r"| your arm)?(?: back)?(?: in)? (?:into|to|in) "
+    r"(?:the|your|its) (?:(?:home|rest|resting|starting|initial|parking) (?:position|pose|posture|place)"
+    r"|(?:position|pose|posture|place) (?:that |where )?you (?:started|began)(?: from| in| at)?)",
     r"go (?:back )?to where you (?:started|began|were)",
     r"go back to where you started",
     r"(?:go|return) (?:and|to) rest",

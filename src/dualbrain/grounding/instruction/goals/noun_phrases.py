@@ -17,7 +17,7 @@ from dualbrain.grounding.instruction.goals.goal_words import (
     SYNONYMS,
 )
 from dualbrain.grounding.instruction.names import SIDES
-from dualbrain.grounding.instruction.words import MISSPELLINGS, is_one_edit_away
+from dualbrain.grounding.instruction.words import are_letters_exchanged, corrected_function_word, is_one_edit_away
 from dualbrain.records import Scene, SceneObject
 
 SIDE_PARTS = r"(?:[- ]hand)?(?: (?:side|half|end|part|edge|area))?"
@@ -121,6 +121,15 @@ class Vocabulary:
         things = (*self.objects, *self.containers)
         known = frozenset(word for obj in things for word in (obj.category, obj.colour) if word)
         return re.sub(r"[a-z']+", lambda word: _corrected(word.group(), known), text)
+
+    def relation_to(self, phrase: str) -> str:
+        """The preposition before a `phrase` that is a destination alone: "at" a place, "in" a container; else ""."""
+        found = self.resolve_reference(phrase)
+        if not isinstance(found, Found):
+            return ""
+        if found.names[0] in self.places:
+            return "at"
+        return "in" if any(obj.name == found.names[0] for obj in self.containers) else ""
 
     def resolve_object(self, phrase: str) -> Resolved:
         """The graspable objects that `phrase` names, such as "the red cube", "all tins", "both blocks"."""
@@ -258,8 +267,10 @@ def _is_noun_phrase(words: Sequence[str], objects: Sequence[SceneObject]) -> boo
 
 def _corrected(word: str, known: frozenset[str]) -> str:
     """`word`, or the known word that it misspells."""
-    if word in MISSPELLINGS:
-        return MISSPELLINGS[word]
+    if (function_word := corrected_function_word(word)) != word:
+        return function_word
+    if exchanged := next((one for one in sorted(known) if are_letters_exchanged(word, one)), ""):
+        return exchanged
     if len(word) < MIN_CORRECTED or word in known | COLOURS or _singular(word) in known:
         return word
     return next((one for one in sorted(known) if is_one_edit_away(word, one)), word)

@@ -12,8 +12,10 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Collection
+from itertools import takewhile
 
 from dualbrain.grounding.instruction.clauses.clause_patterns import POLITE_CONDITION
+from dualbrain.grounding.instruction.clauses.masks.contrasts import PRESENT_PLACE
 from dualbrain.grounding.instruction.goals import goal_words
 from dualbrain.grounding.instruction.names import SIDES, singular
 from dualbrain.grounding.instruction.stated_values import VALUE_PHRASES
@@ -63,6 +65,12 @@ _DEMAND = re.compile(
 """Words of a wish, an order or a permission: the part may be a request itself."""
 _OWN_DUTY = re.compile(r"^(?:i|we) (?:must|should|ought to|have to|need to|had to|have got to) (?!have\b)")
 """An obligation of the speaker, which is none of the robot."""
+_LEFT_BEHIND = re.compile(r"\bleft (?=(?:the|that|this|it|them|my|our|his|her|their|an?)\b)")
+"""The verb, not the side: "my kid left that"."""
+_OWN_PLAN = re.compile(
+    r"^(?:i|we) (?:will|am going to|are going to|am|are) (?!need|want|have|like|take|be (?:glad|happy|grateful))"
+)
+"""A plan of the speaker: "I'll try and keep my arm out of your way"."""
 _OWN_ACTION = re.compile(
     r"(?:we|it|that|this|they) (?:can |could |will |now |just |then |may )*"
     rf"(?:{goal_words.PLACING_VERBS}|{goal_words.LIFTING_VERBS}|{goal_words.PUSHING_VERBS})s?\b"
@@ -73,13 +81,24 @@ _ABOUT_A_THING = re.compile(
     r"(?P<topic>(?:the |that |this |my |our )?(?:[a-z]+ ){0,2}[a-z]+) (?:is|was|looks|came|comes|has|nearly|almost"
     r"|still) (?P<rest>[a-z' ]+)"
 )
+_EXISTING_THING = re.compile(
+    r"there is (?:an?|the|some|another) (?P<topic>(?:[a-z]+ ){0,2}?[a-z]+)(?: (?:hiding|sitting|standing|lying|waiting"
+    r"|left|over|somewhere|on|in|among|amongst|between|behind|near|right|out)\b[a-z ]*)?"
+)
+"""A thing that only is there, for a pronoun after it: "there is a pink tin among the bottles"."""
+_THING = re.compile(r"\b(?=((?:the|that|this|my|our|your|an?)(?: [a-z]+){1,3}))")
 _PRONOUN_OBJECT = re.compile(r"\b(?:it|that)\b(?! is\b| was\b)")
 _PHRASE = rf"(?>(?:{goal_words.SOCIAL})(?= |$))"
 _SOCIAL = re.compile(rf"{_PHRASE}(?: {_PHRASE})*+")
 """Social phrases alone; the groups are atomic, so that the time is linear in the length of the text."""
 _SEVERAL = re.compile(r"\b(?:all|every|everything|each|both|any|[a-z]+s)\b(?= .*, (?:and |but )?not )")
-_CONTRAST = re.compile(r" ?, (?:and |but )?not (?:the |that )[a-z ]{2,25}?(?= ?[,.;:!?]| (?:in|into|on|onto|to|at) |$)")
-"""The thing that is not meant: "the orange can, not the orange tin"."""
+_CONTRAST = re.compile(
+    rf" (?:, )?{PRESENT_PLACE}|(?: ,| and| but)+ not (?:(?:out|over|just|lying|sitting) )*(?:here|there)"
+    r"(?: on the (?:table|bench|desk))?(?= ?[,.;:!?]|$)"
+    r"| ?, (?:and |but )?not (?:in |on |at |to )?(?:the |that )[a-z ]{2,25}?(?= ?[,.;:!?]| (?:in"
+    r"|into|on|onto|to|at) |$)"
+)
+"""The thing or the place that is not meant: "the orange can, not the orange tin"."""
 _POLITE = re.compile(
     rf"(?:{POLITE_CONDITION.pattern})(?: (?:kind|good|nice|to|for me|to you|a (?:second|moment|minute)))*"
 )
@@ -109,22 +128,40 @@ def without_values(text: str) -> str:
 
 def is_remark(part: str, known: Collection[str]) -> bool:
     """Whether one `part` of an instruction, without punctuation, asks for nothing; `known` are words of the scene."""
-    words = _OPENING.sub("", part.strip(), count=1)
+    words = _LEFT_BEHIND.sub("had ", _OPENING.sub("", part.strip(), count=1))
     if _SOCIAL.fullmatch(part.strip()) or _SOCIAL.fullmatch(words):
         return True
     if not _STATEMENT.match(words) or any(singular(word) in known for word in re.findall(r"[a-z]+", words)):
         return False
-    if _DEPENDENCE.search(words) or _DEMAND.search(_OWN_DUTY.sub("", words)) or _NEGATED_THING.match(words):
+    if _DEPENDENCE.search(words) or _NEGATED_THING.match(words):
+        return False
+    if _DEMAND.search(_OWN_DUTY.sub("", words)) and not _OWN_PLAN.match(words):
         return False
     return _OWN_ACTION.match(words) is None
 
 
 def _topic(part: str, following: str, known: Collection[str]) -> str:
     """The subject of a remark about a thing, for a pronoun after it: "the glass is new, so grip it with 3 N"."""
-    match = _ABOUT_A_THING.fullmatch(_OPENING.sub("", part.strip(), count=1))
-    if match is None or not is_remark(f"that is {match['rest']}", known) or not _PRONOUN_OBJECT.search(following):
+    if not _PRONOUN_OBJECT.search(following):
         return ""
-    return f"{match['topic']}, "
+    words = _OPENING.sub("", part.strip(), count=1)
+    if existing := _EXISTING_THING.fullmatch(words):
+        return f"the {existing['topic']}. "
+    match = _ABOUT_A_THING.fullmatch(words)
+    if match is not None and is_remark(f"that is {match['rest']}", known):
+        return f"{match['topic']}. "
+    return _only_thing(words, known)
+
+
+def _only_thing(words: str, known: Collection[str]) -> str:
+    """The only thing of the scene in a remark about somebody: "my kid left the purple block lying about"."""
+    for match in _THING.finditer(words):
+        article, *nouns = match[1].split()
+        named = list(takewhile(lambda noun: singular(noun) in known, nouns))
+        phrase = " ".join((article, *named))
+        if named and is_remark(words[: match.start()] + "that" + words[match.start() + len(phrase) :], known):
+            return f"{phrase}. "
+    return ""
 
 
 def _without_accents(text: str) -> str:

@@ -12,13 +12,21 @@ _NEXT = (
     r"(?=$| (?:[.,;:!?]|goes|go|belongs?|should|must|has|needs?|can|and|into|in|on|to|at|is|please|there|here)(?: |$))"
 )
 _CONTRAST = re.compile(
-    r"(?:, |\bbut |\band )(?:but |and |please )?(?P<not>(?:rather )?not (?:(?P<here>here|there)\b"
+    r"(?:, |\bbut |\band )(?:but |and |please )?(?P<not>(?:rather )?not (?:(?:out |over |just "
+    r"|lying |sitting )*(?P<here>here|there)\b"
     rf"|(?P<place>(?:(?:in|into|inside|on|onto|to|at) {_NOUN}|(?:(?:in|on|to|at) )?(?:the )?n{{4,}}))"
     rf"|(?P<noun>{_NOUN}))){_NEXT}"
 )
 _NOT_BUT = re.compile(
     rf"\b(?P<not>not {_NOUN} ?,? )(?:but(?: rather)?|rather|i (?:said|meant?|want|need)) (?P<stated>{_NOUN}){_NEXT}"
 )
+PRESENT_PLACE = (
+    r"(?:instead of|rather than) (?:just |being left |being |left )?(?:lying|sitting|standing"
+    r"|hanging|rolling|scattered)"
+    r"(?: (?:out|over|around|about|here|there|on the (?:table|bench|desk)))+"
+)
+"""The place where a thing lies now: "in the bowl instead of lying around there" excludes nothing."""
+_PRESENT_PLACE = re.compile(rf"\b{PRESENT_PLACE}\b")
 _GROUP = re.compile(
     r"\b(?:all|every|everything|everyone|each|any|anything|anywhere|somewhere|whatever|whichever|ones|only|nothing|most"
     r"|some|both|rest|others?)\b"
@@ -65,6 +73,9 @@ def mask_contrasts(text: str, scene: SceneWords) -> str:
     for match in first_matches(_NOT_BUT, text):
         if scene.identify(match["stated"]) is not None:
             text = fill(text, match.start("not"), match.end("not"))
+    for match in first_matches(_PRESENT_PLACE, text):
+        if scene.has_destination(text[_sentence_start(text, match.start()) : match.start()]):
+            text = fill(text, match.start(), match.end())
     for match in first_matches(_CONTRAST, text):
         sentence = text[_sentence_start(text, match.start()) : match.start()]
         if not _GROUP.search(sentence) and _is_contrast(sentence, match, scene):

@@ -16,9 +16,10 @@ _END = (
     r"(?=$| (?:[.,;:!?]|in|into|inside|to|onto|on|at|and|then|should|must|has|have|needs?|goes|go|belongs?|is|are|with"
     r"|please|over|can|could|may|will|shall|ought|comes?|from|off|up)(?: |$))"
 )
-_THING = r"(?:the|a|an|that|this|my|your|our|its|two|the two|both) (?:\w+ ){0,3}?\w+"
+_THING = r"(?:the|a|an|that|this|those|these|my|your|our|its|two|the two|both) (?:\w+ ){0,3}?\w+"
 _RELATION = (
-    r"(?:(?:right |directly |just |immediately )?(?:behind|beneath|underneath|under|below|next to|beside|besides|near"
+    r"(?:(?:right |directly |just |immediately )?(?:behind|among|amongst|beneath|underneath|under"
+    r"|below|next to|beside|besides|near"
     r"|in front of|close to|close by|adjacent to|opposite|by|alongside|to the left of|to the right of|on the left of"
     r"|on the right of|left of|right of|across from))"
 )
@@ -36,11 +37,12 @@ _POSITION = (
 )
 _ADVERBS = (
     r"(?: (?:now|currently|presently|right now|over|just|still|standing|lying|sitting|placed|located|resting|there|here"
-    r"|found|parked|positioned|kept))"
+    r"|found|parked|positioned|kept|somewhere))"
 )
 _CLAUSE = re.compile(
     r"\b(?:(?P<relative>(?:that|which) (?:is|are|was|stands?|lies|sits|rests?|waits|you (?:can )?see|i see)"
-    rf"{_ADVERBS}{{0,3}}) |(?P<participle>standing|lying|sitting|placed|located|resting|positioned|parked|waiting"
+    rf"{_ADVERBS}{{0,3}}) |(?P<participle>standing|hiding|hidden|lying|sitting|placed|located"
+    rf"|resting|positioned|parked|waiting"
     rf"|over there|over here|there)(?P<adverbs>{_ADVERBS}{{0,2}}) )?(?:{_POSITION}){_END}"
 )
 _SOURCE = re.compile(r"\bfrom (?:the|your) (?:left|right|front|back)(?: hand)?(?: side)?(?! of)\b")

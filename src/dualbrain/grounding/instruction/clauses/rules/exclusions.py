@@ -34,7 +34,11 @@ EXCLUSIONS: tuple[ClauseRule, ...] = (
             r"|teal|white|brown|gray|pink|black) ones?\b"
             r"|\bno (?:lifting|grasping|gripping|pushing|moving|stacking|placing|putting|driving)\b"
         ),
-        re.compile(r"\bwithout (?:any )?exception\b"),
+        re.compile(
+            r"\bwithout (?:any )?exception\b|\b(?:push|slide|shove|nudge|scoot"
+            r"|edge)\b[^.!?]{0,80}\bno (?:lifting|grasping"
+            r"|gripping)\b"
+        ),
     ),
     ClauseRule(
         "exclusion",

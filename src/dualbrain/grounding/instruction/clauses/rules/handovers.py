@@ -41,7 +41,8 @@ HANDOVERS: tuple[ClauseRule, ...] = (
         re.compile(
             r"(?<!your )(?<!the )(?<!empty )\bhand (?:it|them|that|this|the (?:\w+ ){1,3}?)(?:over|out"
             r"|across)\b|\bhand ?over\b(?! the)|\bhold (?:it|that|the (?:\w+ ){1,3}?)out\b"
-            r"|\blet (?:me|him|her|us|the (?:person|man|woman|user|operator)) (?:have|take|hold|grab)\b"
+            r"|\blet (?:me|him|her|us(?! have [^.,;:!?]{1,40} (?:in|into|inside|on|at|over|to) )"
+            r"|the (?:person|man|woman|user|operator)) (?:have|take|hold|grab)\b"
             r"|\bin(?:to)? my hands?\b|\b(?:i|he|she) (?:can|could|may|will) (?:take|grab|receive) it\b"
             r"|\bso (?:that )?i can (?:take|grab|have|hold)\b"
         ),
