@@ -135,9 +135,11 @@ def stated_limits(robot: ZooRobot) -> LimitPolicy:
         name: {"lower": StatedLimit(low, source), "upper": StatedLimit(high, source)}
         for name, (low, high) in robot.joints.items()
     }
-    whole = {"period": 0.02 if robot.mobile else 0.002, "tool_speed": 0.5, "turn": 1.0, "turn_acceleration": 2.0}
-    if robot.wheels is not None:
-        del whole["turn"]
+    whole = {"period": 0.02 if robot.mobile else 0.002, "tool_speed": 0.5}
+    if robot.mobile:
+        whole["turn_acceleration"] = 2.0
+    if robot.mobile and robot.wheels is None:
+        whole["turn"] = 1.0
     return LimitPolicy(every, joints, {side: StatedLimit(value, source) for side, value in whole.items()})
 
 

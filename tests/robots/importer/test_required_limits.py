@@ -5,8 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from dualbrain.errors import ConfigurationError, UnknownNameError
+from dualbrain.errors import ConfigurationError, UnknownNameError, UsageError
 from dualbrain.robots.importer.build_arm import ImportOptions, build_arm
+from dualbrain.robots.importer.build_mobile_base import build_base
 from dualbrain.robots.importer.required_limits import (
     LimitPolicy,
     MissingLimit,
@@ -90,6 +91,56 @@ def test_a_site_file_narrows_the_acceleration_of_the_description(tmp_path):
     assert joint.acceleration.value == 1.5
     assert "site.toml:2" in joint.acceleration.provenance
     assert "wider: 2.5 of robot.urdf:5: j limit acceleration" in joint.acceleration.provenance
+
+
+WIDE_SITE = """
+[robot]
+tool_speed = 0.1
+[limits]
+acceleration = 1.0
+velocity = 3.0
+[joint.j]
+acceleration = 1.5
+velocity = 1.2
+"""
+
+
+def test_of_two_stated_limits_the_narrower_one_holds(tmp_path):
+    text = urdf_xml(link_xml("a"), link_xml("b"), joint_xml("j", "a", "b", inside=DRAKE_LIMIT))
+    options = {"acceleration": 2.0, "velocity": 0.5, "period": 0.002, "tool_speed": 0.25}
+    policy = make_limit_policy(read_site(write_file(tmp_path, WIDE_SITE, "site.toml")), options)
+    model = build_arm(read_urdf(write_file(tmp_path, text)), policy, QUICK).robot_model
+    (joint,) = model.joints
+    assert (joint.acceleration.value, joint.velocity.value, model.tool_speed.value) == (1.0, 0.5, 0.1)
+    assert joint.acceleration.provenance.startswith("site policy (site.toml:5); wider: ")
+    assert joint.velocity.provenance.startswith("site policy (--velocity); wider: ")
+    assert model.tool_speed.provenance == "site policy (site.toml:3); wider: 0.25 of site policy (--tool-speed)"
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])
+def test_an_option_that_is_no_limit_is_refused(value):
+    with pytest.raises(UsageError, match=r"--velocity.*above 0"):
+        make_limit_policy(None, {"velocity": value})
+
+
+def test_a_control_period_that_option_and_site_file_state_differently_is_refused(tmp_path):
+    site = read_site(write_file(tmp_path, "[robot]\nperiod = 0.002\n", "site.toml"))
+    assert make_limit_policy(site, {"period": 0.002}).robot["period"].value == 0.002
+    with pytest.raises(UsageError, match=r"--period: got 0\.004, allowed: 0\.002 s, as site\.toml:2 states"):
+        make_limit_policy(site, {"period": 0.004})
+
+
+@pytest.mark.parametrize("name", ["turn", "turn_acceleration"])
+def test_a_turn_limit_is_refused_for_an_arm(tree, name):
+    policy = limit_policy()
+    robot = {**policy.robot, name: StatedLimit(1.0, "site policy (lab.toml:3)")}
+    with pytest.raises(ConfigurationError, match=rf"{name} \(site policy \(lab\.toml:3\)\).*no base"):
+        build_arm(tree, LimitPolicy(policy.all_joints, policy.by_joint, robot), QUICK)
+
+
+def test_a_jerk_limit_is_refused_for_a_base(tree):
+    with pytest.raises(ConfigurationError, match=r"jerk \(site\).*no jerk limit"):
+        build_base(tree, LimitPolicy({"jerk": StatedLimit(1.0, "site")}), QUICK, None)
 
 
 @pytest.mark.parametrize("text", ["fast", "inf", "nan"])

@@ -28,6 +28,7 @@ from dualbrain.robots.importer.required_limits import (
     MissingLimit,
     MissingLimitsError,
     joint_bounds,
+    refuse_unused_limits,
     robot_bound,
 )
 from dualbrain.robots.model import (
@@ -92,8 +93,8 @@ def build_arm(
 
     Raises:
         MissingLimitsError: Neither the description nor `policy` states a limit; all missing limits are listed.
-        ConfigurationError: The chain cannot be driven, exceeds the capacity of the kernel, or has no posture without
-            self-collision.
+        ConfigurationError: The chain cannot be driven, exceeds the capacity of the kernel, has no posture without
+            self-collision, or a turn limit of a base is stated.
         MissingDependencyError: A mesh file or a library does not exist.
     """
     chain = find_chain(tree, base=options.base, tip=options.tip, tool=options.tool, lock=options.lock)
@@ -147,6 +148,8 @@ def _joint_limits(
 ) -> tuple[tuple[Joint, ...], Bound, Bound]:
     """The joints with all bounds, the control period and the limit of the tool speed."""
     missing: list[MissingLimit] = []
+    reason = "an arm has no base that turns"
+    refuse_unused_limits(policy.robot, {"turn": reason, "turn_acceleration": reason})
     known = {joint.name for joint in tree.joints}
     for name in policy.by_joint:
         if name not in known:

@@ -28,7 +28,13 @@ from dualbrain.robots.importer.build_arm import (
 )
 from dualbrain.robots.importer.kinematic_chain import link_poses_at_rest
 from dualbrain.robots.importer.kinematic_tree import KinematicTree, TreeJoint
-from dualbrain.robots.importer.required_limits import LimitPolicy, MissingLimit, MissingLimitsError, robot_bound
+from dualbrain.robots.importer.required_limits import (
+    LimitPolicy,
+    MissingLimit,
+    MissingLimitsError,
+    refuse_unused_limits,
+    robot_bound,
+)
 from dualbrain.robots.model import Bound, Link, RobotModel
 
 Array = NDArray[np.float64]
@@ -49,9 +55,10 @@ def build_base(
 
     Raises:
         MissingLimitsError: Speeds, accelerations or the control period are not stated.
-        ConfigurationError: The wheels are not a pair on one axle across the base.
+        ConfigurationError: The wheels are not a pair on one axle across the base, or a jerk limit is stated.
         MissingDependencyError: A mesh file or a library does not exist.
     """
+    refuse_unused_limits(policy.all_joints, {"jerk": "the model of a mobile base has no jerk limit"})
     root = tree.link(options.base).name if options.base else tree.root
     poses, locked = link_poses_at_rest(tree, root, options.lock)
     centre, speed, turn, missing = _speed_limits(tree, poses, policy, wheels)

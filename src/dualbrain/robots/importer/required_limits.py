@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import isfinite
 
 import msgspec
 
 from dualbrain.core.text import count_noun
-from dualbrain.errors import ConfigurationError
+from dualbrain.errors import ConfigurationError, UsageError
 from dualbrain.robots.importer.kinematic_tree import TreeJoint
 from dualbrain.robots.model import Bound
 from dualbrain.robots.site_config import SiteFile
@@ -50,8 +51,9 @@ class LimitPolicy:
     robot: Mapping[str, StatedLimit] = field(default_factory=dict[str, StatedLimit])
 
     def limit_of(self, joint: str, name: str) -> StatedLimit | None:
-        """The stated limit `name` of `joint`: its own if there is one, else that for all joints."""
-        return self.by_joint.get(joint, {}).get(name) or self.all_joints.get(name)
+        """The stated limit `name` of `joint`: of its own and that for all joints, the narrower one."""
+        own, common = self.by_joint.get(joint, {}).get(name), self.all_joints.get(name)
+        return own or common if own is None or common is None else _smaller(own, common)
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,8 +161,8 @@ def _narrower_bound(name: str, described: StatedLimit | None, site: StatedLimit 
         assert only is not None
         return Bound(only.value, unit, only.provenance)
     site_is_narrower = site.value > described.value if name == "lower" else site.value < described.value
-    narrow, wide = (site, described) if site_is_narrower else (described, site)
-    return Bound(narrow.value, unit, f"{narrow.provenance}; wider: {wide.value:g} of {wide.provenance}")
+    found = _beside(site, described) if site_is_narrower else _beside(described, site)
+    return Bound(found.value, unit, found.provenance)
 
 
 def robot_bound(name: str, unit: str, policy: LimitPolicy, missing: list[MissingLimit]) -> Bound:
@@ -178,22 +180,60 @@ def robot_bound(name: str, unit: str, policy: LimitPolicy, missing: list[Missing
     return Bound(stated.value, unit, stated.provenance)
 
 
+def refuse_unused_limits(limits: Mapping[str, StatedLimit], unused: Mapping[str, str]) -> None:
+    """Raise `ConfigurationError` for a stated limit that nothing of the robot keeps; `unused`: names with reasons."""
+    for name, reason in unused.items():
+        if (stated := limits.get(name)) is not None:
+            where = f"{name} ({stated.provenance})"
+            raise ConfigurationError(where, got=stated.value, allowed=f"no entry: {reason}", fix="Leave it out.")
+
+
 ROBOT_LIMIT_NAMES = ("period", "tool_speed", "turn", "turn_acceleration", "grip_force", "grip_force_min")
 
 
 def make_limit_policy(file: SiteFile | None, options: Mapping[str, float | None]) -> LimitPolicy:
-    """The limits in the site file, replaced by those in `options` (acceleration, velocity, period, tool_speed, …)."""
-    stated = {key: StatedLimit(value, f"site policy ({_option_name(key)})") for key, value in options.items() if value}
+    """The limits in the site file and in `options` (acceleration, velocity, period, …): of two, the narrower holds.
+
+    Raises:
+        UsageError: an option is not above 0, or states another control period than the site file.
+    """
+    stated = {name: _option_limit(name, value) for name, value in options.items() if value is not None}
     all_joints = {name: stated[name] for name in ("velocity", "acceleration", "jerk") if name in stated}
     robot = {name: stated[name] for name in ROBOT_LIMIT_NAMES if name in stated}
     if file is None:
         return LimitPolicy(all_joints, {}, robot)
     site = file.site
-    return LimitPolicy(
-        _stated_limits(file, site.limits, "limits") | all_joints,
-        {name: _stated_limits(file, caps, f"joint.{name}") for name, caps in site.joint.items()},
-        _stated_limits(file, site.robot, "robot") | robot,
-    )
+    common = _narrowest(all_joints, _stated_limits(file, site.limits, "limits"))
+    by_joint = {name: _stated_limits(file, caps, f"joint.{name}") for name, caps in site.joint.items()}
+    whole = _stated_limits(file, site.robot, "robot")
+    if "period" in robot and whole.get("period", robot["period"]).value != robot["period"].value:
+        allowed = f"{whole['period'].value:g} s, as {file.locate('robot.period')} states, or no option"
+        raise UsageError("--period", got=robot["period"].value, allowed=allowed)
+    return LimitPolicy(common, by_joint, _narrowest(robot, whole))
+
+
+def _option_limit(name: str, value: float) -> StatedLimit:
+    """The limit that an option states; raises `UsageError` for a value that is no limit."""
+    option = _option_name(name)
+    if not (isfinite(value) and value > 0.0):
+        raise UsageError(option, got=value, allowed="a finite number above 0")
+    return StatedLimit(value, f"site policy ({option})")
+
+
+def _narrowest(first: Mapping[str, StatedLimit], second: Mapping[str, StatedLimit]) -> dict[str, StatedLimit]:
+    """The limits of both, by name; of two for the same quantity, the smaller one."""
+    common = {name: _smaller(limit, second[name]) for name, limit in first.items() if name in second}
+    return {**first, **second, **common}
+
+
+def _smaller(one: StatedLimit, other: StatedLimit) -> StatedLimit:
+    """The smaller of two upper limits, whose provenance names the other one; the first of two equal ones."""
+    narrow, wide = (one, other) if one.value <= other.value else (other, one)
+    return narrow if one.value == other.value else _beside(narrow, wide)
+
+
+def _beside(narrow: StatedLimit, wide: StatedLimit) -> StatedLimit:
+    return StatedLimit(narrow.value, f"{narrow.provenance}; wider: {wide.value:g} of {wide.provenance}")
 
 
 def _option_name(key: str) -> str:
