@@ -41,8 +41,8 @@ class SiteEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class RobotSettings(SiteEntry, frozen=True, kw_only=True):
     """[robot]: control period [s], tool speed [m/s], mass of the moving parts and of the load [kg].
 
-    For a base also turn rate [rad/s], turn acceleration [rad/s²]. The masses serve the power and force limiting of
-    [person.NAME].
+    The tool speed is also that of a base along its path. Only for a base: turn rate [rad/s], turn acceleration
+    [rad/s²]. The masses serve the power and force limiting of [person.NAME].
     """
 
     period: Positive | None = None

@@ -8,6 +8,7 @@ from dualbrain.robots.loader import load_robot
 from dualbrain.robots.site_config import SiteError, read_site
 from dualbrain.safety.barriers.scenarios import EXACT_TRACKING
 from dualbrain.safety.integration.site import site_filter, site_obstacles, site_robot, site_skill_grants
+from dualbrain.skills import parameters
 
 WHOLE = """
 [robot]
@@ -115,6 +116,44 @@ def test_limits_only_narrow_and_have_their_provenance(tmp_path):
     assert narrowed.tool_speed.value == 0.2
     wide = site_robot(robot_model, site(tmp_path, "[limits]\nvelocity = 9.0\n[joint.panda_joint1]\nlower = -9.0\n"))
     assert wide == robot_model
+
+
+@pytest.mark.parametrize("robot", ["base", "mobile_panda"])
+def test_the_tool_speed_and_the_turn_limits_narrow_the_motion_of_a_base(tmp_path, robot):
+    text = "[robot]\ntool_speed = 0.2\nturn = 0.3\nturn_acceleration = 0.4\n"
+    safety = site_filter(site(tmp_path, text), load_robot(robot))
+    drive, turn, *arm = safety.robot_model.joints
+    assert (drive.velocity.value, turn.velocity.value, turn.acceleration.value) == (0.2, 0.3, 0.4)
+    assert drive.velocity.provenance.startswith("site policy (lab.toml:2); wider: ")
+    assert tuple(arm) == load_robot(robot).joints[2:]
+    assert parameters.max_speed(safety.robot_model).upper == 0.2
+    u, fast = np.zeros(len(safety.robot_model.joints)), np.zeros(len(safety.robot_model.joints))
+    fast[:2] = 0.5
+    for _ in range(500):
+        u = safety(np.array(safety.robot_model.home), u, fast).u
+    assert u[0] == pytest.approx(0.2, rel=1e-3)
+    assert 0.0 < u[1] <= 0.3 + 1e-6
+
+
+@pytest.mark.parametrize(
+    ("robot", "text", "entry"),
+    [
+        ("panda", "[robot]\nturn = 1.0", "robot.turn: .*mobile base; panda has none"),
+        ("ur5e", "[robot]\nturn_acceleration = 1.0", "robot.turn_acceleration: .*mobile base; ur5e has none"),
+        ("ur5e", "[limits]\njerk = 10.0", "limits.jerk: .*ur5e has no limit of the jerk"),
+        ("base", "[limits]\njerk = 10.0", "limits.jerk: .*base has no limit of the jerk"),
+        ("mobile_panda", "[joint.drive]\njerk = 10.0", "joint.drive.jerk: .*no limit of the jerk"),
+    ],
+)
+def test_a_limit_that_nothing_of_the_robot_uses_is_refused(tmp_path, robot, text, entry):
+    with pytest.raises(SiteError, match=f"lab.toml, line 2, column .*{entry}"):
+        site_robot(load_robot(robot), site(tmp_path, text))
+
+
+def test_a_jerk_limit_of_every_joint_narrows_the_joints_that_have_one(tmp_path):
+    drive, turn, *arm = site_robot(load_robot("mobile_panda"), site(tmp_path, "[limits]\njerk = 10.0")).joints
+    assert drive.jerk is turn.jerk is None
+    assert {joint.jerk.value for joint in arm} == {10.0}
 
 
 def test_tool_and_payload_become_links_that_keep_away_like_the_hand(tmp_path):

@@ -43,8 +43,10 @@ def site_filter(file: SiteFile, robot_model: RobotModel, config: FilterConfig | 
 def site_robot(robot_model: RobotModel, file: SiteFile) -> RobotModel:
     """`robot_model` with the limits of the site (which only narrow), its control period, tool and payload.
 
+    The tool speed also limits the speed of a mobile base along its path, `turn` and `turn_acceleration` its turning.
+
     Raises:
-        SiteError: an entry does not fit the robot model.
+        SiteError: an entry does not fit the robot model, or nothing of this robot uses it.
     """
     site = file.site
     known = {joint.name for joint in robot_model.joints}
@@ -53,7 +55,10 @@ def site_robot(robot_model: RobotModel, file: SiteFile) -> RobotModel:
             raise file.make_error(
                 f"joint.{name}", got=name, allowed=f"a joint of {robot_model.name}: {', '.join(sorted(known))}"
             )
+    _refuse_unused_limits(robot_model, file)
     joints = tuple(_limit_joint(joint, file) for joint in robot_model.joints)
+    if robot_model.is_mobile:
+        joints = _limit_base(joints, file)
     speed = _narrow_bound(robot_model.tool_speed, site.robot.tool_speed, file, "robot.tool_speed")
     period = robot_model.period if site.robot.period is None else site.robot.period
     changed = msgspec.structs.replace(robot_model, joints=joints, tool_speed=speed, period=period)
@@ -150,6 +155,33 @@ def site_skill_grants(file: SiteFile, skills: frozenset[str]) -> dict[str, froze
             if skill not in skills:
                 raise file.make_error(f"commander.{name}.skills", got=skill, allowed=", ".join(sorted(skills)))
     return {name: frozenset(entry.skills) for name, entry in file.site.commander.items()} or None
+
+
+def _refuse_unused_limits(robot_model: RobotModel, file: SiteFile) -> None:
+    """Raise `SiteError` for a limit of a kind that no joint of the robot has: nothing would keep it."""
+    name, site = robot_model.name, file.site
+    if not robot_model.is_mobile:
+        for entry in ("turn", "turn_acceleration"):
+            if (value := getattr(site.robot, entry)) is not None:
+                allowed = f"an entry for a mobile base; {name} has none, so leave it out"
+                raise file.make_error(f"robot.{entry}", got=value, allowed=allowed)
+    without = [joint.name for joint in robot_model.joints if joint.jerk is None]
+    jerks = {f"joint.{joint}": site.joint[joint].jerk for joint in without if joint in site.joint}
+    if len(without) == robot_model.n:
+        jerks["limits"] = site.limits.jerk
+    for path, jerk in jerks.items():
+        if jerk is not None:
+            allowed = f"no entry: the model of {name} has no limit of the jerk there that a site could narrow"
+            raise file.make_error(f"{path}.jerk", got=jerk, allowed=allowed)
+
+
+def _limit_base(joints: tuple[Joint, ...], file: SiteFile) -> tuple[Joint, ...]:
+    """`joints` whose first two, driving and turning of a base, have the speed and turn limits of [robot]."""
+    drive, turn, *others = joints
+    drive = _limit_side(drive, "velocity", file.site.robot.tool_speed, file, "robot.tool_speed")
+    turn = _limit_side(turn, "velocity", file.site.robot.turn, file, "robot.turn")
+    turn = _limit_side(turn, "acceleration", file.site.robot.turn_acceleration, file, "robot.turn_acceleration")
+    return (drive, turn, *others)
 
 
 def _limit_joint(joint: Joint, file: SiteFile) -> Joint:
