@@ -18,7 +18,7 @@ from dualbrain.control.residual_contacts import ResidualContacts
 from dualbrain.control.robot_cover import RobotSpheres
 from dualbrain.control.scene_monitor import SceneMonitor, effective_stamp
 from dualbrain.control.scene_smoothing import SceneSmoother
-from dualbrain.grounding.envelope.object_limits import limits_in_words, with_object_limits
+from dualbrain.grounding.envelope.object_limits import absent_persons_in_words, limits_in_words, with_object_limits
 from dualbrain.records import MARGIN_CAUSE_TEXTS, MarginCause, MarginShortfall, ObjectLimits, Scene
 from dualbrain.robots.interface import Array, Command, RobotInterface, RobotState
 from dualbrain.robots.model import RobotModel
@@ -168,7 +168,7 @@ class ControlLoop:
         self._contacts: tuple[PermittedContact, ...] = ()
         self._residual_contacts = ResidualContacts(safety)
         self._contact_speed_scale, self._force_is_measured = 1.0, True
-        self._object_limits_noted = False
+        self._site_noted = False
         self._holding: HeldObject | None = None
         self._ticks = 0
         self.state = robot.read()
@@ -203,7 +203,7 @@ class ControlLoop:
         """Forget which checks tripped, and which margins were short, during the contract before."""
         self.checks_during_contract.clear()
         self.margin_monitor.clear()
-        self._note_object_limits()
+        self._note_site_entries()
 
     def resume_grasp(self, held: str, opening: float, force: float) -> None:
         """Continue the grip of an earlier run before the first tick: fingers at `opening` [m] with `force` [N].
@@ -433,12 +433,16 @@ class ControlLoop:
     def _with_limits(self, scene: Scene) -> Scene:
         return with_object_limits(scene, self.config.object_limits)
 
-    def _note_object_limits(self) -> None:
-        """Log once which objects the site limits, and which of its entries match no object."""
-        if self._object_limits_noted:
+    def _note_site_entries(self) -> None:
+        """Log once which objects the site limits, and which of its entries match no object and no person."""
+        if self._site_noted:
             return
-        self._object_limits_noted = True
-        for text in limits_in_words(self.scene, self.config.object_limits):
+        self._site_noted = True
+        texts = (
+            *limits_in_words(self.scene, self.config.object_limits),
+            *absent_persons_in_words(self.scene, self.config.persons),
+        )
+        for text in texts:
             self.log.note(self.state.stamp, "site", text)
 
     def _register_late_grasp(self) -> None:

@@ -110,6 +110,19 @@ class KeepOut(SiteEntry, frozen=True, kw_only=True):
     margin: Length = 0.0
 
 
+Monitoring = Literal["separation", "power_and_force", "barrier"]
+OWN_REGION = "own"
+"""`body_region` with the numbers of the site."""
+OWN_REGION_ENTRIES = ("mass", "stiffness", "force", "transient", "source")
+"""Entries of a person that only `body_region = "own"` uses."""
+MONITORING_ENTRIES: dict[Monitoring, tuple[str, ...]] = {
+    "barrier": (),
+    "separation": ("reaction", "brake", "approach"),
+    "power_and_force": ("body_region", "distance", "brake", "approach", "pressure", "area", *OWN_REGION_ENTRIES),
+}
+"""Entries of a person that each monitoring uses."""
+
+
 class PersonEntry(SiteEntry, frozen=True, kw_only=True):
     """[person.NAME], for a person by name or for all `others`: the speed limit near the person.
 
@@ -119,14 +132,16 @@ class PersonEntry(SiteEntry, frozen=True, kw_only=True):
     - `body_region`: name in `safety.integration.power_and_force.BODY_REGIONS`, or "own" with `mass` [kg], `stiffness`
       [N/m], `force` [N], `transient` and the `source` of these numbers. `pressure` [Pa] and `area` [m²] of the contact
       limit the force further.
+
+    None: the default of the monitoring. An entry that the monitoring does not use is an error of `read_site`.
     """
 
-    monitoring: Literal["separation", "power_and_force", "barrier"]
-    reaction: Annotated[float, msgspec.Meta(ge=0.0)] = 0.1
+    monitoring: Monitoring
+    reaction: Annotated[float, msgspec.Meta(ge=0.0)] | None = None
     brake: Positive | None = None
-    approach: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0
+    approach: Annotated[float, msgspec.Meta(ge=0.0)] | None = None
     body_region: str | None = None
-    distance: Length = 0.3
+    distance: Length | None = None
     mass: Positive | None = None
     stiffness: Positive | None = None
     force: Positive | None = None
@@ -185,9 +200,10 @@ class SiteFile:
         line, _ = find_location(path, self.locations)
         return f"{self.path.name}:{line}"
 
-    def make_error(self, path: str, *, got: object, allowed: str) -> SiteError:
-        """The error of the entry at `path`."""
-        return SiteError(self.path.name, find_location(path, self.locations), path, got=got, allowed=allowed)
+    def make_error(self, path: str, *, got: object, allowed: str, sentence: str = "") -> SiteError:
+        """The error of the entry at `path`; a `sentence` replaces `got` and `allowed`."""
+        location = find_location(path, self.locations)
+        return SiteError(self.path.name, location, path, got=got, allowed=allowed, sentence=sentence)
 
 
 class SiteError(ConfigurationError):
@@ -246,6 +262,7 @@ def read_site(path: Path | str) -> SiteFile:
             )
     file = SiteFile(path, site, locations)
     _check_geometry(file)
+    _check_persons(file)
     return file
 
 
@@ -271,6 +288,24 @@ def _check_geometry(file: SiteFile) -> None:
         _check_entry(file, f"keep_out[{index}].position", validation.check_vector, box.position)
         for extent in box.half_extents:
             _check_entry(file, f"keep_out[{index}].half_extents", validation.check_length, extent)
+
+
+def _check_persons(file: SiteFile) -> None:
+    """Raise `SiteError` for an entry of a person that its monitoring, or its body region, does not use."""
+    for name, person in file.site.person.items():
+        for entry, value in msgspec.structs.asdict(person).items():
+            if entry == "monitoring" or value is None:
+                continue
+            users = [one for one, entries in MONITORING_ENTRIES.items() if entry in entries]
+            needed = ""
+            if person.monitoring not in users:
+                needed = " or ".join(f'monitoring = "{one}"' for one in users)
+            elif entry in OWN_REGION_ENTRIES and person.body_region != OWN_REGION:
+                needed = f'body_region = "{OWN_REGION}"'
+            if needed:
+                at = f"person.{name}"
+                sentence = f'[{at}] with monitoring = "{person.monitoring}" does not use {entry}; {needed} does.'
+                raise file.make_error(f"{at}.{entry}", got=value, allowed="no entry", sentence=sentence)
 
 
 def _check_entry(file: SiteFile, entry: str, check: Callable[..., Any], *values: Any) -> None:

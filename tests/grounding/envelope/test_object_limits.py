@@ -10,6 +10,7 @@ from dualbrain.contracts.contract import Action, Context, Contract
 from dualbrain.contracts.schema import decoding_schema
 from dualbrain.grounding.envelope.grasp_fit import parameter_domains
 from dualbrain.grounding.envelope.object_limits import (
+    absent_persons_in_words,
     check_object_limits,
     limits_in_words,
     site_object_limits,
@@ -22,6 +23,7 @@ from dualbrain.records import ObjectLimits
 from dualbrain.robots.loader import load_robot
 from dualbrain.robots.site_config import SiteError, read_site
 from dualbrain.runtime.planning.planner_request import answer_schema
+from dualbrain.safety.cbf.obstacles import PersonLimits
 from dualbrain.skills.mobile_manipulator import MobileManipulatorController
 from dualbrain.skills.registry import skill_registry
 from dualbrain.skills.skill import HeldObject
@@ -168,6 +170,18 @@ def test_words_name_the_limited_objects_and_the_entries_without_an_object():
     assert lines[0].startswith("limits of the site for red_cube: force at most 8 N")
     assert "'glass'" in lines[1]
     assert len(lines) == 2
+
+
+def test_words_name_the_entries_of_persons_without_a_person():
+    ada = msgspec.structs.replace(box("Ada", 0.4, 0.4, (0.1, 0.1, 0.1)), role="person")
+    persons = PersonLimits(named=frozenset({"Ada", "Bo", "red_cube", "others"}))
+    lines = absent_persons_in_words(scene(CUBE, ada), persons)
+    assert [line.partition(" of ")[0] for line in lines] == [
+        f"no person in this scene has the name {name!r}" for name in ("Bo", "red_cube")
+    ]
+    assert all(line.endswith("persons in it: Ada") for line in lines)
+    assert absent_persons_in_words(SCENE, persons)[0].endswith("it has no person")
+    assert absent_persons_in_words(SCENE, None) == ()
 
 
 @given(data=st.data())

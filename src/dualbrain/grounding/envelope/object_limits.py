@@ -18,6 +18,7 @@ from dualbrain.contracts.skill_spec import NumberParameter, SkillSpec
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.records import ObjectLimits, Scene, SceneObject
 from dualbrain.robots.site_config import SiteFile
+from dualbrain.safety.cbf.obstacles import PersonLimits
 
 OTHERS = "others"
 """Entry for every object that has no entry of its own."""
@@ -89,6 +90,14 @@ def limits_in_words(scene: Scene, limits: Mapping[str, ObjectLimits]) -> tuple[s
             if name != OTHERS and name not in named
         ),
     )
+
+
+def absent_persons_in_words(scene: Scene, persons: PersonLimits | None) -> tuple[str, ...]:
+    """One line for each entry of a person in `persons` that matches no person of `scene`."""
+    present = [obj.name for obj in scene.objects if obj.role == "person"]
+    found = f"persons in it: {', '.join(present)}" if present else "it has no person"
+    named = sorted(persons.named - {*present, OTHERS}) if persons else []
+    return tuple(f"no person in this scene has the name {name!r} of the site's limits; {found}" for name in named)
 
 
 def describe_limits(limits: ObjectLimits) -> str:

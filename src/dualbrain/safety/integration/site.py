@@ -13,7 +13,7 @@ from dualbrain.core.geometry.rotations import matrix_to_quaternion, quaternion_t
 from dualbrain.core.geometry.shapes import Box, Pose
 from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.robots.model import Bound, CollisionSphere, Joint, Link, RobotModel, SelfCollisionPairs, Tool
-from dualbrain.robots.site_config import PersonEntry, SiteError, SiteFile, ToolEntry, ToolSphere
+from dualbrain.robots.site_config import OWN_REGION, PersonEntry, SiteError, SiteFile, ToolEntry, ToolSphere
 from dualbrain.safety.barriers.workspace import plane
 from dualbrain.safety.cbf.config import FilterConfig, operating_config
 from dualbrain.safety.cbf.filter import SafetyFilter
@@ -111,8 +111,7 @@ def site_persons(file: SiteFile) -> PersonLimits | None:
         path = f"person.{name}"
         try:
             if entry.monitoring == "separation":
-                brake = SpeedAndSeparation().brake if entry.brake is None else entry.brake
-                separation[name] = SpeedAndSeparation(entry.reaction, brake, entry.approach)
+                separation[name] = _separation(entry)
             elif entry.monitoring == "power_and_force":
                 near[name] = _near_speed(entry, file, path)
         except SiteError:
@@ -123,16 +122,26 @@ def site_persons(file: SiteFile) -> PersonLimits | None:
     return PersonLimits(separation=separation, near=near, named=names) if names else None
 
 
+def _separation(entry: PersonEntry) -> SpeedAndSeparation:
+    default = SpeedAndSeparation()
+    return SpeedAndSeparation(
+        default.reaction if entry.reaction is None else entry.reaction,
+        default.brake if entry.brake is None else entry.brake,
+        default.approach if entry.approach is None else entry.approach,
+    )
+
+
 def _near_speed(entry: PersonEntry, file: SiteFile, path: str) -> NearSpeed:
     """The power and force limiting of one person: the contact speed minus the assumed speed of the person."""
     moving = file.site.robot.moving_mass
     if moving is None:
         raise file.make_error(path, got="no [robot] moving_mass", allowed="the mass of the moving parts [kg]")
-    region = _own_region(entry, file, path) if entry.body_region == "own" else body_region(entry.body_region or "")
+    region = _own_region(entry, file, path) if entry.body_region == OWN_REGION else body_region(entry.body_region or "")
     mass = effective_mass(moving, file.site.robot.load)
     speed = contact_speed(region, mass, pressure=entry.pressure, area=entry.area)
-    brake = entry.brake if entry.brake is not None else 1.0
-    return NearSpeed(speed - entry.approach, entry.distance, brake, entry.approach)
+    approach = 0.0 if entry.approach is None else entry.approach
+    distance = 0.3 if entry.distance is None else entry.distance
+    return NearSpeed(speed - approach, distance, 1.0 if entry.brake is None else entry.brake, approach)
 
 
 def _own_region(entry: PersonEntry, file: SiteFile, path: str) -> BodyRegion:

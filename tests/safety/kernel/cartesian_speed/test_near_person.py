@@ -1,5 +1,6 @@
 """Speed limits near a person: the contact speed of ISO/TS 15066, and the limit of the parts within a distance."""
 
+import re
 from math import sqrt
 
 import msgspec
@@ -205,6 +206,21 @@ def test_an_entry_of_the_wrong_type_is_reported_with_its_line(tmp_path):
     path.write_text(SITE.replace("distance = 0.4", 'distance = "far"'))
     with pytest.raises(SiteError, match=r"lab\.toml, line 11, column 12: person\.operator\.distance must be a number"):
         site_persons(read_site(path))
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ('"power_and_force"\nbody_region = "hand"\nreaction = 0.1', 'use reaction; monitoring = "separation" does.'),
+        ('"separation"\ndistance = 0.3', 'use distance; monitoring = "power_and_force" does.'),
+        ('"barrier"\napproach = 0.0', 'approach; monitoring = "separation" or monitoring = "power_and_force" does.'),
+        ('"power_and_force"\nbody_region = "hand"\nmass = 3.0', 'use mass; body_region = "own" does.'),
+    ],
+)
+def test_an_entry_that_the_monitoring_does_not_use_is_refused(tmp_path, text, sentence):
+    (tmp_path / "lab.toml").write_text(f"[person.operator]\nmonitoring = {text}\n")
+    with pytest.raises(SiteError, match=rf"lab\.toml, line {2 + text.count(chr(10))}, .*{re.escape(sentence)}"):
+        read_site(tmp_path / "lab.toml")
 
 
 def test_own_numbers_of_a_region_need_a_source(tmp_path):
