@@ -81,7 +81,9 @@ class StubClient:
 def open_robot(client, cell, monkeypatch, **options):
     """A robot that commands `client`; its emergency stops are noted in `client.sent`."""
     monkeypatch.setattr(robot_module, "send_emergency_stop", lambda socket: client.sent.append("estop") or "")
-    connection = Connection(client=client, robot_model=cell.robot_model, socket=Path("none"))
+    connection = Connection(
+        client=client, robot_model=cell.robot_model, model_without_site=cell.robot_model, socket=Path("none")
+    )
     defaults = {"planner": None, "ledger": None, "runs": None, "retries": None}
     robot = Robot(lambda receive, stack: connection, **defaults | options)
     try:

@@ -50,17 +50,23 @@ class AgentResources:
 
 
 def open_agent_resources(
-    robot_model: RobotModel, *, planner: str | Planner | None, ledger: Path | None, runs: Path | None
+    robot_model: RobotModel,
+    *,
+    planner: str | Planner | None,
+    ledger: Path | None,
+    runs: Path | None,
+    posture_limits: PostureLimits,
 ) -> AgentResources:
     """Open the planner by its name, the memory at `ledger`, and the folder `runs`; each may be absent.
 
-    A planner that is passed as an object stays open. Raises `ConfigurationError`, `UnknownNameError` and
+    `posture_limits` normalise the postures of the memory; they are those of the robot without a site file. A planner
+    that is passed as an object stays open. Raises `ConfigurationError`, `UnknownNameError` and
     `MissingDependencyError`.
     """
     stack = ExitStack()
     try:
         opened = _open_planner(planner, robot_model, stack) if isinstance(planner, str) else planner
-        memory = _open_memory(ledger, robot_model, stack) if ledger else NoMemory()
+        memory = _open_memory(ledger, posture_limits, stack) if ledger else NoMemory()
         versions = {"dualbrain": metadata.version("dualbrain"), "kernel": kernel_hash()}
         if opened:
             versions |= {"beside": conditional_text_hash()} | planner_provenance(opened)
@@ -95,8 +101,7 @@ def _open_planner(name: str, robot_model: RobotModel, stack: ExitStack) -> Plann
     return planner
 
 
-def _open_memory(path: Path, robot_model: RobotModel, stack: ExitStack) -> Memory:
+def _open_memory(path: Path, posture_limits: PostureLimits, stack: ExitStack) -> Memory:
     ledger = Ledger(path, holder=HOLDER, now=time.time(), timeout_s=LOCK_TIMEOUT)
     stack.callback(ledger.close)
-    limits = (PostureLimits.from_model(robot_model),)
-    return Memory(ledger, MiniLmEncoder.from_cache(cache_folder()), MemoryConfig(limits=limits))
+    return Memory(ledger, MiniLmEncoder.from_cache(cache_folder()), MemoryConfig(limits=(posture_limits,)))

@@ -47,11 +47,13 @@ class SimulationOptions:
 class Connection:
     """A connected commander: the `client`, the robot's model, and the `socket` of its gatekeeper.
 
-    `process` is that of a gatekeeper that was started here, None for one that was running.
+    `model_without_site` is the robot model without the limits of the site, for the postures of the memory. `process` is
+    that of a gatekeeper that was started here, None for one that was running.
     """
 
     client: GatekeeperClient
     robot_model: RobotModel
+    model_without_site: RobotModel
     socket: Path
     process: GatekeeperProcess | None = None
 
@@ -94,12 +96,12 @@ def connect(
     """
     client = GatekeeperClient(socket, read_keys(keys, (PLANNER,)), PLANNER, on_report=on_report)
     stack.callback(client.close)
-    model = load_robot(robot or client.welcome.robot)
-    model = site_robot(model, read_site(site)) if site else model
+    loaded = load_robot(robot or client.welcome.robot)
+    model = site_robot(loaded, read_site(site)) if site else loaded
     if skill_registry(model).hash != client.welcome.registry:
         raise ConfigurationError.stating(
             f"The gatekeeper at {socket} has other skills or bounds than {model.name}"
             f"{' at this site' if site else ''}.",
             fix="Name the robot and the site file with which the gatekeeper was started.",
         )
-    return Connection(client=client, robot_model=model, socket=socket)
+    return Connection(client=client, robot_model=model, model_without_site=loaded, socket=socket)

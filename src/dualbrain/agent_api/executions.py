@@ -29,6 +29,7 @@ from dualbrain.core.text import PrintableValue, to_printable
 from dualbrain.errors import ConfigurationError
 from dualbrain.grounding.instruction.review import refuse_hostile
 from dualbrain.grounding.instruction.stop_commands import is_stop_command
+from dualbrain.memory.embedding.posture_features import PostureLimits
 from dualbrain.planner.protocol import Planner
 from dualbrain.planner.scripted import FixedContractPlanner
 from dualbrain.records import Episode
@@ -72,7 +73,12 @@ class Executions:
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="episode")
         try:
             self._resources: AgentResources = self._worker.submit(
-                open_agent_resources, connection.robot_model, planner=planner, ledger=ledger, runs=runs
+                open_agent_resources,
+                connection.robot_model,
+                planner=planner,
+                ledger=ledger,
+                runs=runs,
+                posture_limits=PostureLimits.from_model(connection.model_without_site),
             ).result()
         except BaseException:
             self._worker.shutdown()

@@ -138,7 +138,7 @@ def open_resources(
         planner=planner,
         folder=folder,
         ledger=ledger,
-        memory=_make_memory(config, site.robot_model, ledger, encoder),
+        memory=_make_memory(config, site, ledger, encoder),
         world=world,
         sends_image=sends_image,
     )
@@ -204,6 +204,7 @@ def _open_ledger(config: RunConfig, clocks: Clocks) -> Ledger:
     return Ledger(config.ledger, holder=holder, now=clocks.now(), run_folders=(config.out.parent,))
 
 
-def _make_memory(config: RunConfig, robot_model: RobotModel, ledger: Ledger, encoder: MiniLmEncoder) -> Memory:
+def _make_memory(config: RunConfig, site: RobotAtSite, ledger: Ledger, encoder: MiniLmEncoder) -> Memory:
     rule = None if config.static else Plasticity(epsilon=config.epsilon)
-    return Memory(ledger, encoder, MemoryConfig(limits=(PostureLimits.from_model(robot_model),), plasticity=rule))
+    limits = (PostureLimits.from_model(site.model_without_site),)
+    return Memory(ledger, encoder, MemoryConfig(limits=limits, plasticity=rule))

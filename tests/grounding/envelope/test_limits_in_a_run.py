@@ -1,13 +1,35 @@
 """Limits of a site on an object: the planner learns them from the rejection, and the arm keeps them."""
 
+from contextlib import ExitStack
+from types import SimpleNamespace
+
 import numpy as np
 
+from dualbrain.agent_api import connection
+from dualbrain.grounding.envelope.robot_at_site import open_robot_at_site
 from dualbrain.records import ObjectLimits
-from tests.stories.story_session import GRASP, PLACE, contract_text, run_config, run_session
+from dualbrain.robots.loader import load_robot
+from dualbrain.skills.registry import skill_registry
+from tests.stories.story_session import (
+    GRASP,
+    PLACE,
+    contract_text,
+    hold_contract,
+    ledger_episodes,
+    run_config,
+    run_session,
+)
 
 SITE = "[object.red_cube]\nforce = 6.0\nspeed = 0.1\nclearance = 0.2\n\n[object.teapot]\nspeed = 0.1\n"
+SITE += '[person.visitor]\nmonitoring = "barrier"\n[person.others]\nmonitoring = "barrier"\n'
 SLOW_GRASP = GRASP | {"force": 6.0, "speed": 0.1, "clearance": 0.2}
 SLOW_PLACE = PLACE | {"speed": 0.1, "clearance": 0.2}
+
+
+def hold_at(site):
+    """A short contract in the vocabulary of the robot at the file `site`."""
+    registry = skill_registry(open_robot_at_site("panda", site).robot_model).hash
+    return contract_text(("hold", {"duration": 0.5}), registry=registry)
 
 
 def carrying_force(story):
@@ -36,7 +58,32 @@ def test_a_contract_beyond_the_limits_is_rejected_and_the_next_one_keeps_them(tm
     texts = [event.text for event in story.result.trace.events if event.kind == "site"]
     assert texts[0].startswith("limits of the site for red_cube: force at most 6 N")
     assert "'teapot'" in texts[1]
-    assert len(texts) == 2
+    assert texts[2].startswith("no person in this scene has the name 'visitor'")
+    assert len(texts) == 3
+
+
+def test_a_run_at_a_site_that_narrows_a_range_uses_the_memory_of_a_run_without_one(tmp_path):
+    run_session(run_config(tmp_path, "first"), hold_contract())
+    site = tmp_path / "lab.toml"
+    site.write_text("[joint.panda_joint4]\nlower = -2.9\n")
+    second = run_session(run_config(tmp_path, "second", site=site), hold_at(site))
+    assert second.episode.outcome.kind == "succeeded"
+    assert len({one["embedding"] for one in ledger_episodes(tmp_path / "ledger.sqlite")}) == 1
+
+
+def test_agents_normalise_postures_with_the_limits_of_the_robot_without_its_site(tmp_path, monkeypatch):
+    site = tmp_path / "lab.toml"
+    site.write_text("[joint.panda_joint4]\nlower = -2.9\n")
+    at_site = open_robot_at_site("panda", site)
+    assert at_site.robot_model.joints[3].lower.value == -2.9
+    welcome = SimpleNamespace(robot="panda", registry=skill_registry(at_site.robot_model).hash)
+    client = SimpleNamespace(welcome=welcome, close=lambda: None)
+    monkeypatch.setattr(connection, "GatekeeperClient", lambda *_, **__: client)
+    monkeypatch.setattr(connection, "read_keys", lambda *_: {})
+    with ExitStack() as stack:
+        found = connection.connect(tmp_path / "socket", tmp_path, "", site, lambda _: None, stack)
+    assert found.robot_model == at_site.robot_model
+    assert found.model_without_site == load_robot("panda")
 
 
 def test_without_the_limits_the_same_contract_is_accepted(tmp_path):

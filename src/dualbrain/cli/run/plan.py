@@ -25,6 +25,7 @@ from dualbrain.core.storage.private_files import create_private_folder, open_pri
 from dualbrain.errors import UsageError
 
 if TYPE_CHECKING:
+    from dualbrain.grounding.envelope.robot_at_site import RobotAtSite
     from dualbrain.knowledge.document import ConsultedDocuments
     from dualbrain.planner.camera_image import CameraImage
     from dualbrain.planner.protocol import Planner
@@ -112,7 +113,7 @@ def plan(
         here = context_at_home(at_site, scene_from_spec(spec))
         if image or image_file is not None:
             here = replace(here, camera_image=_read_image(image_file, spec, here))
-        recall = stack.enter_context(_open_memory(ledger, here)) if memory == "on" else None
+        recall = stack.enter_context(_open_memory(ledger, at_site)) if memory == "on" else None
         look_up = _no_documents if knowledge == "off" else stack.enter_context(_open_documents(here, knowledge))
         chosen, notice = choose_planner(planner, here.robot_model.name, cache_folder())
         opened = stack.enter_context(_open_planner(chosen, here, robot))
@@ -273,7 +274,7 @@ def _read_image(path: Path | None, spec: SceneSpec, here: PlanningContext) -> Ca
 
 
 @contextmanager
-def _open_memory(ledger: Path | None, here: PlanningContext) -> Generator[Retriever | None]:
+def _open_memory(ledger: Path | None, at_site: RobotAtSite) -> Generator[Retriever | None]:
     """The memory, read only; None if no run has written one yet."""
     from dualbrain.cli.memory.open_memory import ledger_path, load_encoder, open_reader
     from dualbrain.memory.config import MemoryConfig
@@ -285,7 +286,8 @@ def _open_memory(ledger: Path | None, here: PlanningContext) -> Generator[Retrie
         yield None
         return
     with open_reader(path) as opened:
-        yield Memory(opened, load_encoder(), MemoryConfig(limits=(PostureLimits.from_model(here.robot_model),)))
+        limits = (PostureLimits.from_model(at_site.model_without_site),)
+        yield Memory(opened, load_encoder(), MemoryConfig(limits=limits))
 
 
 def _document_store() -> Path:

@@ -18,9 +18,14 @@ from dualbrain.skills.registry import skill_registry
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RobotAtSite:
-    """The robot with the limits of its site, and obstacles, limits of persons and objects, and grants of the site."""
+    """The robot with the limits of its site, and obstacles, limits of persons and objects, and grants of the site.
+
+    `model_without_site` is the robot model as it was loaded: the memory normalises postures with its limits, so that
+    one memory serves runs with any site.
+    """
 
     robot_model: RobotModel
+    model_without_site: RobotModel
     fixed_obstacles: tuple[Obstacle, ...] = ()
     persons: PersonLimits | None = None
     object_limits: Mapping[str, ObjectLimits] = field(default_factory=dict[str, ObjectLimits])
@@ -34,13 +39,15 @@ def open_robot_at_site(robot: str, site: Path | None = None) -> RobotAtSite:
         UnknownNameError: there is no such robot.
         SiteError: the file is invalid, or does not fit the robot.
     """
+    loaded = load_robot(robot)
     if site is None:
-        return RobotAtSite(robot_model=load_robot(robot))
+        return RobotAtSite(robot_model=loaded, model_without_site=loaded)
     file = read_site(site)
-    robot_model = site_robot(load_robot(robot), file)
+    robot_model = site_robot(loaded, file)
     registry = skill_registry(robot_model)
     return RobotAtSite(
         robot_model=robot_model,
+        model_without_site=loaded,
         fixed_obstacles=site_obstacles(robot_model, file),
         persons=site_persons(file),
         object_limits=site_object_limits(file, registry),
