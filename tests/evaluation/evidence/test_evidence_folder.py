@@ -102,6 +102,55 @@ def test_entries_of_the_site_are_named_with_their_lines(site):
     assert "no test report" not in log
 
 
+FULL_SITE = """
+[robot]
+period = 0.002
+moving_mass = 18.0
+[tool]
+position = [0, 0, 0.12]
+[[plane]]
+name = "table"
+point = [0, 0, -0.1]
+inward = [0, 0, 1]
+parts = ["hand", "arm"]
+[[keep_out]]
+name = "cabinet"
+position = [0.6, 0.5, 0.4]
+half_extents = [0.2, 0.1, 0.3]
+yaw = 0.3
+margin = 0.05
+[person.others]
+monitoring = "separation"
+approach = 1.6
+[person.operator]
+monitoring = "power_and_force"
+body_region = "hand"
+distance = 0.4
+"""
+
+
+def test_entries_of_the_site_are_listed_with_all_their_numbers(site):
+    site.write_text(FULL_SITE)
+    page = pages.robot_limits(load_subject(EvidenceInputs(robot="panda", site=site)))
+    for row in (
+        "| control period | 0.002 s | lab.toml:3 |",
+        "| mass of the moving parts | 18 kg, load 0 kg | lab.toml:4 |",
+        "| tool | tip at (0, 0, 0.12) m, 0 spheres | lab.toml:5 |",
+        "| plane table | through (0, 0, -0.1) m, inward (0, 0, 1), margin 0 m, parts hand, arm | lab.toml:7 |",
+        "| at (0.6, 0.5, 0.4) m, half extents (0.2, 0.1, 0.3) m, yaw 0.3 rad, margin 0.05 m | lab.toml:12 |",
+        "| person others | separation, reaction 0.1 s, brake 2 m/s², approach 1.6 m/s | lab.toml:18 |",
+        "| power and force, at most 1.36 m/s within 0.4 m for body region hand, brake 1 m/s², approach 0 m/s |",
+    ):
+        assert row in page
+
+
+def test_a_permitted_skill_that_the_robot_does_not_have_is_an_error(site):
+    site.write_text("[commander.planner]\nskills = ['home', 'drive_to']\n")
+    load_subject(EvidenceInputs(robot="mobile_panda", site=site))
+    with pytest.raises(SiteError, match=r"line 2.*drive_to"):
+        load_subject(EvidenceInputs(robot="panda", site=site))
+
+
 def test_limits_of_an_object_that_no_grasp_keeps_are_an_error(site):
     site.write_text("[object.wine_glass]\nforce = 1.0\n")
     with pytest.raises(SiteError, match="at least 5 N"):

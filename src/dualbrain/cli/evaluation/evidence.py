@@ -46,9 +46,9 @@ def write(
     run
         Folder of a recorded run, which is recomputed; may be repeated.
     commissioned
-        Commissioning record, checked against robot model, site file and driver.
+        Commissioning record, checked against robot model, site file and driver; needs --site and --driver.
     driver
-        Driver of the commissioning record: franka or ur.
+        Driver of the commissioning record: franka or ur; needs --commissioned.
     """
     from dualbrain.evaluation.evidence.evidence_folder import write_evidence
     from dualbrain.evaluation.evidence.subject import EvidenceInputs

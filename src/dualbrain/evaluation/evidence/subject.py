@@ -12,7 +12,7 @@ from dualbrain.grounding.envelope.object_limits import site_object_limits
 from dualbrain.robots.loader import load_robot
 from dualbrain.robots.model import RobotModel
 from dualbrain.robots.site_config import SiteFile, read_site
-from dualbrain.safety.integration.site import site_obstacles, site_persons, site_robot
+from dualbrain.safety.integration.site import site_obstacles, site_persons, site_robot, site_skill_grants
 from dualbrain.skills.registry import skill_registry
 
 
@@ -50,7 +50,9 @@ def load_subject(inputs: EvidenceInputs) -> Subject:
         robot_model = site_robot(robot_model, site)
         site_obstacles(robot_model, site)
         site_persons(site)
-        site_object_limits(site, skill_registry(robot_model))
+        registry = skill_registry(robot_model)
+        site_object_limits(site, registry)
+        site_skill_grants(site, frozenset(registry.by_name))
     return Subject(robot_model, site, _describe_record(inputs, robot_model))
 
 
