@@ -153,11 +153,28 @@ def test_doctor_examines_everything(completed_run):
         assert word in done.stdout
 
 
-def test_doctor_reports_missing_model_files_as_optional(tmp_path):
+TEXT_ENCODER = ("minilm-l6-v2-int8", "minilm-l6-v2-tokenizer")
+
+
+def test_doctor_reports_missing_model_files_as_optional_and_a_missing_text_encoder_as_a_problem(tmp_path):
     done = run_in_process(tmp_path, "doctor", COLUMNS="200", XDG_CACHE_HOME=str(tmp_path / "empty"))
-    assert done.returncode == ExitCode.SUCCESS, done.stdout
-    assert "dualbrain models fetch" in done.stdout
+    assert done.returncode == ExitCode.SETUP, done.stdout
     assert "needs smollm2-135m-instruct" in done.stdout
+    lines = [line for line in done.stdout.splitlines() if "dualbrain models fetch" in line]
+    assert {line.split()[1] for line in lines if line.split()[0] == "problem"} == set(TEXT_ENCODER)
+    assert {line.split()[0] for line in lines} == {"problem", "optional"}
+    run = run_in_process(tmp_path, "run", "hold", "--headless", XDG_CACHE_HOME=str(tmp_path / "empty"))
+    assert run.returncode == ExitCode.SETUP
+    assert "dualbrain models fetch minilm-l6-v2-int8" in run.stderr
+
+
+def test_a_missing_text_encoder_is_optional_where_no_run_is_installed(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    for package in doctor.RUN_PACKAGES:
+        with monkeypatch.context() as patch:
+            patch.setattr(doctor, "find_spec", lambda name, missing=package: None if name == missing else name)
+            states = {one.item: one.state for one in doctor._model_files()}
+        assert [states[name] for name in TEXT_ENCODER] == ["optional", "optional"]
 
 
 def test_a_model_file_that_was_copied_with_another_date_is_present_and_verified_at_the_next_use(tmp_path, monkeypatch):

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
 
@@ -35,6 +36,8 @@ OPTIONAL_PACKAGES = (
     ("adapt", "torch"),
 )
 """Each extra with the package that shows whether it is installed."""
+RUN_PACKAGES = ("mujoco", "onnxruntime", "tokenizers")
+"""Packages without which `dualbrain run` ends before it opens a model file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +56,8 @@ def doctor(*, robot: str = "", target: str = "") -> int:
     gatekeeper of this user: process, robot, socket, start, what started it, whether a commander is connected, and how
     to end it.
 
-    Exit code 0 unless a line has the state "problem"; optional parts that are not installed are not problems.
+    Exit code 0 unless a line has the state "problem". Optional parts that are not installed are not problems. The text
+    encoder is not optional where the extras of `dualbrain run` are installed.
 
     Parameters
     ----------
@@ -237,13 +241,27 @@ def _planners() -> list[Finding]:
 
 
 def _model_files() -> list[Finding]:
+    """The model files; where `dualbrain run` is installed, a missing text encoder is a problem: every run opens it."""
+    from dualbrain.memory.embedding.text_encoder import ENCODER_WEIGHTS, TOKENIZER_WEIGHTS
+
+    required = (ENCODER_WEIGHTS, TOKENIZER_WEIGHTS) if all(map(_is_importable, RUN_PACKAGES)) else ()
+
     def finding(status: weights.WeightStatus) -> Finding:
         name = status.file.name
         if status.present:
             return Finding(name, "ok", "verified" if status.verified else "present, verified at the next use")
+        if name in required:
+            return Finding(name, "problem", f"every `dualbrain run` needs it: dualbrain models fetch {name}")
         return Finding(name, "optional", f"not downloaded: dualbrain models fetch {name}")
 
     return [finding(status) for status in weights.list_weights(cache_folder())]
+
+
+def _is_importable(package: str) -> bool:
+    try:
+        return find_spec(package) is not None
+    except ModuleNotFoundError:
+        return False
 
 
 def _connectors() -> list[Finding]:
