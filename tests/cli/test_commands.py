@@ -23,8 +23,17 @@ from dualbrain.cli.run.demo import demo
 from dualbrain.cli.run.run import run
 from dualbrain.core.storage.verification_stamp import write_stamp
 from dualbrain.core.weights import find_weight_file
+from dualbrain.errors import MissingDependencyError
 from dualbrain.grounding.vocabulary import load_skill_registry
-from tests.stories.story_session import GRASP, PLACE, contract_text, decline_contract, hold_contract
+from tests.stories.story_session import (
+    GRASP,
+    PLACE,
+    contract_text,
+    decline_contract,
+    hold_contract,
+    run_config,
+    run_session,
+)
 from tests.support.completed_run import run_command as run_in_process
 
 GOOD = contract_text(("grasp", GRASP), ("place", PLACE))
@@ -163,9 +172,8 @@ def test_doctor_reports_missing_model_files_as_optional_and_a_missing_text_encod
     lines = [line for line in done.stdout.splitlines() if "dualbrain models fetch" in line]
     assert {line.split()[1] for line in lines if line.split()[0] == "problem"} == set(TEXT_ENCODER)
     assert {line.split()[0] for line in lines} == {"problem", "optional"}
-    run = run_in_process(tmp_path, "run", "hold", "--headless", XDG_CACHE_HOME=str(tmp_path / "empty"))
-    assert run.returncode == ExitCode.SETUP
-    assert "dualbrain models fetch minilm-l6-v2-int8" in run.stderr
+    with pytest.raises(MissingDependencyError, match="dualbrain models fetch minilm-l6-v2-int8"):
+        run_session(run_config(tmp_path, cache=tmp_path / "empty"), hold_contract())
 
 
 def test_a_missing_text_encoder_is_optional_where_no_run_is_installed(tmp_path, monkeypatch):
