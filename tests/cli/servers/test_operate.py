@@ -65,6 +65,29 @@ def test_the_keys_of_a_named_socket_are_found(tmp_path, monkeypatch):
     assert running_address(tmp_path, tmp_path / "unknown") == (tmp_path / "unknown", tmp_path / "keys")
 
 
+def test_with_socket_and_keys_no_process_is_looked_for(tmp_path, monkeypatch, capsys):
+    def refuse(*_):
+        raise AssertionError("the list of processes was read")
+
+    monkeypatch.setattr(running_gatekeepers, "_from_process_list", refuse)
+    monkeypatch.setattr(running_gatekeepers, "read_registrations", refuse)
+    load_keys(tmp_path / "keys", ("operator",))
+    arguments = ["operate", "pause", "--socket", str(tmp_path / "socket"), "--keys", str(tmp_path / "keys")]
+    assert run_command_line(arguments) == 5
+    assert str(tmp_path / "socket") in capsys.readouterr().err
+
+
+def test_the_sockets_are_those_of_the_gatekeepers_that_are_found(tmp_path, monkeypatch):
+    one, two = tmp_path / "a", tmp_path / "c"
+    running(monkeypatch, one, two, one)
+    assert running_gatekeepers.running_sockets(tmp_path) == [one / "socket", two / "socket"]
+    registered = Registration(
+        pid=NO_PROCESS, start_ticks=None, robot="panda", socket=str(tmp_path / "own"), keys="", started_by="a test"
+    )
+    monkeypatch.setattr(running_gatekeepers, "read_registrations", lambda _: [registered])
+    assert running_gatekeepers.running_sockets(tmp_path) == [tmp_path / "own", two / "socket", one / "socket"]
+
+
 def test_a_client_never_creates_a_key(tmp_path):
     with pytest.raises(ConfigurationError, match=r"no operator.key: no gatekeeper was started with it.*doctor"):
         read_keys(tmp_path / "keys", ("operator",))

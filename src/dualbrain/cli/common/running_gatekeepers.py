@@ -82,9 +82,8 @@ def find_gatekeepers(home: Path) -> list[Registration]:
 
 
 def running_sockets(home: Path) -> list[Path]:
-    """The sockets of all running gatekeepers of this user, found as by `running_gatekeepers`, without a question."""
-    found = [*_from_process_list(), *read_registrations(home / REGISTRATIONS)]
-    return list(dict.fromkeys(Path(one.socket) for one in found))
+    """The sockets of `find_gatekeepers`, each once."""
+    return list(dict.fromkeys(Path(one.socket) for one in find_gatekeepers(home)))
 
 
 def _is_part_of(parent: Registration | None, one: Registration) -> bool:

@@ -158,8 +158,16 @@ def operate(
         )
     if act == "estop":
         return _stop_all() if socket is None and run is None else _stop(socket or run_address(run)[0])
+    where, secrets = _command_address(socket, keys, run)
+    return _send_command(where, secrets, act, parse_fraction(speed) if speed else 1.0)
+
+
+def _command_address(socket: Path | None, keys: Path | None, run: Path | None) -> tuple[Path, Path]:
+    """Socket and keys as given; what is not given is that of the run, or of a running gatekeeper."""
+    if socket is not None and keys is not None:
+        return socket, keys
     found = run_address(run) if run is not None else running_address(dualbrain_home(), socket)
-    return _send_command(socket or found[0], keys or found[1], act, parse_fraction(speed) if speed else 1.0)
+    return socket or found[0], keys or found[1]
 
 
 def running_address(home: Path, socket: Path | None) -> tuple[Path, Path]:
