@@ -14,7 +14,9 @@ from dualbrain.errors import ConfigurationError
 from dualbrain.safety.cbf.filter import FilterConfig, FilterStatus, Obstacle, SafetyFilter
 from dualbrain.safety.integration.derating import derate
 from dualbrain.safety.integration.gym_env import FilteredEnv
-from dualbrain.safety.integration.policy_guard.joint_actions import JointPosition
+from dualbrain.safety.integration.policy_guard.action_layout import ActionLayout
+from dualbrain.safety.integration.policy_guard.joint_actions import JointPosition, JointVelocity
+from dualbrain.safety.integration.policy_guard.tool_actions import ToolTwist
 from dualbrain.safety.integration.shadow_mode import ShadowFilter
 from tests.safety.integration.gym_environments import (
     DERATED_PANDA,
@@ -336,6 +338,7 @@ class ServoEnv(ReachEnv):
 
     def __init__(self):
         super().__init__(10**6)
+        self.action_space = gymnasium.spaces.Box(LOWER, UPPER, dtype=np.float64)
         self.path = []
 
     def step(self, action):
@@ -389,6 +392,45 @@ def test_an_action_space_replaces_the_functions_for_velocities():
         FilteredEnv(ServoEnv(), make_filter(), action_space=JointPosition(), **SPEEDS)
     with pytest.raises(ConfigurationError, match="multiple"):
         FilteredEnv(ServoEnv(), SafetyFilter(derate(PANDA, period=0.006)), action_space=JointPosition())
+
+
+DEGREES = np.pi / 180.0
+
+
+@pytest.mark.parametrize(
+    ("space", "low", "high", "fits"),
+    [
+        (JointVelocity(), -V_MAX, V_MAX, True),
+        (JointVelocity(), -V_MAX.astype(np.float32), V_MAX.astype(np.float32), True),
+        (JointVelocity(), -V_MAX, 0.99 * V_MAX, False),
+        (JointVelocity(), -np.full(7, np.inf), np.full(7, np.inf), True),
+        (JointVelocity(layout=ActionLayout(scale=-DEGREES)), -V_MAX / DEGREES, V_MAX / DEGREES, True),
+        (JointVelocity(layout=ActionLayout(scale=-DEGREES)), -V_MAX, V_MAX, False),
+        (JointVelocity(layout=ActionLayout(entries=(8, 1, 2, 3, 4, 5, 6))), -np.full(7, 9.0), np.full(7, 9.0), False),
+        (JointPosition(), LOWER, UPPER, True),
+        (JointPosition(), LOWER + 0.01, UPPER, False),
+        (JointPosition(delta=True), -V_MAX * PERIOD, V_MAX * PERIOD, True),
+        (JointPosition(delta=True), -0.9 * V_MAX * PERIOD, V_MAX * PERIOD, False),
+        (ToolTwist(), -np.full(7, 0.01), np.full(7, 0.01), True),
+    ],
+)
+def test_an_environment_that_would_clip_a_safe_action_is_refused(space, low, high, fits):
+    env = ReachEnv()
+    env.action_space = gymnasium.spaces.Box(low, high, dtype=low.dtype.type)
+    if fits:
+        FilteredEnv(env, make_filter(), action_space=space)
+        return
+    with pytest.raises(ConfigurationError, match="in the action space"):
+        FilteredEnv(env, make_filter(), action_space=space)
+
+
+def test_the_bounds_are_those_of_the_whole_step_and_may_be_unknown():
+    env = ReachEnv()
+    env.action_space = gymnasium.spaces.Box(-V_MAX * PERIOD, V_MAX * PERIOD, dtype=np.float64)
+    with pytest.raises(ConfigurationError, match="changes of the joint positions"):
+        FilteredEnv(env, make_filter(), action_space=JointPosition(delta=True), step_time=2 * PERIOD)
+    env.action_space = gymnasium.spaces.Discrete(2)
+    FilteredEnv(env, make_filter(), action_space=JointPosition(delta=True), step_time=2 * PERIOD)
 
 
 @pytest.mark.parametrize("repeat", [0, -1, 1.5])

@@ -18,6 +18,7 @@ from dualbrain.errors import ConfigurationError, MissingDependencyError
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.obstacles import Obstacle
 from dualbrain.safety.integration.policy_guard.action_layout import FunctionLayout
+from dualbrain.safety.integration.policy_guard.action_range import check_action_range
 from dualbrain.safety.integration.policy_guard.action_space import ActionSpace
 from dualbrain.safety.integration.policy_guard.guard import Deviation, GuardReport, PolicyGuard
 from dualbrain.safety.integration.policy_guard.joint_actions import JointVelocity
@@ -90,8 +91,9 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
 
         Raises:
             ConfigurationError: the time of one step is unknown, or is not the period of the robot model (with
-                `action_space`: no multiple of it), `action_repeat` is below 1, the action space is narrower than its
-                velocity limits, or `action_space` is given beside the functions that it replaces.
+                `action_space`: no multiple of it), `action_repeat` is below 1, the actions of `env` are narrower than
+                the velocity limits of the robot model (for joint positions: than its joint limits), or `action_space`
+                is given beside the functions that it replaces.
         """
         super().__init__(env)
         self.shadow = safety if isinstance(safety, ShadowFilter) else None
@@ -112,11 +114,10 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         step = find_step_time(env.unwrapped) if step_time is None else _checked_step_time(step_time)
         if action_space is None:
             self._check_period(step)
-            if torque is None:
-                self._check_actions(env.action_space)
         self.guard = PolicyGuard(
             safety, action_space or given, period=step if action_space else None, deviation=deviation
         )
+        check_action_range(env.action_space, self.guard.space, self.safety.robot_model, step)
         self._reports_tracking = torque is not None and self.shadow is None
         self._now = 0.0
         self._joint_state: JointState = (np.array(self.safety.robot_model.home), np.zeros(self._n))
@@ -188,22 +189,6 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
                 got=step,
                 allowed=f"the period of the robot model, {period:g}",
                 fix="Build the filter for `derate(robot_model, period=...)` (dualbrain.safety.integration.derating).",
-            )
-
-    def _check_actions(self, space: Any) -> None:
-        if not hasattr(space, "low"):
-            return
-        v_max = np.array([joint.velocity.value for joint in self.safety.robot_model.joints])
-        low, high = (
-            np.asarray(self._decode_action(space.low), float),
-            np.asarray(self._decode_action(space.high), float),
-        )
-        if low.shape != v_max.shape or np.any(low > -v_max * (1.0 - 1e-6)) or np.any(high < v_max * (1.0 - 1e-6)):
-            raise ConfigurationError(
-                "joint velocities in the action space [rad/s]",
-                got=[low.tolist(), high.tolist()],
-                allowed=f"±{v_max.tolist()} or more, because a safe control must not be clipped",
-                fix="Pass `decode_action` and `encode_action`, or build the filter for `derate(..., max_speed=...)`.",
             )
 
 

@@ -46,8 +46,9 @@ def guard_mujoco_env(
     [s] states it for an environment that does not (`FilteredEnv`).
 
     Raises:
-        ConfigurationError: the environment has no MuJoCo simulation, its arm is not that of `robot_model`, or the time
-            of one step is unknown or does not fit.
+        ConfigurationError: the environment has no MuJoCo simulation, its arm is not that of `robot_model`, the time of
+            one step is unknown or does not fit, or its actions are narrower than the velocity limits of `robot_model`
+            (for joint positions: than its joint limits).
         UnknownNameError: its model has no joint or body of a name.
     """
     env.reset()
