@@ -17,6 +17,7 @@ from dualbrain.safety.integration.gym_env import FilteredEnv
 from dualbrain.safety.integration.policy_guard.action_layout import ActionLayout
 from dualbrain.safety.integration.policy_guard.joint_actions import JointPosition, JointVelocity
 from dualbrain.safety.integration.policy_guard.tool_actions import ToolTwist
+from dualbrain.safety.integration.policy_guard.torque_actions import JointTorque
 from dualbrain.safety.integration.shadow_mode import ShadowFilter
 from tests.safety.integration.gym_environments import (
     DERATED_PANDA,
@@ -286,6 +287,17 @@ def test_no_torque_policy_brings_h_below_zero(choose):
     assert {info["status"] for info in infos} <= {"SAFE", "MODIFIED"}
     bare, _ = torques(TorqueEnv(10**6), choose, 900, 0)
     assert min_h(bare, FLOOR, 0.04) < -0.005
+
+
+def test_torques_report_the_tracking_error_in_both_forms():
+    def errors(**form):
+        env = FilteredEnv(TorqueEnv(10**6), make_filter(PANDA, FLOOR, PUSHED), opening=lambda _: 0.04, **form)
+        return [info["tracking_error"] for info in torques(env, random_torque, 60, 0)[1]]
+
+    drive = TorqueEnv(10**6)
+    expected = errors(torque=drive)
+    assert max(expected) > 0.0
+    assert errors(action_space=JointTorque(drive=drive)) == pytest.approx(expected)
 
 
 class Blocked(gymnasium.Env):

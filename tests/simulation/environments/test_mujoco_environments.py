@@ -190,7 +190,7 @@ def test_the_entry_for_the_gripper_passes_unchanged():
 def test_an_environment_whose_actions_are_slower_than_the_arm_is_refused():
     env = ArmEnv()
     env.action_space = gymnasium.spaces.Box(-1.0, 1.0, (8,), np.float64)
-    with pytest.raises(ConfigurationError, match="joint velocities .* must not be clipped") as slow:
+    with pytest.raises(ConfigurationError, match=r"joint velocities .* must not be clipped") as slow:
         guard_mujoco_env(env, SLOW_PANDA, JointVelocity(), joints=JOINTS, base=BASE, config=EXACT)
     assert "max_speed" in slow.value.fix
     slower = derate(PANDA, period=ArmEnv.dt, max_speed=1.0)

@@ -44,9 +44,9 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
     The guarantee is that of `SafetyFilter`, if one step of the environment is one period of the robot model and the
     joints follow u without clipping.
 
-    Torque policies (`torque` given): the nominal control is the velocity that the torque would cause, u_nom = v + dt
-    M⁻¹(τ − c − g). If the filter does not change u_nom, the torque is applied unchanged; otherwise `TorqueDrive.track`
-    tracks u. The guarantee then holds for u, and for the arm only if `info["tracking_error"]` [rad/s], the largest
+    Torque policies (`torque`, or the action space `JointTorque`): the nominal control is the velocity that the torque
+    would cause, u_nom = v + dt M⁻¹(τ − c − g). If the filter does not change u_nom, the torque is applied unchanged;
+    otherwise `TorqueDrive.track` tracks u. The guarantee then holds for u, and for the arm only if `info["tracking_error"]` [rad/s], the largest
     |v − u| of a joint one step later, stays below the filter's `tracking_error`. Saturated torques, contacts and wrong
     dynamics violate that; forces are not covered. With exact tracking there is no lag: turn off `lag_compensation`.
 
@@ -118,7 +118,7 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
             safety, action_space or given, period=step if action_space else None, deviation=deviation
         )
         check_action_range(env.action_space, self.guard.space, self.safety.robot_model, step)
-        self._reports_tracking = torque is not None and self.shadow is None
+        self._reports_tracking = isinstance(self.guard.space, JointTorque) and self.shadow is None
         self._now = 0.0
         self._joint_state: JointState = (np.array(self.safety.robot_model.home), np.zeros(self._n))
         self._observation: Any = None
