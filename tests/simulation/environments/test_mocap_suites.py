@@ -1,5 +1,7 @@
 """`guard_fetch` and `guard_metaworld` without their suites: names, time steps, actions, and the arm in the model."""
 
+from dataclasses import replace
+
 import gymnasium
 import mujoco
 import numpy as np
@@ -9,6 +11,7 @@ from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.robots.collision_model.coverage import SphereSet, are_covered
 from dualbrain.robots.collision_model.self_collision import random_configurations
 from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.safety.integration.derating import derate
 from dualbrain.simulation.environments import guard_fetch, guard_metaworld
 from dualbrain.simulation.environments.mocap.arm_model import ArmLimits, make_arm_model
 from dualbrain.simulation.environments.mocap.gymnasium_robotics import fetch_robot
@@ -144,6 +147,22 @@ def test_an_unusable_action_brings_the_tool_to_rest(bad, deviation):
 
 
 LIMITS = ArmLimits(velocity=1.0, acceleration=10.0, tool_speed=1.0, period=0.01)
+
+
+@pytest.mark.parametrize("name", SUITES)
+def test_the_period_of_a_given_robot_model_is_kept_or_refused(name):
+    inner = MocapSuite(name)
+    robot_model = ROBOTS[name](inner)
+    env = GUARDS[name](inner, derate(robot_model, period=inner.dt / 8))
+    assert (env.safety.robot_model.period, env.guard.steps_per_action) == (inner.dt / 8, 8)
+    with pytest.raises(ConfigurationError, match="multiple of the period"):
+        GUARDS[name](inner, derate(robot_model, period=0.007))
+
+
+@pytest.mark.parametrize("wrong", [{"period": 0.02}, {"period": 0.0}, {"velocity": 0.0}, {"tool_speed": -1.0}])
+def test_limits_of_an_arm_that_no_filter_keeps_are_refused(wrong):
+    with pytest.raises(ConfigurationError, match=f"ArmLimits.{next(iter(wrong))}"):
+        replace(LIMITS, **wrong)
 
 
 @pytest.mark.parametrize(

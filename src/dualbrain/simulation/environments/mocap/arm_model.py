@@ -18,12 +18,14 @@ from typing import Any
 
 import mujoco
 
+from dualbrain.core.geometry.validation import check_positive
 from dualbrain.errors import ConfigurationError
 from dualbrain.robots.assets.meshes import Mesh, convex_hull_mesh
 from dualbrain.robots.importer.build_arm import ImportOptions, build_arm
 from dualbrain.robots.importer.kinematic_tree import KinematicTree, LinkShape, encode_tree
 from dualbrain.robots.importer.required_limits import LimitPolicy, StatedLimit
 from dualbrain.robots.model import RobotModel
+from dualbrain.safety.integration.derating import MAX_PERIOD
 from dualbrain.simulation.environments.mujoco_arm import carried_bodies, find_id
 from dualbrain.simulation.models.mjcf_reader import tree_of_model
 
@@ -34,12 +36,23 @@ SPHERE_BUDGET = 128
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArmLimits:
-    """Limits that no MJCF states: of every joint [rad/s], [rad/s²], of the tool [m/s]; and the filter's period [s]."""
+    """Limits that no MJCF states: of every joint [rad/s], [rad/s²], of the tool [m/s]; and the filter's period [s].
+
+    The period is at most `MAX_PERIOD`, 10 ms, and divides the time of one step of the environment.
+    """
 
     velocity: float
     acceleration: float
     tool_speed: float
     period: float
+
+    def __post_init__(self) -> None:
+        """Check the limits; raises `ConfigurationError`."""
+        for name, unit in (("velocity", "rad/s"), ("acceleration", "rad/s²"), ("tool_speed", "m/s")):
+            check_positive(f"ArmLimits.{name} [{unit}]", getattr(self, name))
+        if not 0.0 < self.period <= MAX_PERIOD:
+            allowed = f"above 0, at most {MAX_PERIOD}"
+            raise ConfigurationError("ArmLimits.period [s]", got=self.period, allowed=allowed)
 
 
 _MADE: dict[str, RobotModel] = {}

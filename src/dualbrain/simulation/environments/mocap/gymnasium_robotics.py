@@ -11,7 +11,6 @@ from collections.abc import Collection
 from typing import Any
 
 from dualbrain.robots.model import RobotModel
-from dualbrain.safety.integration.derating import derate
 from dualbrain.safety.integration.gym_env import FilteredEnv
 from dualbrain.simulation.environments.mocap.arm_model import ArmLimits
 from dualbrain.simulation.environments.mocap.mocap_control import MocapControl, guard_mocap_env, mocap_robot
@@ -42,10 +41,11 @@ def guard_fetch(
 ) -> FilteredEnv:
     """A Fetch environment with its actions replaced by the closest safe ones; the gripper passes unchanged.
 
-    `robot_model` is by default `fetch_robot(env)`. Bodies in `ignored` are no obstacles. `deviation` and
+    `robot_model` is by default `fetch_robot(env)`; one step of the environment, 40 ms, must be a multiple of its
+    period. Bodies in `ignored` are no obstacles. `deviation` and
     `arm_deviation` [m] are the bounds of `guard_mocap_env`, whose errors are raised.
     """
-    model = fetch_robot(env) if robot_model is None else derate(robot_model, period=LIMITS.period)
+    model = fetch_robot(env) if robot_model is None else robot_model
     own = (*ignored, *BODIES_AT_TORSO)
     return guard_mocap_env(env, model, CONTROL, ignored=own, deviation=deviation, arm_deviation=arm_deviation)
 

@@ -6,7 +6,6 @@ from collections.abc import Collection
 from typing import Any
 
 from dualbrain.robots.model import RobotModel
-from dualbrain.safety.integration.derating import derate
 from dualbrain.safety.integration.gym_env import FilteredEnv
 from dualbrain.simulation.environments.mocap.arm_model import ArmLimits
 from dualbrain.simulation.environments.mocap.mocap_control import MocapControl, guard_mocap_env, mocap_robot
@@ -34,10 +33,11 @@ def guard_metaworld(
 ) -> FilteredEnv:
     """A v3 environment of metaworld with its actions replaced by the closest safe ones; the gripper passes unchanged.
 
-    `robot_model` is by default `metaworld_robot(env)`. Bodies in `ignored` are no obstacles, by default the object of
+    `robot_model` is by default `metaworld_robot(env)`; one step of the environment, 12.5 ms, must be a multiple of its
+    period. Bodies in `ignored` are no obstacles, by default the object of
     most tasks. `deviation` and `arm_deviation` [m] are the bounds of `guard_mocap_env`, whose errors are raised.
     """
-    model = metaworld_robot(env) if robot_model is None else derate(robot_model, period=LIMITS.period)
+    model = metaworld_robot(env) if robot_model is None else robot_model
     return guard_mocap_env(env, model, CONTROL, ignored=ignored, deviation=deviation, arm_deviation=arm_deviation)
 
 
