@@ -1,9 +1,15 @@
 """The commands `dualbrain ros2`: tables of the controller, options that replace parameters, and wrong set-ups."""
 
+import msgspec
 import pytest
 
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.main import run_command_line
+from dualbrain.drivers.ros2.assembly import make_command_filter
+from dualbrain.drivers.ros2.parameters import NodeParameters
+from dualbrain.errors import ConfigurationError
+from dualbrain.robots.importer.build_arm import unidentified_tracking
+from dualbrain.robots.loader import encode_robot, load_robot
 from dualbrain.safety.integration.kernel_tables import HEADER
 
 SITE = '[[plane]]\nname = "table"\npoint = [0, 0, -0.05]\ninward = [0, 0, 1]\nparts = ["arm", "hand"]\n'
@@ -52,6 +58,18 @@ def test_a_wrong_set_up_ends_with_its_remedy(tmp_path, monkeypatch, capsys, argu
     (tmp_path / "node.yaml").write_text(PARAMETERS)
     assert run_command_line(["ros2", *arguments]) == ExitCode.SETUP
     assert words in capsys.readouterr().err
+
+
+def test_a_robot_whose_tracking_error_is_not_identified_is_refused(tmp_path, site, capsys):
+    model = msgspec.structs.replace(load_robot("panda"), tracking=unidentified_tracking())
+    (tmp_path / "body.json").write_bytes(encode_robot(model))
+    out = tmp_path / "panda.tables"
+    tables = ["ros2", "tables", "--robot", str(tmp_path), "--site", str(site), "--out", str(out)]
+    assert run_command_line(tables) == ExitCode.SETUP
+    assert "dualbrain robot identify" in capsys.readouterr().err
+    assert not out.exists()
+    with pytest.raises(ConfigurationError, match="not identified"):
+        make_command_filter(NodeParameters(robot=str(tmp_path), site=str(site)))
 
 
 def test_a_wrong_domain_of_the_environment_is_an_error(monkeypatch, site, capsys):

@@ -4,6 +4,7 @@ import sys
 from dataclasses import replace
 from math import inf, nan
 
+import msgspec
 import numpy as np
 import pytest
 from inspect_robots.approver import Approver, GuardrailContribution
@@ -15,8 +16,9 @@ from inspect_robots.types import Action, StepResult
 from inspect_robots_dualbrain import GuardedEmbodiment, dualbrain_guarded
 from inspect_robots_dualbrain.connector import check, find_api_problems
 
-from dualbrain import HalfSpace, Obstacle, Pose, SafetyFilter, Sphere
+from dualbrain import FilterConfig, HalfSpace, Obstacle, Pose, SafetyFilter, Sphere
 from dualbrain.errors import ConfigurationError, UnknownNameError
+from dualbrain.robots.importer.build_arm import unidentified_tracking
 from tests.integrations.inspect_robots.arm_embodiment import HOME, LABELS, OPEN, PANDA, RATE, ArmEmbodiment
 
 SCENE = Scene(id="a", instruction="reach")
@@ -410,6 +412,14 @@ def changed(inner, **fields):
 def test_an_embodiment_that_does_not_fit_is_refused_with_a_remedy(inner, options, message):
     with pytest.raises((ConfigurationError, UnknownNameError), match=message):
         GuardedEmbodiment(inner, PANDA, **options)
+
+
+def test_a_robot_whose_tracking_error_is_not_identified_needs_a_stated_margin():
+    model = msgspec.structs.replace(PANDA, tracking=unidentified_tracking())
+    with pytest.raises(ConfigurationError, match="not identified"):
+        GuardedEmbodiment(ArmEmbodiment(), model)
+    exact = FilterConfig(tracking_error=0.0)
+    GuardedEmbodiment(ArmEmbodiment(), model, safety=lambda derated: SafetyFilter(derated, exact))
 
 
 def test_joints_without_labels_are_indices_and_undeclared_units_radians():

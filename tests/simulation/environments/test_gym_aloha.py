@@ -109,7 +109,8 @@ def test_both_filters_have_the_same_distance_of_the_arms(guarded):
 def test_the_other_arm_is_where_its_filter_predicts_it():
     """Its spheres are at y = q + lag v."""
     tracking = TrackingErrorModel(lag=0.1, position_error=0.0, rate=VX300S.alpha, provenance="test", drive="position")
-    env = guard_aloha(TwoArmEnv(), robot_model=VX300S.with_tracking(tracking))
+    exact = FilterConfig(tracking_error=0.0)
+    env = guard_aloha(TwoArmEnv(), robot_model=VX300S.with_tracking(tracking), config=exact)
     env.reset(seed=0)
     inner = env.unwrapped
     moved = HOME + np.array([0.004, 0.0, -0.003, 0.0, 0.002, 0.0])

@@ -16,6 +16,7 @@ from dualbrain.safety.cbf.config import operating_config
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.obstacles import Obstacle
 from dualbrain.safety.integration.derating import derate
+from dualbrain.safety.integration.policy_guard.tracking_margin import check_tracking_margin
 from dualbrain.safety.integration.site import site_obstacles, site_robot
 
 
@@ -23,8 +24,8 @@ def make_filter(robot: str, site_file: Path | None, period: float, obstacles: Se
     """The filter of `robot` at `period` [s], with the planes and boxes of the site and `obstacles` as obstacles.
 
     Raises:
-        ConfigurationError: a file or a value is not usable, there is no obstacle at all, or one moves, because nothing
-            observes it.
+        ConfigurationError: a file or a value is not usable, the tracking error of the robot is not identified, there is
+            no obstacle at all, or one moves, because nothing observes it.
         UnknownNameError: there is no such robot.
     """
     robot_model = load_robot(robot)
@@ -41,7 +42,9 @@ def make_filter(robot: str, site_file: Path | None, period: float, obstacles: Se
             "There is no obstacle: not even the table or floor would be protected.",
             fix="Give a site file with at least one [[plane]] (`site`), or a scene (`--scene`).",
         )
-    return SafetyFilter(robot_model, operating_config(robot_model), obstacles=everything)
+    config = operating_config(robot_model)
+    check_tracking_margin(robot_model, config)
+    return SafetyFilter(robot_model, config, obstacles=everything)
 
 
 def make_command_filter(parameters: NodeParameters, obstacles: Sequence[Obstacle] = ()) -> CommandFilter:

@@ -1,11 +1,14 @@
 """The guard: no policy in any action space brings h below zero, and an action that is safe passes unchanged."""
 
+import msgspec
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from dualbrain.errors import ConfigurationError
+from dualbrain.robots.importer.build_arm import unidentified_tracking
 from dualbrain.robots.loader import load_robot
+from dualbrain.safety.cbf.config import FilterConfig, operating_config
 from dualbrain.safety.cbf.filter import FilterStatus, SafetyFilter
 from dualbrain.safety.integration.policy_guard.action_layout import ActionLayout
 from dualbrain.safety.integration.policy_guard.guard import PolicyGuard
@@ -205,6 +208,23 @@ def test_a_torque_that_is_safe_passes_and_one_that_is_not_is_replaced():
 def test_a_setup_that_does_not_fit_is_an_error(space, period, robot, message):
     with pytest.raises(ConfigurationError, match=message):
         PolicyGuard(SafetyFilter(load_robot(robot)), space, period=period)
+
+
+def unidentified(name):
+    """A packaged robot with the tracking model of an imported one."""
+    return msgspec.structs.replace(load_robot(name), tracking=unidentified_tracking())
+
+
+@pytest.mark.parametrize("make", [lambda safety: safety, ShadowFilter])
+def test_a_robot_whose_tracking_error_is_not_identified_needs_a_stated_margin(make):
+    robot_model = unidentified("panda")
+    for config in (None, operating_config(robot_model)):
+        with pytest.raises(ConfigurationError, match="tracking error of panda is not identified") as refused:
+            PolicyGuard(make(SafetyFilter(robot_model, config)), JointVelocity())
+        assert "dualbrain robot identify" in refused.value.fix
+        assert "FilterConfig(tracking_error=...)" in refused.value.fix
+    for margin in (0.0, 0.01, (0.0,) * 6 + (0.01,)):
+        PolicyGuard(make(SafetyFilter(robot_model, FilterConfig(tracking_error=margin))), JointVelocity())
 
 
 def test_a_base_is_guarded_with_velocities():

@@ -28,6 +28,7 @@ from dualbrain.safety.cbf.result import FilterResult, FilterStatus, LimitKind
 from dualbrain.safety.integration.policy_guard.action_space import ActionGoal, ActionSpace, GuardedArm
 from dualbrain.safety.integration.policy_guard.joint_actions import JointVelocity
 from dualbrain.safety.integration.policy_guard.path_braking import brake_along_path, braking_step
+from dualbrain.safety.integration.policy_guard.tracking_margin import check_tracking_margin
 from dualbrain.safety.integration.shadow_mode import ShadowFilter
 
 Array = NDArray[np.float64]
@@ -146,8 +147,10 @@ class PolicyGuard:
         long as that is safe (`path_braking.py`).
 
         Raises:
-            ConfigurationError: the period or the layout does not fit; a robot with a mobile base gets other actions
-                than velocities, one per period; or "along_path" with a mobile base, Python barriers or `ShadowFilter`.
+            ConfigurationError: the period or the layout does not fit; the tracking error of the robot model is not
+                identified, and the configuration of the filter states none; a robot with a mobile base gets other
+                actions than velocities, one per period; or "along_path" with a mobile base, Python barriers or
+                `ShadowFilter`.
         """
         self.shadow = safety if isinstance(safety, ShadowFilter) else None
         self.safety = safety.safety if isinstance(safety, ShadowFilter) else safety
@@ -165,6 +168,7 @@ class PolicyGuard:
                 fix='Guard this filter with deviation="nearest".',
             )
         self._model = self.safety.robot_model
+        check_tracking_margin(self._model, self.safety.config)
         self._dt = self._model.period
         self.steps_per_action = self._count_steps(period)
         self._count = space.count(self._model.n)

@@ -55,13 +55,6 @@ def make_guarded_servos(settings: ServoSettings, keys: Sequence[str]) -> Guarded
     _check_rates(settings)
     robot_model = load_robot(settings.model)
     check_digest(robot_model, settings.digest)
-    if not max(robot_model.tracking.position_errors(robot_model.n)) > 0.0:
-        raise ConfigurationError.stating(
-            f"The tracking error of {robot_model.name} is not identified: the filter would have no margin for the sag "
-            "and the lag of its servos.",
-            fix="Measure lag and position error of the servos, and enter them as `tracking` in body.json of the robot "
-            "folder.",
-        )
     safety = make_filter(derate(robot_model, period=1.0 / settings.rate), settings.site)
     servos = ServoMap.of(safety.robot_model, keys, calibration=settings.calibration)
     return GuardedServos(safety, servos, action_period=1.0 / settings.action_rate, deviation=settings.deviation)
