@@ -414,6 +414,14 @@ def test_an_embodiment_that_does_not_fit_is_refused_with_a_remedy(inner, options
         GuardedEmbodiment(inner, PANDA, **options)
 
 
+@pytest.mark.parametrize("rate", [10.0, 20.0, 50.0, 200.0, 1000.0])
+def test_the_filter_runs_at_a_period_for_which_the_kernel_has_room(rate):
+    review = GuardedEmbodiment(ArmEmbodiment(rate=rate), PANDA).approver.guard
+    period = review.safety.robot_model.period
+    assert period <= 0.004
+    assert review.steps_per_action * period == pytest.approx(1.0 / rate)
+
+
 def test_a_robot_whose_tracking_error_is_not_identified_needs_a_stated_margin():
     model = msgspec.structs.replace(PANDA, tracking=unidentified_tracking())
     with pytest.raises(ConfigurationError, match="not identified"):

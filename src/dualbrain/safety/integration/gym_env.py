@@ -46,9 +46,10 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
 
     Torque policies (`torque`, or the action space `JointTorque`): the nominal control is the velocity that the torque
     would cause, u_nom = v + dt M⁻¹(τ − c − g). If the filter does not change u_nom, the torque is applied unchanged;
-    otherwise `TorqueDrive.track` tracks u. The guarantee then holds for u, and for the arm only if `info["tracking_error"]` [rad/s], the largest
-    |v − u| of a joint one step later, stays below the filter's `tracking_error`. Saturated torques, contacts and wrong
-    dynamics violate that; forces are not covered. With exact tracking there is no lag: turn off `lag_compensation`.
+    otherwise `TorqueDrive.track` tracks u. The guarantee then holds for u, and for the arm only if
+    `info["tracking_error"]` [rad/s], the largest |v − u| of a joint one step later, stays below the filter's
+    `tracking_error`. Saturated torques, contacts and wrong dynamics violate that; forces are not covered. With exact
+    tracking there is no lag: turn off `lag_compensation`.
 
     `info` of each step contains `cost` (delta) and its part `cost_rows` (the rest is due to jumps of the action beyond
     joint limits), `h_min` [m] before the action, `status` (a name), `safety` (a sentence) and `applied`, the action
