@@ -87,6 +87,9 @@ def check_step(folder):
         to_output=transition_to_robot_action,
     )
     here = {f"{name}.pos": value for name, value in zip(JOINTS, (0.0, -34.4, 17.2, 85.9, 0.0, 30.0), strict=True)}
+    beyond = here | {"shoulder_pan.pos": 200.0}
+    assert "shoulder_pan.pos reads 200.0° after calibration" in message(lambda: pipeline((dict(UNSAFE), beyond)))
+    assert "no finite number for shoulder_pan.pos" in message(lambda: pipeline((dict(UNSAFE), {})))
     for _ in range(100):
         here = pipeline((dict(UNSAFE), here))
         time.sleep(0.001)

@@ -80,21 +80,11 @@ class DualbrainGuarded(Robot):
         """
         self.inner.robot.connect(calibrate)
         try:
-            self._check_readings()
+            self.servos.check_range(self.inner.positions())
         except ConfigurationError:
             self.inner.robot.disconnect()
             raise
         self.bus.start(self.inner.commanded())
-
-    def _check_readings(self) -> None:
-        mapped = self.servos.servos
-        problem = mapped.find_range_problem(mapped.positions(self.inner.positions()))
-        if problem:
-            raise ConfigurationError.stating(
-                f"{problem}.",
-                fix="Calibrate the robot again, or state sign and offset: "
-                "`--robot.calibration='{elbow_flex: {sign: -1, offset: 3.0}}'`.",
-            )
 
     def calibrate(self) -> None:
         """Calibrate the inner robot; the thread must not run."""

@@ -38,6 +38,7 @@ class DualbrainSafetyFilterStep(RobotActionProcessorStep):
     def __post_init__(self) -> None:
         """Make the guard with the first action, whose entries name the servos."""
         self._servos: GuardedServos | None = None
+        self._is_checked = False
 
     def __call__(self, transition: EnvTransition) -> EnvTransition:
         """The transition with the safe action, and the mark of an intervention in its info."""
@@ -52,10 +53,14 @@ class DualbrainSafetyFilterStep(RobotActionProcessorStep):
         """The safe action.
 
         Raises:
-            ConfigurationError: the first action is unusable, so that there is no command to repeat.
+            ConfigurationError: the first action or observation of an episode is unusable, so that there is no command
+                to repeat, or that observation has a joint outside of its range: another calibration or another model.
         """
         servos = self._require_servos(action)
         observation = self.transition.get(TransitionKey.OBSERVATION) or {}
+        if not self._is_checked:
+            servos.check_range(observation)
+            self._is_checked = True
         written = servos(action, observation, time.monotonic())
         if not written:
             problem = servos.state.problem or "The first action is unusable"
@@ -83,6 +88,7 @@ class DualbrainSafetyFilterStep(RobotActionProcessorStep):
 
     def reset(self) -> None:
         """Begin an episode: the next action starts from the joints as they are measured then."""
+        self._is_checked = False
         if self._servos is not None:
             self._servos.reset()
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from dualbrain.errors import ConfigurationError
 from dualbrain.safety.cbf.filter import SafetyFilter
 from tests.safety.integration.servo_bus.ideal_servos import (
     KEYS,
@@ -175,3 +176,18 @@ def test_a_far_goal_is_reached_without_overshoot():
     assert shares.max() <= 1.0 + 1e-4
     assert shares[-1] == pytest.approx(1.0, abs=1e-6)
     assert (np.diff(shares) > -1e-4).all()
+
+
+@pytest.mark.parametrize("reading", [None, {}, {KEYS[0]: 0.0}, dict.fromkeys(KEYS, float("nan"))])
+def test_without_a_usable_reading_one_call_gives_no_values_not_even_for_the_gripper(reading):
+    servos = make_servos()
+    assert servos(action(HOME), reading, 0.0) == {}
+    assert "not finite" in servos.state.problem
+    with pytest.raises(ConfigurationError, match="no finite number for shoulder_"):
+        servos.check_range(reading)
+
+
+def test_a_first_reading_outside_of_the_range_of_a_joint_is_refused():
+    make_servos().check_range(action(HOME))
+    with pytest.raises(ConfigurationError, match=r"shoulder_pan.pos reads 200.0° after calibration.*calibration"):
+        make_servos().check_range(action(HOME) | {KEYS[0]: 200.0})

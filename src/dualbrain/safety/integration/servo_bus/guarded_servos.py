@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dualbrain.errors import ConfigurationError
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.result import FilterResult, FilterStatus
 from dualbrain.safety.integration.policy_guard.guard import Deviation, GuardLimits, GuardReport, PolicyGuard
@@ -90,6 +91,20 @@ class GuardedServos:
         self._passed: dict[str, float] = {}
         self._begun = self._intervened = self._intervening = False
 
+    def check_range(self, reading: object) -> None:
+        """Refuse a first `reading` (values [deg] by servo) that contradicts the robot model.
+
+        Raises:
+            ConfigurationError: a joint has no reading, or one outside of its range.
+        """
+        problem = self.servos.find_range_problem(self.servos.read_positions(reading))
+        if problem:
+            raise ConfigurationError.stating(
+                f"{problem}.",
+                fix="Calibrate the robot again, or state sign and offset: "
+                "`calibration` = {elbow_flex: {sign: -1, offset: 3.0}}.",
+            )
+
     @property
     def state(self) -> ServoState:
         """What happened since the last action began."""
@@ -134,8 +149,8 @@ class GuardedServos:
     def __call__(self, action: Any, reading: Any, now: float) -> dict[str, float]:
         """The safe values for one action in a loop without a bus: all periods at once, on the predicted motion.
 
-        The joints then have to follow within the tracking error until the next call. An unusable first action gives an
-        empty mapping.
+        The joints then have to follow within the tracking error until the next call. Without a usable action and a
+        usable reading so far, the mapping is empty: there is no safe value for the joints.
         """
         q = self.servos.read_positions(reading)
         v = self._velocity.update(now, q)
@@ -151,7 +166,7 @@ class GuardedServos:
         for index in range(1, self.guard.steps_per_action):
             q, v = q + self.period * self.guard.control, self.guard.control
             self._note(self.guard.step(q, v, now + index * self.period))
-        return self._values()
+        return self._values() if np.isfinite(self.guard.target).all() else {}
 
     def _accept(self, action: Mapping[str, Any]) -> None:
         self._begun = True

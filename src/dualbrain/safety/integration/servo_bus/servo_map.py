@@ -142,6 +142,8 @@ class ServoMap:
         """Why the joint positions `q` (n,) [rad] contradict the ranges of the robot model; "" if they do not."""
         for joint, key, value in zip(self.robot_model.joints, self.keys, q, strict=True):
             low, high = joint.lower.value, joint.upper.value
+            if not isfinite(value):
+                return f"The reading has no finite number for {key}"
             if not low - RANGE_TOLERANCE <= value <= high + RANGE_TOLERANCE:
                 allowed = f"{np.degrees(low):.0f}° to {np.degrees(high):.0f}°"
                 return f"{key} reads {np.degrees(value):.1f}° after calibration; {joint.name} has the range {allowed}"
