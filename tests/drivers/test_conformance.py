@@ -2,11 +2,27 @@
 
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.drivers.conformance.rules import REQUIREMENTS, RequirementStatus, check_conformance
+from dualbrain.cli.main import run_command_line
+from dualbrain.control.gatekeeper.robot_link.simulated_driver import SimulatedDriver
+from dualbrain.core.geometry.shapes import HalfSpace, Pose
+from dualbrain.drivers.conformance import rules
+from dualbrain.drivers.conformance.harness import DriverUnderTest
+from dualbrain.drivers.conformance.home_posture import find_home_problem
+from dualbrain.drivers.conformance.rules import (
+    REQUIREMENTS,
+    RequirementStatus,
+    check_conformance,
+    make_requirements,
+)
+from dualbrain.robots.loader import BUILTIN_ROBOTS, load_robot
+from dualbrain.safety.cbf.obstacles import Obstacle
 from tests.drivers.drivers_under_test import DRIVERS_UNDER_TEST, franka
+
+PANDA = load_robot("panda")
 
 
 @pytest.mark.parametrize("name", DRIVERS_UNDER_TEST)
@@ -16,6 +32,48 @@ def test_every_requirement_is_met(name):
     met = {result.requirement for result in results if result.status is RequirementStatus.MET}
     not_tested = {requirement.name for requirement in REQUIREMENTS} - met
     assert not_tested <= ({"silence", "maker's stop"} if "plant" in name else set())
+
+
+FOLDED = (*PANDA.home[:5], 0.0, PANDA.home[6])
+"""A posture of the Panda with its hand in its forearm."""
+
+
+@pytest.mark.parametrize(
+    ("home", "obstacles", "problem"),
+    [
+        (PANDA.home, (), ""),
+        (PANDA.home, (Obstacle("table", HalfSpace()),), ""),
+        (PANDA.home, (Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.6)), parts=("hand",)),), "vs 'table'"),
+        ((3.0, *PANDA.home[1:]), (), "panda_joint1 has the home position 3.000"),
+        ((*PANDA.home[:6], float("nan")), (), "panda_joint7 has the home position nan"),
+        (FOLDED, (), "link7 vs link5"),
+    ],
+)
+def test_a_home_posture_that_is_not_free_is_found(home, obstacles, problem):
+    def make():
+        return DriverUnderTest(SimulatedDriver(PANDA), msgspec.structs.replace(PANDA, home=home))
+
+    (result,) = check_conformance(make, tuple(one for one in make_requirements(obstacles) if one.name == "home"))
+    assert result.status is (RequirementStatus.VIOLATED if problem else RequirementStatus.MET)
+    assert problem in result.reason
+
+
+@pytest.mark.parametrize("name", BUILTIN_ROBOTS)
+def test_the_home_posture_of_every_packaged_robot_is_free(name):
+    assert find_home_problem(load_robot(name)) == ""
+
+
+@pytest.mark.parametrize(("height", "code"), [(0.0, 0), (0.6, 1)])
+def test_the_command_compares_the_home_posture_with_the_site(tmp_path, monkeypatch, capsys, height, code):
+    site = tmp_path / "site.toml"
+    site.write_text(f'[[plane]]\nname = "top"\npoint = [0, 0, {height}]\ninward = [0, 0, 1]\nparts = ["hand"]\n')
+
+    def check_home(make, requirements):
+        return check_conformance(make, tuple(one for one in requirements if one.name == "home"))
+
+    monkeypatch.setattr(rules, "check_conformance", check_home)
+    assert run_command_line(["robot", "conform", "--driver", "fake_franka", "--site", str(site)]) == code
+    assert ("vs 'top'" in capsys.readouterr().err) is bool(code)
 
 
 class FaultyDriver:

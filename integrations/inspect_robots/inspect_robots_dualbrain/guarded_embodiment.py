@@ -25,7 +25,10 @@ from inspect_robots_dualbrain.joint_map import JointMap, make_action_space
 from inspect_robots_dualbrain.joint_state import JointStateReader
 
 FILTER_PERIOD = 0.004
-"""Largest period of the filter [s], up to which the kernel has room for all rows (`derate`); an action that takes longer is filtered several times, on the predicted motion."""
+"""Largest period of the filter [s], up to which the kernel has room for all rows (`derate`).
+
+An action that takes longer is filtered several times, on the predicted motion.
+"""
 MAX_STATE_AGE = 1.0
 """Age of the joint state [s] at which a real embodiment holds instead of moving."""
 

@@ -33,7 +33,7 @@ def conform(
     address
         Network address of the arm's controller.
     site
-        Site file (TOML) that restricts the robot model.
+        Site file (TOML) that restricts the robot model; its planes and boxes must be clear of the home posture.
     commissioned
         Commissioning record, written by `dualbrain robot commission`; required for hardware.
     realtime
@@ -48,15 +48,17 @@ def conform(
     from dualbrain.drivers.catalogue import DRIVER_KINDS, find_driver_kind
     from dualbrain.drivers.commissioning.record import require_record
     from dualbrain.drivers.conformance.harness import DriverUnderTest
-    from dualbrain.drivers.conformance.rules import REQUIREMENTS, RequirementStatus, check_conformance
+    from dualbrain.drivers.conformance.rules import RequirementStatus, check_conformance, make_requirements
     from dualbrain.robots.loader import load_robot
     from dualbrain.robots.site_config import read_site
-    from dualbrain.safety.integration.site import site_robot
+    from dualbrain.safety.integration.site import site_obstacles, site_robot
 
     robot = robot or next((kind.robot for kind in DRIVER_KINDS if kind.name == driver), "panda")
     kind = None if driver == "plant" else find_driver_kind(driver, robot)
     robot_model = load_robot(robot)
-    robot_model = site_robot(robot_model, read_site(site)) if site else robot_model
+    file = read_site(site) if site else None
+    robot_model = site_robot(robot_model, file) if file else robot_model
+    requirements = make_requirements(site_obstacles(robot_model, file) if file else ())
     if kind is not None and kind.hardware:
         require_record(commissioned, robot_model, site, kind)
 
@@ -68,8 +70,8 @@ def conform(
             robot_model,
         )
 
-    findings = check_conformance(make)
-    descriptions = {one.name: one.description for one in REQUIREMENTS}
+    findings = check_conformance(make, requirements)
+    descriptions = {one.name: one.description for one in requirements}
     for finding in findings:
         reason = f" ({finding.reason})" if finding.reason else ""
         print_message(f"{finding.status.value}: {descriptions[finding.requirement]}{reason}")

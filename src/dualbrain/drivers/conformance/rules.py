@@ -10,8 +10,8 @@ them. **On real hardware the tests move the arm.**
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from enum import Enum
 from math import inf, isfinite, nan
 
@@ -24,6 +24,8 @@ from dualbrain.drivers.conformance.harness import (
     DriverHarness,
     DriverUnderTest,
 )
+from dualbrain.drivers.conformance.home_posture import find_home_problem
+from dualbrain.safety.cbf.obstacles import Obstacle
 
 POSITION_TOLERANCE = 2e-3
 """Maximum position error [rad] after a motion."""
@@ -380,7 +382,24 @@ def _can_trigger_stop(under_test: DriverUnderTest) -> bool:
     return under_test.trigger_stop is not None and under_test.clear_stop is not None
 
 
+HOME = "home"
+
+
+def make_requirements(obstacles: Sequence[Obstacle]) -> tuple[Requirement, ...]:
+    """All requirements, with a home posture that is also clear of the `obstacles` of a site."""
+    return tuple(replace(one, check=_home_check(obstacles)) if one.name == HOME else one for one in REQUIREMENTS)
+
+
+def _home_check(obstacles: Sequence[Obstacle]) -> Callable[[DriverHarness], str]:
+    return lambda trial: find_home_problem(trial.robot_model, obstacles)
+
+
 REQUIREMENTS: tuple[Requirement, ...] = (
+    Requirement(
+        HOME,
+        "the home posture is within the joint limits, free of self-collision, and clear of the site",
+        _home_check(()),
+    ),
     Requirement("sane", "states have one value per joint, are finite and within the range", _states_are_valid),
     Requirement("beats", "every state comes once, and its stamp agrees with its number", _stamps_match_sequence),
     Requirement("reading is free", "reading twice within a period gives the same state", _reading_is_repeatable),
