@@ -16,7 +16,7 @@ from dualbrain.safety.integration.policy_guard.joint_actions import JointPositio
 Array = NDArray[np.float64]
 
 UNBOUNDED = 1e6
-"""Entry of an action that stands in for an infinite bound."""
+"""Entry of an action in place of an infinite bound."""
 OTHER_UNITS = (
     "State the units of the actions (`decode_action` and `encode_action`, or the layout of the action space), or build "
     "the filter for `derate(..., max_speed=...)`."
