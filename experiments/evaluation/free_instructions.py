@@ -21,7 +21,7 @@ from experiments.evaluation.instructions.judgement import ANSWER_CLASSES, Answer
 from experiments.figures.tables import format_proportion, markdown_table
 
 MIN_RIGHT_SHARE = 0.8
-HELD_OUT = frozenset({"second", "third"})
+HELD_OUT = frozenset({"second", "third", "fourth"})
 """The sets whose errors are counted and not listed."""
 
 

@@ -37,7 +37,12 @@ REQUIRED_FIELDS: dict[PredicateKind, tuple[str, ...]] = {
     "unmoved": ("object",),
 }
 """The fields that each kind of predicate needs; `any_of` with `count` may replace `object`."""
-FREE_FILES = {"third": "free_third.toml", "second": "free_second.toml", "first": "free.toml"}
+FREE_FILES = {
+    "fourth": "free_fourth.toml",
+    "third": "free_third.toml",
+    "second": "free_second.toml",
+    "first": "free.toml",
+}
 """The files of the sets of free instructions, by the name of the set; the identifiers of one set are in no other."""
 CLAUSE_FILES = {
     "first": "clauses.toml",

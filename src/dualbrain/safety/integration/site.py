@@ -117,7 +117,8 @@ def site_persons(file: SiteFile) -> PersonLimits | None:
         except SiteError:
             raise
         except (ConfigurationError, UnknownNameError) as error:
-            raise file.make_error(path, got=entry.body_region or entry.monitoring, allowed=str(error)) from error
+            got = entry.body_region or entry.monitoring
+            raise file.make_error(path, got=got, allowed="", sentence=f"[{path}]: {error}") from error
     names = frozenset(file.site.person)
     return PersonLimits(separation=separation, near=near, named=names) if names else None
 
