@@ -30,7 +30,7 @@ def review(words):
         ("Make sure the green tin is in the bowl, please.", (IN_BOWL,)),
         ("the green tin needs clearing away into the bowl", (IN_BOWL,)),
         ("My kid left the green tin lying about again. It lives in the bowl.", (IN_BOWL,)),
-        ("Somebody's finished with the green tin, so put it on the left side of the table, out of the way.", (LEFT,)),
+        ("He's finished with the green tin, so put it on the left side of the table, out of the way.", (LEFT,)),
         ("There's a green tin hiding somewhere behind those tall bottles. I want it in the bowl.", (IN_BOWL,)),
         ("I'll try and keep my arm out of your way. The green tin into the bowl, please.", (IN_BOWL,)),
         ("the green tin is in my way, could it live in the bowl instead?", (IN_BOWL,)),
@@ -78,7 +78,7 @@ def test_a_similar_clause_is_still_found(words):
     [
         "There's a green tin. I want it upside down in the bowl.",
         "I am going to want the green tin in the bowl later",
-        "I will tell you to put the green tin in the bowl",
+        "I will ask you to put the green tin in the bowl",
         "My kid wants the green tin. It should lie on its side in the bowl.",
         "the green tin. the red cube. the bowl.",
         "green tin: bowl: left side of the table",
