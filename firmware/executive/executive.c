@@ -15,6 +15,7 @@ void executive_init(executive *e) {
   dbk_prepare(&robot_model);
 #endif
   dbk_scene_clear(&e->scene);
+  e->missing = 0;
   scene_make_unusable(e); /* until the host has sent a scene */
   dbk_cycle_init(&e->cycle);
   frame_reader_clear(&e->reader);

@@ -1,8 +1,9 @@
 /* Cyclic executive: receives messages, decides, filters, and answers. It is independent of the board.
  *
  * One CYCLE: conditions of the host and of the target -> supervisor -> nominal control (zero from HOVER on) -> filter ->
- * control (zero at a standstill) and drive enable. The host cannot lower a decision of the target: conditions only add
- * up, and the buttons that clear them are conditions of authenticated messages.
+ * control (zero at a standstill) and drive enable. The host cannot lower a decision of the target, except while
+ * it reports that the arm yields to a contact: conditions only add up, and the buttons that clear them are conditions of
+ * authenticated messages.
  */
 #ifndef FIRMWARE_EXECUTIVE_H
 #define FIRMWARE_EXECUTIVE_H
@@ -34,8 +35,12 @@ typedef struct {
   uint8_t cycling;   /* a CYCLE has been accepted */
 } session_state;
 
+/* parts of the scene that are not valid until a message of their kind has been accepted */
+enum { OBSTACLES_MISSING = 1, HELD_MISSING = 2, ROWS_MISSING = 4 };
+
 typedef struct {
   dbk_scene scene;
+  uint8_t missing; /* the parts that are missing; with any of them every step brakes */
   dbk_obstacle staged[DBK_MAX_OBSTACLES];
   uint32_t n_staged, n_announced;
   uint8_t transferring;

@@ -7,7 +7,19 @@ static void read_reals(const uint8_t *from, dbk_real *to, int32_t count) {
   for (int32_t i = 0; i < count; ++i) { to[i] = read_f32(from + 4 * i); }
 }
 
-void scene_make_unusable(executive *e) { e->scene.ready = 0; }
+/* a part that is missing makes the scene unusable, also if another part arrives */
+static void set_missing(executive *e, uint32_t part) {
+  e->missing = (uint8_t)(e->missing | part);
+  e->scene.ready = 0;
+}
+
+static void set_present(executive *e, uint32_t part) {
+  e->missing = (uint8_t)(e->missing & ~part);
+  dbk_scene_prepare(&e->scene);
+  if (e->missing) { e->scene.ready = 0; }
+}
+
+void scene_make_unusable(executive *e) { set_missing(e, OBSTACLES_MISSING); }
 
 static void clear_permits(dbk_scene *scene) {
   for (int32_t l = 0; l < DBK_ALL_LINKS; ++l) {
@@ -65,7 +77,7 @@ static int end(executive *e, const frame *f) {
   for (uint32_t i = 0; i < e->n_staged; ++i) { e->scene.obstacle[i] = e->staged[i]; }
   e->scene.n_obstacles = (int32_t)e->n_staged;
   clear_permits(&e->scene);
-  dbk_scene_prepare(&e->scene);
+  set_present(e, OBSTACLES_MISSING);
   return 1;
 }
 
@@ -101,7 +113,7 @@ static int set_held(executive *e, const frame *f) {
     scene->held_r[i] = read_f32(b + 12);
   }
   scene->n_held = (int32_t)count;
-  dbk_scene_prepare(scene);
+  set_present(e, HELD_MISSING);
   return 1;
 }
 
@@ -117,7 +129,7 @@ static int set_rows(executive *e, const frame *f) {
     scene->user_rank[r] = (int32_t)read_u32(b + 40);
   }
   scene->n_user = (int32_t)count;
-  dbk_scene_prepare(scene);
+  set_present(e, ROWS_MISSING);
   return 1;
 }
 
@@ -142,20 +154,27 @@ static int reset_control(executive *e, const frame *f) {
 }
 
 int scene_message_apply(executive *e, const frame *f) {
+  uint32_t part = OBSTACLES_MISSING;
   int accepted = 0;
   switch (f->type) {
     case MESSAGE_SCENE_BEGIN: accepted = begin(e, f); break;
     case MESSAGE_OBSTACLES: accepted = add_obstacles(e, f); break;
     case MESSAGE_SCENE_END: accepted = end(e, f); break;
     case MESSAGE_PERMITS: return set_permits(e, f);
-    case MESSAGE_HELD: accepted = set_held(e, f); break;
-    case MESSAGE_ROWS: accepted = set_rows(e, f); break;
+    case MESSAGE_HELD:
+      part = HELD_MISSING;
+      accepted = set_held(e, f);
+      break;
+    case MESSAGE_ROWS:
+      part = ROWS_MISSING;
+      accepted = set_rows(e, f);
+      break;
     case MESSAGE_RESET: return reset_control(e, f);
     default: return 0;
   }
   if (!accepted) {
-    e->transferring = 0;
-    scene_make_unusable(e);
+    if (part == OBSTACLES_MISSING) { e->transferring = 0; }
+    set_missing(e, part);
   }
   return accepted;
 }

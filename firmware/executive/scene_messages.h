@@ -8,7 +8,7 @@
  * until the next valid message of the same kind */
 int scene_message_apply(executive *e, const frame *f);
 
-/* makes the scene unusable until the next complete one */
+/* makes the obstacles unusable until the next complete SCENE_END */
 void scene_make_unusable(executive *e);
 
 #endif

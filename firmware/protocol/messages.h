@@ -1,7 +1,8 @@
 /* Messages between the host and the target: types, and the layout of the payloads (little-endian, without padding).
  *
  * Host to target. HELLO begins a session, and only CYCLE and HELLO are answered. A message that is refused counts in
- * `refused` of the next reply; one that would have replaced the scene leaves it unusable, so that the robot brakes.
+ * `refused` of the next reply; one that would have replaced a part of the scene leaves this part unusable, so that the robot brakes
+ * until a valid one of the same part.
  *
  *   HELLO          host nonce u64, hash of the robot tables u64
  *   SCENE_BEGIN    number of obstacles u16

@@ -44,10 +44,11 @@ def run(
     `robot` is a name or the folder of an imported robot, `scene` a number, FAMILY:SEED or a scene file, `planner` a
     name as for `dualbrain run --planner` or a planner object. An `agent` replaces `planner` and the memory; its planner
     and memory stay open. With a `contract` file no planner is asked. `goal` is the criterion of success on ground
-    truth, by default that of the instruction, or without one that of the contract. `guard` False writes nominal controls unfiltered, for comparison in
-    simulation only. The run folder `out` (a new folder in `runs/` by default) holds the configuration, the scene, the
-    recording and the episode. The memory is the file `ledger`, by default a new one in the run folder; with an `agent`
-    this file records only the start and the end of the run, and must not be the ledger of the agent's memory.
+    truth, by default that of the instruction, or without one that of the contract. `guard` False writes nominal
+    controls unfiltered, for comparison in simulation only. The run folder `out` (a new folder in `runs/` by default)
+    holds the configuration, the scene, the recording and the episode. The memory is the file `ledger`, by default a new
+    one in the run folder; with an `agent` this file records only the start and the end of the run, and must not be the
+    ledger of the agent's memory.
 
     Raises:
         ConfigurationError: an argument has no valid value, `out` holds a run already, or both `agent` and `contract`

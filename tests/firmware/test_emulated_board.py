@@ -30,7 +30,9 @@ from dualbrain.safety.target.messages import (
     CYCLE,
     Message,
     obstacle_frames,
+    pack_held,
     pack_permits,
+    pack_rows,
     padded,
     parse_cycle_reply,
 )
@@ -175,8 +177,14 @@ def test_a_control_with_another_bit_is_reported_and_the_arm_brakes(lockstep):
     assert decision.check == "control_bad"
 
 
+NO_HELD, NO_ROWS = pack_held(np.zeros((0, 4)), 0.0), pack_rows(np.zeros((0, 10)), 7)
+
+
 @pytest.fixture
 def session(lockstep):
+    """The session, with a held object and additional rows that are valid after the tests before."""
+    lockstep.session.send(Message.HELD, NO_HELD)
+    lockstep.session.send(Message.ROWS, NO_ROWS)
     return lockstep.session
 
 
@@ -267,11 +275,48 @@ def test_the_target_itself_zeroes_the_nominal_control_under_a_pause(session):
     assert session.cycle(cycle_payload(20.1)).u[:7].all()
 
 
-def test_after_a_scene_that_was_refused_every_step_brakes(session):
-    session.send(Message.SCENE_BEGIN, b"\xff\xff")
+def has_bad_scene(session):
     reply = session.cycle(cycle_payload())
-    assert reply.status == 3
-    assert reply.flags & 256
+    assert (reply.status == 3) == bool(reply.flags & 256)
+    return reply.status == 3
+
+
+def send_scene(session):
+    for kind, payload in obstacle_frames(np.zeros((0, 29)), {}):
+        session.send(kind, payload)
+
+
+def test_after_a_scene_that_was_refused_every_step_brakes_until_the_next_one(session):
+    """Neither the held object nor additional rows bring the former obstacles into force again."""
+    session.send(Message.SCENE_BEGIN, b"\xff\xff")
+    assert has_bad_scene(session)
+    for kind, payload in ((Message.HELD, NO_HELD), (Message.ROWS, NO_ROWS), (Message.PERMITS, pack_permits([]))):
+        session.send(kind, payload)
+        assert has_bad_scene(session)
+    send_scene(session)
+    assert not has_bad_scene(session)
+
+
+@pytest.mark.parametrize(("kind", "valid"), [(Message.HELD, NO_HELD), (Message.ROWS, NO_ROWS)])
+def test_after_a_refused_part_every_step_brakes_until_the_same_part_is_valid(session, kind, valid):
+    send_scene(session)
+    session.send(kind, b"\xff\xff")
+    assert has_bad_scene(session)
+    send_scene(session)
+    session.send(Message.ROWS if kind == Message.HELD else Message.HELD, NO_ROWS if kind == Message.HELD else NO_HELD)
+    assert has_bad_scene(session)
+    session.send(kind, valid)
+    assert not has_bad_scene(session)
+
+
+def test_a_new_session_has_no_scene_until_the_host_sends_one(lockstep):
+    new = TargetSession(lockstep.board.link, lockstep.session._shared, robot_tables_hash(PANDA, CONFIG))
+    for kind, payload in ((Message.HELD, NO_HELD), (Message.ROWS, NO_ROWS)):
+        new.send(kind, payload)
+    assert has_bad_scene(new)
+    send_scene(new)
+    assert not has_bad_scene(new)
+    lockstep.session._key, lockstep.session._sequence = new._key, new._sequence
 
 
 def test_a_replayed_hello_ends_the_session_and_changes_nothing_else(lockstep):

@@ -16,11 +16,13 @@ report. The tests (`tests/safety/test_barriers.py`) push the robot against each 
 above zero, that the result names the barrier, and that h falls below zero without the filter.
 
 If no control satisfies all rows, the filter relaxes rows by rank: task first, then workspace, obstacle and body. It
-never relaxes the box of joint velocity, acceleration and position, and never a row of a static obstacle that braking
-satisfies. The target control is then the hardest admissible braking, not the nominal control.
+never relaxes the box of joint velocity, acceleration and position, and never a row of the robot's
+own parts or of an obstacle at rest (rank body or obstacle) that braking satisfies; planes and boxes of a site have
+rank workspace. The target control is then the hardest admissible braking, not the nominal control.
 
 The filter keeps h ≥ 0 by ḣ ≥ −α h, with α ≤ min(a_max/v_max) unless stated otherwise, so that the acceleration limits
-can follow. For h < 0 a row asks for ḣ ≥ min(α|h|, recovery speed) and never forbids motion away from the obstacle.
+can follow. For h < 0 a row asks for ḣ ≥ min(α|h|, recovery speed), for joint limits 4 × recovery speed
+[rad/s], and never forbids motion away from the obstacle.
 Margins beyond h = 0: *sampling* (a step of finite length), *tracking* (ẏ ≠ u), *measurement* (obstacle margin), *age*
 (velocity error × age of the observation), *rounding* (float32)."""
 

@@ -24,7 +24,8 @@ def _scenario() -> Scenario:
 
 BARRIER = BarrierSpec(
     name="user_rows",
-    description="linear constraints on the joint velocity that the application sets with SafetyFilter.constrain",
+    description="linear constraints on the joint velocity that the application sets with SafetyFilter.constrain; "
+    "a row may have another rank than task",
     h="h = a'u − b",
     row="a'u ≥ b, as given, without added margins",
     rank=Rank.TASK,
