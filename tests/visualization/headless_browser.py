@@ -6,6 +6,7 @@ import subprocess
 import time
 from pathlib import Path
 from typing import Any, Self
+from urllib.error import HTTPError
 from urllib.request import ProxyHandler, Request, build_opener
 
 FLAGS = (
@@ -23,6 +24,8 @@ FLAGS = (
 )
 STARTS = 5
 """Number of attempts to start chromedriver."""
+TYPING_TIMEOUT = 10.0
+"""Time [s] in which an element must be displayed before it is typed into."""
 OPENER = build_opener(ProxyHandler({}))
 
 
@@ -72,9 +75,19 @@ class Browser:
         return self._call("POST", "/execute/sync", {"script": script, "args": []})
 
     def type(self, selector: str, text: str) -> None:
-        """Type a text into an element, key by key without a pause."""
+        """Type a text into an element, key by key without a pause, as soon as it can be typed into."""
         (element,) = self._call("POST", "/element", {"using": "css selector", "value": selector}).values()
-        self._call("POST", f"/element/{element}/value", {"text": text})
+        last_try = time.monotonic() + TYPING_TIMEOUT
+        while True:
+            try:
+                self._call("POST", f"/element/{element}/value", {"text": text})
+            except HTTPError as error:  # the driver sends no key to an element that is not displayed yet
+                reason = error.read().decode()
+                if "not interactable" not in reason or time.monotonic() > last_try:
+                    raise AssertionError(reason) from error
+                time.sleep(0.1)
+            else:
+                return
 
     def slow_down(self, factor: float, latency_ms: float, bytes_per_second: float) -> None:
         """Make the processor of the page slower by `factor`, and its network slow."""
