@@ -163,7 +163,7 @@ def operate(
 
 
 def _command_address(socket: Path | None, keys: Path | None, run: Path | None) -> tuple[Path, Path]:
-    """Socket and keys as given; what is not given is that of the run, or of a running gatekeeper."""
+    """Socket and keys as given; a missing one is that of the run, or of a running gatekeeper."""
     if socket is not None and keys is not None:
         return socket, keys
     found = run_address(run) if run is not None else running_address(dualbrain_home(), socket)

@@ -177,8 +177,9 @@ def _read_text(text: str, scene: Scene, vocabulary: Vocabulary) -> Goal | Unread
 
 def _join_phrases(clauses: Sequence[str], vocabulary: Vocabulary) -> list[str]:
     """`clauses` with a placement in place of an object and a destination that are phrases of their own."""
+    phrases = [phrase for clause in clauses for phrase in clause.split(": ")]
     joined: list[str] = []
-    for words in (part for clause in clauses for part in clause.split(": ")):
+    for words in phrases:
         before = joined[-1] if joined else ""
         for thing, destination in ((before, words), (words, before)):
             relation = vocabulary.relation_to(destination) if before else ""
@@ -187,8 +188,7 @@ def _join_phrases(clauses: Sequence[str], vocabulary: Vocabulary) -> list[str]:
                 break
         else:
             joined.append(words)
-    whole = len(joined) < sum(len(clause.split(": ")) for clause in clauses)
-    if not whole:
+    if len(joined) == len(phrases):
         return list(clauses)
     return joined[:-1] if joined[-1] in AT_ONCE else joined
 

@@ -154,7 +154,7 @@ def _topic(part: str, following: str, known: Collection[str]) -> str:
 
 
 def _only_thing(words: str, known: Collection[str]) -> str:
-    """The only thing of the scene in a remark about somebody: "my kid left the purple block lying about"."""
+    """The only thing of the scene in a remark about a person: "my kid left the purple block lying about"."""
     for match in _THING.finditer(words):
         article, *nouns = match[1].split()
         named = list(takewhile(lambda noun: singular(noun) in known, nouns))
