@@ -10,6 +10,9 @@ from dualbrain.core.storage.atomic_files import fsync_folder, write_atomically
 from dualbrain.core.storage.private_files import create_private_folder
 from dualbrain.memory.ledger.hash_chain import Head
 
+REFUSED_SUFFIX = ".refused"
+"""Suffix of the files of refused items, which are kept for a person."""
+
 
 class WaitingEvent(msgspec.Struct, frozen=True, kw_only=True):
     """An event without a vector that depends on no other event."""
@@ -46,9 +49,7 @@ class Spool:
     def add(self, item: WaitingItem) -> None:
         """Append `item`; raises `FileWriteError` or `OSError` if the disk does not keep it."""
         create_private_folder(self.folder)
-        files = self.files()
-        number = int(files[-1].stem) + 1 if files else 1
-        write_atomically(self.folder / f"{number:08d}.json", msgspec.json.encode(item))
+        write_atomically(self.folder / f"{self._next_number():08d}.json", msgspec.json.encode(item))
 
     def files(self) -> list[Path]:
         """The files of the items, oldest first."""
@@ -68,8 +69,18 @@ class Spool:
         fsync_folder(self.folder)
 
     def put_away(self, file: Path) -> Path:
-        """Keep an item that the ledger refuses, under the suffix `.refused`; returns its path."""
-        refused = file.with_suffix(".refused")
-        file.replace(refused)
+        """Keep an item that the ledger refuses, under the suffix `.refused`; returns its path.
+
+        No item replaces an earlier one: if its number is taken, it gets the next free number.
+        """
+        refused = file.with_suffix(REFUSED_SUFFIX)
+        if refused.exists():
+            refused = self.folder / f"{self._next_number():08d}{REFUSED_SUFFIX}"
+        file.rename(refused)
         fsync_folder(self.folder)
         return refused
+
+    def _next_number(self) -> int:
+        """The number after all numbers of waiting and refused items."""
+        kept = (*self.files(), *self.folder.glob(f"[0-9]*{REFUSED_SUFFIX}"))
+        return max((int(file.stem) for file in kept), default=0) + 1
