@@ -13,8 +13,9 @@ from typing import Any
 import msgspec
 
 from dualbrain.core.encoder import Encoder
+from dualbrain.core.storage.atomic_files import FileWriteError
 from dualbrain.core.text import count_noun
-from dualbrain.errors import DECODE_ERRORS, ConfigurationError
+from dualbrain.errors import DECODE_ERRORS, ConfigurationError, UnknownNameError
 from dualbrain.memory.config import MemoryConfig
 from dualbrain.memory.embedding.image_features import ImageFeatures
 from dualbrain.memory.embedding.joint_embedding import Alpha, EpisodeEmbedding, JointEmbedding
@@ -36,7 +37,7 @@ from dualbrain.memory.ledger.events import (
 from dualbrain.memory.ledger.hash_chain import GENESIS, Head, LedgerEvent, verified_events
 from dualbrain.memory.ledger.ledger import Ledger, LedgerReader, PendingEvent, StoredVector
 from dualbrain.memory.ledger.shared.spool import WaitingItem
-from dualbrain.memory.ledger.store import HeadMovedError, ServerUnreachableError
+from dualbrain.memory.ledger.store import HeadMovedError, RefusedEntryError, ServerUnreachableError
 from dualbrain.memory.retrieval.search import MemoryHit
 from dualbrain.memory.state.derivation import derive_state
 from dualbrain.memory.state.episode_record import EpisodeRecord, decode_stored_episode, retrieved_memories
@@ -243,12 +244,12 @@ class Memory:
     ) -> StoreReport:
         """Store if the newest event is the one of which this memory has the state, otherwise raise `HeadMovedError`."""
         if any(True for _ in self.ledger.events(EPISODE, subject=episode.id)):
-            raise ConfigurationError.stating(
+            raise RefusedEntryError.stating(
                 f"The ledger already contains an episode {episode.id!r}.", fix="Use a new episode id."
             )
         shown = [str(hit["memory"]) for hit in retrieved_memories(episode.recall)]
         if unknown := [name for name in shown if name not in self.state]:
-            raise ConfigurationError("retrieved memories", got=unknown, allowed="ids of episodes in this ledger")
+            raise RefusedEntryError("retrieved memories", got=unknown, allowed="ids of episodes in this ledger")
         transaction = self.consolidation().build_transaction(episode, state, image, now)
         entries = [dataclasses.replace(one, run=run) for one in transaction.events]
         events = self.append(entries, now=now, after=self._seen)
@@ -296,15 +297,21 @@ class Memory:
             self._seen = Head(fresh[-1].seq, fresh[-1].hash)
 
     def _store_waiting(self, ledger: Ledger) -> None:
-        """Append the waiting items in their order, each once."""
+        """Append the waiting items in their order, each once.
+
+        Only an item that the ledger can never take is put away. One that this robot cannot store at present, for
+        example because its configuration has no joint limits for the robot of the episode, waits on.
+        """
         for file in ledger.spool.files():
             try:
                 self._append_file(ledger, file)
             except ServerUnreachableError:
                 return
-            except (ConfigurationError, *DECODE_ERRORS) as error:
+            except (RefusedEntryError, *DECODE_ERRORS) as error:
                 kept = ledger.spool.put_away(file)
-                ledger.notices += (f"An item that waited for the shared ledger was refused: {error} {kept}",)
+                _notice(ledger, f"An item that waited for the shared ledger was refused: {error} {kept}")
+            except (ConfigurationError, UnknownNameError, FileWriteError) as error:
+                _notice(ledger, f"An item still waits for the shared ledger: {error} {file}")
             else:
                 ledger.spool.remove(file)
 
@@ -449,3 +456,9 @@ def _with_vectors(
 def _changes_history(event: LedgerEvent) -> bool:
     """Whether an event changes the effect of earlier events."""
     return event.kind == ROLLBACK or (event.kind in STATUS_BY_EVENT_KIND and event.kind != CONFIRM)
+
+
+def _notice(ledger: Ledger, sentence: str) -> None:
+    """Add a notice, unless the ledger has it already."""
+    if sentence not in ledger.notices:
+        ledger.notices += (sentence,)

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from dualbrain.errors import DualbrainError
+from dualbrain.errors import ConfigurationError, DualbrainError
 from dualbrain.memory.ledger.hash_chain import Head, LedgerEvent
 from dualbrain.memory.ledger.vectors import StoredVector
 
@@ -59,20 +59,30 @@ class HeadMovedError(DualbrainError):
         )
 
 
+class RefusedEntryError(ConfigurationError):
+    """An event that this ledger can never take: its name exists already, or it names memories that are not in it."""
+
+
 class ServerUnreachableError(DualbrainError):
-    """The server of a shared ledger does not answer, or refuses the login.
+    """The server of a shared ledger does not answer, or refuses the login or the access to its tables for the present.
 
     `attempted` is the first event of an append whose result is unknown; None if nothing was sent.
     """
 
-    def __init__(self, reason: str, *, login_refused: bool = False, without_attempt: bool = False) -> None:
+    def __init__(
+        self, reason: str, *, login_refused: bool = False, access_refused: bool = False, without_attempt: bool = False
+    ) -> None:
         """Report the `reason` that the network or the server gives, or gave a moment ago (`without_attempt`)."""
-        self.reason, self.login_refused, self.without_attempt = reason, login_refused, without_attempt
+        self.reason, self.without_attempt = reason, without_attempt
+        self.login_refused, self.access_refused = login_refused, access_refused
         self.attempted: Head | None = None
         fault, remedy = "does not answer", "Check the network and the url in the file of the ledger, and try again."
         if login_refused:
             fault = "refuses the login"
             remedy = "Check the role in the url, and its password in ~/.pgpass (mode 0600) or the file of PGPASSFILE."
+        elif access_refused:
+            fault = "refuses the access"
+            remedy = "Check the grants of the role in the url, and whether the server is read-only."
         when = " (a moment ago)" if without_attempt else ""
         super().__init__(f"The server of the shared memory ledger {fault}: {reason}{when}. {remedy}")
 

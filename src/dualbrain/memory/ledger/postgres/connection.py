@@ -15,7 +15,7 @@ from psycopg.conninfo import conninfo_to_dict
 
 from dualbrain.errors import ConfigurationError
 from dualbrain.memory.ledger.hash_chain import CorruptLedgerError
-from dualbrain.memory.ledger.store import ServerUnreachableError
+from dualbrain.memory.ledger.store import RefusedEntryError, ServerUnreachableError
 
 CONNECT_TIMEOUT_S = 2
 """Longest time for a connection [s]; libpq has no shorter one."""
@@ -24,6 +24,14 @@ STATEMENT_TIMEOUT_S = 5.0
 IDLE_TIMEOUT_S = 15.0
 """The server ends a transaction of a client that is idle for this time [s], so that a dead writer blocks no other."""
 _POLL_S = 0.05
+_ACCESS_REFUSED = (
+    psycopg.errors.InsufficientPrivilege,
+    psycopg.errors.InvalidAuthorizationSpecification,
+    psycopg.errors.ReadOnlySqlTransaction,
+)
+"""States of a server that pass: its administrator grants the access again, or makes it writable again."""
+_TIMEOUT_STATES = ("25P03", "25P04")
+"""SQLSTATE of a transaction that was idle or ran for too long; psycopg counts them among the internal errors."""
 
 
 class ServerConnection(psycopg.Connection[tuple[Any, ...]]):
@@ -91,13 +99,14 @@ def translated_errors() -> Generator[None]:
         yield
     except psycopg.errors.UniqueViolation as error:
         sentence = f"The ledger already contains an episode or a run with this name ({_summary(error)})."
-        raise ConfigurationError.stating(sentence, fix="Use a new episode id or run name.") from error
-    except (psycopg.errors.InsufficientPrivilege, psycopg.errors.InvalidAuthorizationSpecification) as error:
-        sentence = f"The server of the shared ledger refuses this user: {_summary(error)}."
-        raise ConfigurationError.stating(sentence, fix="Check role, grants and ~/.pgpass.") from error
+        raise RefusedEntryError.stating(sentence, fix="Use a new episode id or run name.") from error
+    except _ACCESS_REFUSED as error:
+        raise ServerUnreachableError(_summary(error), access_refused=True) from error
     except (psycopg.OperationalError, psycopg.InterfaceError) as error:
         raise ServerUnreachableError(_summary(error), login_refused=_login_refused(error)) from error
     except psycopg.Error as error:
+        if error.sqlstate in _TIMEOUT_STATES:
+            raise ServerUnreachableError(_summary(error)) from error
         raise CorruptLedgerError(f"PostgreSQL reports: {_summary(error)}", seq=None, path="(server)") from error
 
 

@@ -183,7 +183,10 @@ class ReplicatedStore:
             return self._server
         if self._failure is not None and time.monotonic() < self._failed_at + RETRY_INTERVAL_S:
             raise ServerUnreachableError(
-                self._failure.reason, login_refused=self._failure.login_refused, without_attempt=True
+                self._failure.reason,
+                login_refused=self._failure.login_refused,
+                access_refused=self._failure.access_refused,
+                without_attempt=True,
             )
         with self._noting_failures():
             self._server = PostgresStore.open(self.config.url, self.config.namespace)

@@ -24,6 +24,7 @@ from dualbrain.memory.ledger.store import (
     EventBuilder,
     EventQuery,
     HeadMovedError,
+    RefusedEntryError,
     VectorRow,
 )
 from dualbrain.memory.ledger.vectors import StoredVector
@@ -214,7 +215,7 @@ def _translate_errors(path: Path) -> Generator[None]:
         raise unusable_ledger(str(error), path) from error
     except sqlite3.IntegrityError as error:
         sentence = f"The ledger already contains an episode or a run with this name ({error})."
-        raise ConfigurationError.stating(sentence, fix="Use a new episode id or run name.") from error
+        raise RefusedEntryError.stating(sentence, fix="Use a new episode id or run name.") from error
     except sqlite3.DatabaseError as error:
         raise CorruptLedgerError(f"SQLite reports: {error}", seq=None, path=str(path)) from error
 
