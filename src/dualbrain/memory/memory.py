@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -240,7 +240,14 @@ class Memory:
             return self._store_once(episode, state, now=now, image=image)
 
     def _store_once(
-        self, episode: Episode, state: Posture, *, now: float, image: ImageFeatures | None, run: str | None = None
+        self,
+        episode: Episode,
+        state: Posture,
+        *,
+        now: float,
+        image: ImageFeatures | None,
+        run: str | None = None,
+        before_commit: Callable[[Head], None] | None = None,
     ) -> StoreReport:
         """Store if the newest event is the one of which this memory has the state, otherwise raise `HeadMovedError`."""
         if any(True for _ in self.ledger.events(EPISODE, subject=episode.id)):
@@ -252,7 +259,7 @@ class Memory:
             raise RefusedEntryError("retrieved memories", got=unknown, allowed="ids of episodes in this ledger")
         transaction = self.consolidation().build_transaction(episode, state, image, now)
         entries = [dataclasses.replace(one, run=run) for one in transaction.events]
-        events = self.append(entries, now=now, after=self._seen)
+        events = self.append(entries, now=now, after=self._seen, before_commit=before_commit)
         first, head = events[0], Head(events[-1].seq, events[-1].hash)
         return StoreReport(
             episode_id=first.subject,
@@ -316,18 +323,16 @@ class Memory:
                 ledger.spool.remove(file)
 
     def _append_file(self, ledger: Ledger, file: Path) -> None:
-        """Append the item in `file`; an attempt of which no answer arrives is noted in the file."""
-        item = ledger.spool.read(file)
-        try:
-            self._append_waiting(ledger, item)
-        except ServerUnreachableError as error:
-            if error.attempted is not None:
-                attempts = (*item.attempts, error.attempted)
-                ledger.spool.replace(file, msgspec.structs.replace(item, attempts=attempts))
-            raise
+        """Append the item in `file` after the newest event, unless an earlier attempt had succeeded.
 
-    def _append_waiting(self, ledger: Ledger, item: WaitingItem) -> None:
-        """Append `item` after the newest event, unless an attempt of which no answer arrived had succeeded."""
+        Each attempt is noted in the file before it is sent: the answer may not arrive, or the process may be killed.
+        """
+        item = ledger.spool.read(file)
+
+        def note_attempt(first: Head) -> None:
+            if first not in item.attempts:
+                ledger.spool.replace(file, msgspec.structs.replace(item, attempts=(*item.attempts, first)))
+
         while not ledger.contains(item.attempts):
             try:
                 if item.events:
@@ -337,10 +342,17 @@ class Memory:
                         )
                         for one in item.events
                     ]
-                    self.append(entries, now=item.time, after=self._seen)
+                    self.append(entries, now=item.time, after=self._seen, before_commit=note_attempt)
                 else:
                     one = msgspec.json.decode(item.episode, type=_WaitingEpisode)
-                    self._store_once(one.episode, one.state, now=item.time, image=one.image, run=item.run)
+                    self._store_once(
+                        one.episode,
+                        one.state,
+                        now=item.time,
+                        image=one.image,
+                        run=item.run,
+                        before_commit=note_attempt,
+                    )
             except HeadMovedError:
                 if not self._receive():
                     raise ServerUnreachableError("it stopped answering") from None
@@ -354,15 +366,20 @@ class Memory:
         return Consolidation(self.ledger, self.state, self.index, self.config)
 
     def append(
-        self, entries: Sequence[PendingEvent], *, now: float, after: Head | None = None
+        self,
+        entries: Sequence[PendingEvent],
+        *,
+        now: float,
+        after: Head | None = None,
+        before_commit: Callable[[Head], None] | None = None,
     ) -> tuple[LedgerEvent, ...]:
         """Append events, all or none, and update state and index.
 
-        Raises `ConfigurationError` if the ledger was opened for reading, and `HeadMovedError` if `after` is given and
-        is not the newest event.
+        `before_commit` is that of `Ledger.append`. Raises `ConfigurationError` if the ledger was opened for reading,
+        and `HeadMovedError` if `after` is given and is not the newest event.
         """
         vectors = [entry.vector for entry in entries]
-        events = self._writable_ledger().append(entries, now=now, after=after)
+        events = self._writable_ledger().append(entries, now=now, after=after, before_commit=before_commit)
         if events[0].previous != self._seen.hash or any(_changes_history(event) for event in events):
             self._follow()
         else:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -119,16 +119,30 @@ class Ledger(LedgerReader):
                 self._write_anchor(now)
 
     def append(
-        self, entries: Sequence[PendingEvent], *, now: float, after: Head | None = None
+        self,
+        entries: Sequence[PendingEvent],
+        *,
+        now: float,
+        after: Head | None = None,
+        before_commit: Callable[[Head], None] | None = None,
     ) -> tuple[LedgerEvent, ...]:
         """Append `entries` to the chain, all or none, with the time `now` [s, 1970 UTC].
 
+        `before_commit` is called with the first event before anything is written; if it raises, nothing is written.
         Raises `ConfigurationError` if `now` is not finite, or an episode id or run name is in the ledger already, and
         `HeadMovedError` if `after` is given and is not the newest event.
         """
         if not math.isfinite(now):
             raise ConfigurationError("time of a ledger event", got=now, allowed="finite seconds since 1970 UTC")
-        events = self._store.append(lambda head: self._chain(entries, now, head), after=after)
+
+        def build(head: Head) -> list[ChainedEvent]:
+            chained = self._chain(entries, now, head)
+            if chained and before_commit is not None:
+                first = chained[0][0]
+                before_commit(Head(first.seq, first.hash))
+            return chained
+
+        events = self._store.append(build, after=after)
         self._last_time = now
         return events
 

@@ -1,6 +1,6 @@
 """States of a server that pass: episodes wait, retrieval continues, and no waiting item is put away."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import psycopg
@@ -10,6 +10,7 @@ from dualbrain.memory.embedding.posture_features import Posture
 from dualbrain.memory.ledger.ledger import PendingEvent
 from dualbrain.memory.ledger.postgres.connection import translated_errors
 from dualbrain.memory.ledger.shared import replicated_store
+from dualbrain.memory.ledger.shared.spool import Spool
 from dualbrain.memory.ledger.store import RefusedEntryError, ServerUnreachableError
 from dualbrain.memory.memory import Memory
 from tests.memory.ledger.shared.robots import Lab
@@ -108,3 +109,41 @@ def test_a_name_that_exists_is_a_refusal(tmp_path: Path) -> None:
         ledger.append([entry], now=NOW)
         with pytest.raises(RefusedEntryError, match="already contains"):
             ledger.append([entry], now=NOW)
+
+
+class Killed(BaseException):
+    """The end of a process at this place."""
+
+
+def test_a_process_killed_after_the_commit_of_waiting_items_stores_them_once(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with lab.open("one") as ledger:
+        memory = open_memory(ledger)
+        with monkeypatch.context() as away:
+            away.setattr(replicated_store.ReplicatedStore, "append", _unreachable)
+            ledger.start_run("r", {}, now=NOW)
+            ledger.mark_progress("plan", now=NOW)
+            memory.store(episode("e"), REST_POSTURE, now=NOW)
+    for n_removals in (0, 1, 1):
+        with lab.open("one") as ledger, monkeypatch.context() as killed:
+            killed.setattr(Spool, "remove", _killed_after(n_removals))
+            with pytest.raises(Killed):
+                open_memory(ledger)
+    with lab.open("one") as ledger:
+        open_memory(ledger)
+        assert (len(ledger.spool), ledger.notices) == (0, ())
+        kinds = [event.kind for event in ledger.events() if event.kind != "weight"]
+        assert kinds == ["run_started", "run_marked", "episode"]
+
+
+def _killed_after(n_removals: int) -> Callable[[Spool, Path], None]:
+    remove, done = Spool.remove, list[Path]()
+
+    def remove_or_die(spool: Spool, file: Path) -> None:
+        if len(done) == n_removals:
+            raise Killed
+        done.append(file)
+        remove(spool, file)
+
+    return remove_or_die

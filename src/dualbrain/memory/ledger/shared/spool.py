@@ -26,7 +26,7 @@ class WaitingEvent(msgspec.Struct, frozen=True, kw_only=True):
 class WaitingItem(msgspec.Struct, frozen=True, kw_only=True):
     """Work of the time `time` [s, 1970 UTC]: `events`, or without any an `episode` of `run` (see `memory.memory`).
 
-    `attempts` are the first events of appends whose result is unknown. The item is in the ledger if one of them is.
+    `attempts` are the first events of appends that were sent. The item is in the ledger if one of them is.
     """
 
     time: float
