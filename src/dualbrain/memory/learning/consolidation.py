@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from dualbrain.memory.config import MemoryConfig
@@ -29,6 +28,7 @@ from dualbrain.memory.ledger.events import (
 from dualbrain.memory.ledger.ledger import LedgerReader, PendingEvent
 from dualbrain.memory.plasticity.hebbian_update import W0
 from dualbrain.memory.plasticity.plan_similarity import count_differences, same_plan
+from dualbrain.memory.state.derivation import counted_outcomes
 from dualbrain.memory.state.episode_record import (
     GUIDANCE_BY_OUTCOME,
     decode_shown_exemplar_ids,
@@ -115,14 +115,14 @@ class Consolidation:
         return [event for memo in memos if updater for event in _weight_events(*updater.update(self._evidence(memo)))]
 
     def released_updates(self, names: Sequence[str], now: float) -> list[PendingEvent]:
-        """The weight events of memories that a person releases, without those that have updated weights before."""
-        memos = [self._state[name] for name in names]
-        waiting = [memo for memo in memos if memo.guidance != "none" and not self._has_updated_weights(memo)]
-        return self.confirmed_updates(waiting, self._weight_updater(now))
+        """The weight events of memories that a person releases, without those whose outcomes have been counted.
 
-    def _has_updated_weights(self, memo: MemoryState) -> bool:
-        own = self._ledger.events(WEIGHT, subject=memo.id)
-        return any(msgspec.json.decode(event.payload, type=WeightUpdate).cause == memo.id for event in own)
+        The state is the one after the release.
+        """
+        counted = counted_outcomes(self._ledger)
+        memos = [self._state[name] for name in names if name not in counted]
+        waiting = [memo for memo in memos if memo.guidance != "none"]
+        return self.confirmed_updates(waiting, self._weight_updater(now))
 
     def _weight_updater(self, now: float) -> WeightUpdater | None:
         rule = self._config.plasticity

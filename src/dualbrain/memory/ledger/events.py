@@ -26,6 +26,8 @@ STATUS_BY_EVENT_KIND: dict[str, Status] = {
     TOMBSTONE: "forgotten",
 }
 """The status that each kind of status event sets."""
+COMPACTION_ACTOR = "compaction"
+"""The actor of the status events that a compaction writes."""
 VOID_STATUSES: tuple[Status, ...] = ("quarantined", "forgotten")
 """Weight updates that memories with these statuses caused do not count."""
 
@@ -87,6 +89,8 @@ class FoldedUpdates(msgspec.Struct, frozen=True, kw_only=True):
     """Payload of a folded event: all weight events of `memory` before a compaction as one map, and the exact weight.
 
     The map gives the result for any initial weight; `weight` is the result of the sequential updates, bit for bit.
+    `has_own_outcome`: whether the updates contain those that the outcome of `memory` caused; None in events of earlier
+    versions.
     """
 
     memory: str
@@ -97,6 +101,7 @@ class FoldedUpdates(msgspec.Struct, frozen=True, kw_only=True):
     weight: float
     reinforced: int
     suppressed: int
+    has_own_outcome: bool | None = None
 
     @property
     def affine_map(self) -> AffineMap:

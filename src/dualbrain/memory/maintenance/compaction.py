@@ -13,6 +13,7 @@ from dualbrain.memory.ledger.events import (
     ACCEPTED,
     ADAPTER,
     COMPACTED,
+    COMPACTION_ACTOR,
     EPISODE,
     FOLDED,
     NEIGHBOURS,
@@ -31,7 +32,7 @@ from dualbrain.memory.ledger.hash_chain import LedgerEvent, verified_events
 from dualbrain.memory.ledger.ledger import Ledger, LedgerReader, PendingEvent
 from dualbrain.memory.ledger.shared.replicated_store import require_local
 from dualbrain.memory.plasticity.affine_map import IDENTITY, AffineMap
-from dualbrain.memory.state.derivation import derive_state, effective_events
+from dualbrain.memory.state.derivation import counted_outcomes, derive_state, effective_events
 from dualbrain.memory.state.episode_record import decode_event_header
 from dualbrain.memory.state.state import LedgerState
 
@@ -149,6 +150,7 @@ def _update_steps(event: LedgerEvent, void: frozenset[str]) -> Iterator[tuple[st
 
 
 def _folded_events(source: LedgerReader, state: LedgerState) -> Iterator[PendingEvent]:
+    counted = counted_outcomes(source, void=state.void)
     for name, update in compose_weight_updates(source, state).items():
         memo = state[name]
         yield PendingEvent(
@@ -163,6 +165,7 @@ def _folded_events(source: LedgerReader, state: LedgerState) -> Iterator[Pending
                 weight=memo.weight,
                 reinforced=memo.reinforced,
                 suppressed=memo.suppressed,
+                has_own_outcome=name in counted,
             ),
         )
 
@@ -175,9 +178,8 @@ def _status_events(source: LedgerReader, state: LedgerState) -> Iterator[Pending
     for status, kind in EVENT_KIND_BY_STATUS.items():
         names = tuple(memo.id for memo in state.memories if memo.status == status != initial[memo.id])
         if names:
-            yield PendingEvent(
-                kind=kind, subject="", payload=StatusChange(names, "as it was before the compaction", "compaction")
-            )
+            reason = "as it was before the compaction"
+            yield PendingEvent(kind=kind, subject="", payload=StatusChange(names, reason, COMPACTION_ACTOR))
 
 
 def _accepted_events(source: LedgerReader) -> Iterator[PendingEvent]:
