@@ -13,8 +13,10 @@ from hypothesis import strategies as st
 from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.memory import memory as memory_module
 from dualbrain.memory.learning.trust import TrustConfig
+from dualbrain.memory.ledger.events import FoldedUpdates
 from dualbrain.memory.ledger.ledger import Ledger, LedgerReader, PendingEvent
 from dualbrain.memory.ledger.sqlite import tables
+from dualbrain.memory.maintenance import compaction
 from dualbrain.memory.maintenance.compaction import compact_ledger, compose_weight_updates
 from dualbrain.memory.maintenance.edits import forget, quarantine, release, roll_back
 from dualbrain.memory.memory import Memory
@@ -206,6 +208,107 @@ def test_compaction_preserves_every_weight_bit_for_bit(
         _live(again, [("succeeded", 0.0, 2)], start=90)
     with pytest.raises(ConfigurationError, match="exists already"), LedgerReader(folder / "ledger.db") as reader:
         compact_ledger(reader, folder / "short.db", holder="a test", now=NOW)
+
+
+def _compacted(folder: Path, name: str, source: Ledger) -> Ledger:
+    compact_ledger(source, folder / name, holder="a test", now=NOW + 60)
+    return open_ledger(folder, name)
+
+
+def _without_own_outcomes(**fields: object) -> FoldedUpdates:
+    """The folded event of an earlier version."""
+    return FoldedUpdates(**{**fields, "has_own_outcome": None})
+
+
+@pytest.mark.parametrize("version", ["present", "earlier"])
+def test_a_release_after_a_compaction_does_not_count_an_outcome_twice(
+    tmp_path: Path, version: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if version == "earlier":
+        monkeypatch.setattr(compaction, "FoldedUpdates", _without_own_outcomes)
+    with open_ledger(tmp_path) as ledger:
+        _live(open_memory(ledger, LIVELY), SEQUENCE)
+        with _compacted(tmp_path, "short.db", ledger) as short:
+            memory = open_memory(short, LIVELY)
+            before = memory.weights()
+            quarantine(memory, ["e-2", "e-1"], "odd", now=NOW + 61)
+            release(memory, ["e-2", "e-1"], "right", now=NOW + 62)
+            assert memory.weights() == before
+
+
+def test_an_outcome_that_a_compaction_left_out_counts_once_after_a_release(tmp_path: Path) -> None:
+    with open_ledger(tmp_path) as ledger:
+        memory = open_memory(ledger, LIVELY)
+        _live(memory, SEQUENCE)
+        with_outcome = memory.weights()["e-2"]
+        quarantine(memory, ["e-2"], "odd", now=NOW + 50)
+        assert memory.weights()["e-2"] != with_outcome
+        with _compacted(tmp_path, "short.db", ledger) as short:
+            memory = open_memory(short, LIVELY)
+            release(memory, ["e-2"], "right", now=NOW + 61)
+            released = memory.weights()
+            assert next(event.subject for event in short.events("weight")) == "e-2"
+            quarantine(memory, ["e-2"], "odd", now=NOW + 62)
+            release(memory, ["e-2", "e-2"], "right", now=NOW + 63)
+            assert memory.weights() == released
+
+
+def test_an_outcome_that_the_first_of_two_compactions_folded_is_not_counted_again(tmp_path: Path) -> None:
+    with open_ledger(tmp_path) as ledger:
+        _live(open_memory(ledger, LIVELY), SEQUENCE)
+        with _compacted(tmp_path, "short.db", ledger) as short:
+            memory = open_memory(short, LIVELY)
+            before = memory.weights()
+            quarantine(memory, ["e-2"], "odd", now=NOW + 61)
+            with _compacted(tmp_path, "shorter.db", short) as shorter:
+                memory = open_memory(shorter, LIVELY)
+                release(memory, ["e-2"], "right", now=NOW + 62)
+                assert memory.weights() == before
+
+
+# --- releases -------------------------------------------------------------------------------------------------------
+
+
+def test_a_release_after_a_rollback_of_the_release_updates_the_weights_again(tmp_path: Path) -> None:
+    with open_ledger(tmp_path) as ledger:
+        memory = open_memory(ledger)
+        _live(memory, [("succeeded", 0.0, 0)])
+        memory.store(episode("b", second_opinion="none", recall=_recall(memory, 1)), REST_POSTURE, now=NOW + 1)
+        before, mark = memory.weights(), ledger.head().seq
+        release(memory, ["b"], "seen", now=NOW + 2)
+        released = memory.weights()
+        roll_back(memory, mark, "a mistake", now=NOW + 3)
+        assert memory.weights() == before != released
+        release(memory, ["b"], "seen after all", now=NOW + 4)
+        assert memory.weights() == released == derive_state(ledger).weights()
+
+
+def test_a_release_and_its_weight_updates_are_one_transaction(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with open_ledger(tmp_path) as ledger:
+        memory = open_memory(ledger, LIVELY)
+        for name in ("a", "b"):
+            memory.store(episode(name, second_opinion="disagrees"), REST_POSTURE, now=NOW)
+        append, transactions = Ledger.append, list[list[str]]()
+
+        def counted(self: Ledger, entries: list[PendingEvent], **settings: object) -> object:
+            transactions.append([entry.kind for entry in entries])
+            return append(self, entries, **settings)
+
+        monkeypatch.setattr(Ledger, "append", counted)
+        release(memory, ["a", "b"], "right", now=NOW + 1)
+        assert transactions == [["release", "weight", "neighbours", "weight", "neighbours"]]
+        assert {memo.status for memo in memory.state.memories} == {"active"}
+        assert memory.weights() == open_memory(ledger, LIVELY).weights()
+        assert {event.subject for event in ledger.events("neighbours")} == {"a", "b"}
+
+
+def test_a_release_of_an_active_memory_changes_no_weight(tmp_path: Path) -> None:
+    """Its outcome was stored by a memory without plasticity, which counts no outcome."""
+    with open_ledger(tmp_path) as ledger:
+        _live(open_memory(ledger, replace(LIVELY, plasticity=None)), [("succeeded", 0.0, 0)])
+        memory = open_memory(ledger, LIVELY)
+        release(memory, ["e-0"], "right", now=NOW + 1)
+        assert memory.weights() == {"e-0": 0.5}
 
 
 # --- snapshots ------------------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 
@@ -49,6 +49,7 @@ MAX_MISSES = 3
 """Number of times that an outcome is computed while other robots may append; then they wait."""
 SNAPSHOT_MIN_EVENTS = 2000
 """After reading more events than this, the memory writes a snapshot for the next start."""
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -229,15 +230,18 @@ class Memory:
     def _store(
         self, ledger: Ledger, episode: Episode, state: Posture, *, now: float, image: ImageFeatures | None
     ) -> StoreReport:
-        """Store after the newest event, and again if another robot was faster; the last time no other can append."""
+        return self._at_newest(ledger, lambda: self._store_once(episode, state, now=now, image=image))
+
+    def _at_newest(self, ledger: Ledger, attempt: Callable[[], T]) -> T:
+        """The result of `attempt`, again if another robot was faster; the last time no other can append."""
         for _ in range(MAX_MISSES):
             try:
-                return self._store_once(episode, state, now=now, image=image)
+                return attempt()
             except HeadMovedError:
                 self._receive()
         with ledger.exclusive():
             self._receive()
-            return self._store_once(episode, state, now=now, image=image)
+            return attempt()
 
     def _store_once(
         self,
@@ -387,6 +391,15 @@ class Memory:
             apply_events(events, str(self.ledger.path), lambda event: self._apply(event, vector_by_seq[event.seq]))
             self._seen = Head(events[-1].seq, events[-1].hash)
         return events
+
+    def append_computed(self, compute: Callable[[], Sequence[PendingEvent]], *, now: float) -> tuple[LedgerEvent, ...]:
+        """Append the events that `compute` derives from the newest state, all or none.
+
+        They are computed again if another robot was faster. Raises the errors of `append` and `compute`.
+        """
+        ledger = self._writable_ledger()
+        self._receive()
+        return self._at_newest(ledger, lambda: self.append(compute(), now=now, after=self._seen))
 
     def _writable_ledger(self) -> Ledger:
         if not isinstance(self.ledger, Ledger):

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import msgspec
 
 from dualbrain.errors import ConfigurationError, UnknownNameError
-from dualbrain.memory.learning.consolidation import PERSON_ACTOR
+from dualbrain.memory.learning.consolidation import PERSON_ACTOR, Consolidation
 from dualbrain.memory.ledger.events import (
     ADAPTER,
     AUDIT,
@@ -25,7 +25,7 @@ from dualbrain.memory.ledger.events import (
 )
 from dualbrain.memory.ledger.ledger import Ledger, PendingEvent
 from dualbrain.memory.memory import Memory
-from dualbrain.memory.state.derivation import effective_events
+from dualbrain.memory.state.derivation import derive_state, effective_events
 from dualbrain.memory.state.history import check_rollback_target
 from dualbrain.records import MemoryUse
 
@@ -45,21 +45,22 @@ def quarantine(memory: Memory, names: Sequence[str], reason: str, *, now: float,
 def release(memory: Memory, names: Sequence[str], reason: str, *, now: float, actor: str = PERSON_ACTOR) -> None:
     """Release quarantined memories and candidates: they are retrieved again, and their weight updates count again.
 
-    A memory that was never active before now causes the weight updates of its outcome. A forgotten memory cannot be
-    released: roll back to an event before it was forgotten. Raises `ConfigurationError` and `UnknownNameError`.
+    A memory that was never active before now causes the weight updates of its outcome, in the same transaction. A
+    forgotten memory cannot be released: roll back to an event before it was forgotten. Raises `ConfigurationError` and
+    `UnknownNameError`.
     """
-    _check_known(memory, names)
-    if forgotten := [name for name in names if memory.state[name].status == "forgotten"]:
-        raise ConfigurationError.stating(
-            f"Forgotten memories cannot be released: {', '.join(forgotten)}.",
-            fix="Roll back to an event before they were forgotten.",
-        )
-    memory.append(
-        [PendingEvent(kind=RELEASE, subject="", payload=StatusChange(tuple(names), _check_reason(reason), actor))],
-        now=now,
-    )
-    if updates := memory.consolidation().released_updates(names, now):
-        memory.append(updates, now=now)
+    change = StatusChange(tuple(names), _check_reason(reason), actor)
+
+    def compute() -> list[PendingEvent]:
+        _check_known(memory, names)
+        if forgotten := [name for name in names if memory.state[name].status == "forgotten"]:
+            raise ConfigurationError.stating(
+                f"Forgotten memories cannot be released: {', '.join(forgotten)}.",
+                fix="Roll back to an event before they were forgotten.",
+            )
+        return [PendingEvent(kind=RELEASE, subject="", payload=change), *_released_updates(memory, names, now)]
+
+    memory.append_computed(compute, now=now)
 
 
 def forget(memory: Memory, names: Sequence[str], reason: str, *, now: float, actor: str = PERSON_ACTOR) -> None:
@@ -111,6 +112,22 @@ def record_replay(memory: Memory, finding: ReplayFinding, *, now: float) -> None
     """Record the result of a replay of a memory; a person decides on the consequences."""
     _check_known(memory, (finding.memory,))
     memory.append([PendingEvent(kind=REPLAYED, subject=finding.memory, payload=finding)], now=now)
+
+
+def _released_updates(memory: Memory, names: Sequence[str], now: float) -> list[PendingEvent]:
+    """The weight events that a release of `names` causes, computed from the state after it.
+
+    Active memories cause none: their outcomes have been counted when they became active.
+    """
+    released = [name for name in dict.fromkeys(names) if memory.state[name].status != "active"]
+    if not released:
+        return []
+    state, rows = derive_state(memory.ledger, released=released), [memory.state.rows[name] for name in released]
+    memory.index.sync(state, rows)
+    try:
+        return Consolidation(memory.ledger, state, memory.index, memory.config).released_updates(released, now)
+    finally:
+        memory.index.sync(memory.state, rows)
 
 
 def _check_known(memory: Memory, names: Sequence[str]) -> None:
