@@ -122,6 +122,21 @@ def test_one_source_changes_weights_within_the_daily_bounds(
         assert change.share == min(1.0, bound / abs(0.95 * change.before - 0.1 - change.before))
 
 
+def test_outcomes_of_an_earlier_day_count_on_the_newest_day(tmp_path: Path) -> None:
+    """A slow clock, or episodes that waited for a server, do not switch the bound off."""
+    bound = 0.15
+    trust = TrustConfig(max_change_per_memory=bound)
+    with open_ledger(tmp_path) as ledger:
+        memory = open_memory(ledger, replace(CONFIG, trust=trust))
+        memory.store(episode("a", proposer="founder"), REST_POSTURE, now=MIDNIGHT)
+        shown, start = _recall(memory), memory.weights()["a"]
+        for i, days in enumerate((0, 1, 1, 2, 1)):  # before midnight of the newest day
+            late = episode(f"e-{i}", "failed", recall=shown, proposer="mallory")
+            memory.store(late, REST_POSTURE, now=MIDNIGHT - days * SECONDS_PER_DAY)
+        assert start - memory.weights()["a"] == pytest.approx(bound)
+        assert memory.state.influence == open_memory(ledger, memory.config).state.influence
+
+
 @given(st.floats(0, 1), st.floats(0.5, 1), st.floats(-1, 1), st.floats(0, 2), st.floats(0, 2))
 def test_a_limited_update_stays_within_the_budget(
     w: float, gain: float, offset: float, total: float, single: float

@@ -17,7 +17,8 @@ class TrustConfig:
 
     With `quarantine`, a success is a candidate until the independent senses, or a later consistent outcome that these
     senses confirm, confirm it; an outcome that the senses dispute is quarantined. `max_change_per_source` bounds Σ|Δw|
-    that the outcomes of one source cause in one day over all memories, `max_change_per_memory` the part on one memory.
+    that the outcomes of one source cause in one day over all memories, `max_change_per_memory` the part on one memory;
+    an outcome that is older than the newest day of the ledger counts on that day.
     `min_similarity` is the least cosine of two situations in which the same contract counts as repeated.
     """
 

@@ -67,24 +67,27 @@ class MemoryState(msgspec.Struct, kw_only=True):
 
 
 class Influence(msgspec.Struct):
-    """Σ|Δw| that each source has caused today: over all memories besides the cause itself, and per memory."""
+    """Σ|Δw| that each source has caused on the newest day: over all memories besides the cause itself, and per memory.
+
+    A change of an earlier day, for example by a robot whose clock is slow or whose episode waited for a server, counts
+    on the newest day: otherwise its source could cause any change.
+    """
 
     day: int = -1
     total: dict[str, float] = {}
     single: dict[str, dict[str, float]] = {}
 
     def add(self, day: int, source: str, memory: str, change: float) -> None:
-        """Add a `change` |Δw| on `day` (days since 1970); a new day starts at zero."""
+        """Add a `change` |Δw| on `day` (days since 1970) or the newest day; a new day starts at zero."""
         if day > self.day:
             self.day, self.total, self.single = day, {}, {}
-        if day == self.day:
-            self.total[source] = self.total.get(source, 0.0) + change
-            by_memory = self.single.setdefault(source, {})
-            by_memory[memory] = by_memory.get(memory, 0.0) + change
+        self.total[source] = self.total.get(source, 0.0) + change
+        by_memory = self.single.setdefault(source, {})
+        by_memory[memory] = by_memory.get(memory, 0.0) + change
 
     def accumulated_change(self, day: int, source: str, memory: str) -> tuple[float, float]:
-        """Σ|Δw| caused by `source` on `day`: over all memories, and on `memory`."""
-        if day != self.day:
+        """Σ|Δw| caused by `source` on `day` or the newest day: over all memories, and on `memory`."""
+        if day > self.day:
             return 0.0, 0.0
         return self.total.get(source, 0.0), self.single.get(source, {}).get(memory, 0.0)
 
