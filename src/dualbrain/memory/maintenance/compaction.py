@@ -8,6 +8,7 @@ from pathlib import Path
 
 import msgspec
 
+from dualbrain.core.storage.atomic_files import fsync_folder
 from dualbrain.errors import ConfigurationError
 from dualbrain.memory.ledger.events import (
     ACCEPTED,
@@ -28,7 +29,7 @@ from dualbrain.memory.ledger.events import (
     StatusChange,
     WeightUpdate,
 )
-from dualbrain.memory.ledger.hash_chain import LedgerEvent, verified_events
+from dualbrain.memory.ledger.hash_chain import Head, LedgerEvent, verified_events
 from dualbrain.memory.ledger.ledger import Ledger, LedgerReader, PendingEvent
 from dualbrain.memory.ledger.shared.replicated_store import require_local
 from dualbrain.memory.plasticity.affine_map import IDENTITY, AffineMap
@@ -47,7 +48,8 @@ def compact_ledger(source: LedgerReader, target: Path, *, holder: str, now: floa
     Kept: every episode in effect with its vector, adapter events, statuses. Folded: all weight events of a memory
     become one clipped affine map and the exact weight. Lost: the ability to roll back to events before the compaction,
     and to exclude single outcomes of that time; the archive, which the first event names by its head, still has both.
-    Raises `CorruptLedgerError` if a link or a vector of `source` is wrong, and `ConfigurationError` if `target` exists.
+    The written file is read again and compared. Raises `CorruptLedgerError` if a link or a vector of `source` is wrong,
+    and `ConfigurationError` if `target` exists, or does not contain everything afterwards.
     """
     if target.exists():
         raise ConfigurationError.stating(
@@ -73,6 +75,9 @@ def compact_ledger(source: LedgerReader, target: Path, *, holder: str, now: floa
             ],
             now=now,
         )
+        ledger.checkpoint_wal()
+        written = ledger.head()
+    _verify_compacted(target, state, written)
     return state
 
 
@@ -80,26 +85,60 @@ def compact_in_place(path: Path, *, holder: str, now: float, timeout_s: float) -
     """Compact the ledger at `path` in place; returns the path of the archive, which is the full ledger.
 
     If the process is killed during the compaction, the full ledger remains at `path`, or is the archive beside the
-    compacted one. Raises `ConfigurationError` for a shared ledger.
+    compacted one. Raises `ConfigurationError` for a shared ledger, if the archive exists already, and if another
+    process reads the ledger; then the full ledger remains at `path`, too.
     """
     require_local(path, "compacted")
     with Ledger(path, holder=holder, now=now, timeout_s=timeout_s) as full:
         archive = path.with_name(f"{path.name}.archive-{full.head().seq}")
+        if archive.exists() and not archive.samefile(path):
+            sentence = f"The archive of the compaction, {archive}, exists already."
+            raise ConfigurationError.stating(sentence, fix="Compact the ledger after its next event.")
         partial = path.with_name(f"{path.name}.compacting")
         for old in path.parent.glob(f"{partial.name}*"):
             old.unlink()
         compact_ledger(full, partial, holder=holder, now=now)
         full.checkpoint_wal()
+        for file in (path, partial):
+            _require_empty_wal(file)
         for old in path.parent.glob(f"{path.name}.snapshot-*"):
             old.unlink()
-        os.link(path, archive)
+        if not archive.exists():
+            os.link(path, archive)
+        fsync_folder(path.parent)
         partial.replace(path)
+        fsync_folder(path.parent)
         for leftover in (path.with_name(f"{path.name}-wal"), path.with_name(f"{path.name}-shm")):
             leftover.unlink(missing_ok=True)
-    for suffix in (".lock", ".anchor"):
+    for suffix in (".lock", ".anchor", "-wal", "-shm"):
         partial.with_name(f"{partial.name}{suffix}").unlink(missing_ok=True)
     Ledger(path, holder=holder, now=now, timeout_s=timeout_s).close()  # writes the anchor of the compacted ledger
     return archive
+
+
+def _verify_compacted(target: Path, state: LedgerState, head: Head) -> None:
+    """Raise `ConfigurationError` unless the file `target` alone has the events up to `head`, and the `state`."""
+    _require_empty_wal(target)
+    with LedgerReader(target) as written:
+        chain = written.verify()
+        is_complete = chain.is_intact and chain.head == head and _learned(derive_state(written)) == _learned(state)
+    if not is_complete:
+        sentence = f"The compacted ledger {target} differs from the full one, which is unchanged."
+        raise ConfigurationError.stating(sentence, fix="Check the disk, remove the compacted ledger, and try again.")
+
+
+def _learned(state: LedgerState) -> list[tuple[object, ...]]:
+    """The fields of all memories that a compaction must preserve, bit for bit."""
+    return [(memo.id, memo.status, memo.weight, memo.reinforced, memo.suppressed) for memo in state.memories]
+
+
+def _require_empty_wal(path: Path) -> None:
+    """Raise `ConfigurationError` if some events of the ledger at `path` are only in its write-ahead log."""
+    target = path.resolve()
+    log = target.with_name(f"{target.name}-wal")
+    if log.exists() and log.stat().st_size:
+        sentence = f"The write-ahead log {log} is not empty, so that the ledger file alone is not complete."
+        raise ConfigurationError.stating(sentence, fix="Close other processes that use the ledger, and try again.")
 
 
 def _episode_events(source: LedgerReader) -> Iterator[tuple[float, PendingEvent]]:
