@@ -284,8 +284,9 @@ def test_a_release_after_a_rollback_of_the_release_updates_the_weights_again(tmp
 
 
 def test_a_release_and_its_weight_updates_are_one_transaction(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = replace(LIVELY, trust=TrustConfig())
     with open_ledger(tmp_path) as ledger:
-        memory = open_memory(ledger, LIVELY)
+        memory = open_memory(ledger, config)
         for name in ("a", "b"):
             memory.store(episode(name, second_opinion="disagrees"), REST_POSTURE, now=NOW)
         append, transactions = Ledger.append, list[list[str]]()
@@ -298,7 +299,7 @@ def test_a_release_and_its_weight_updates_are_one_transaction(tmp_path: Path, mo
         release(memory, ["a", "b"], "right", now=NOW + 1)
         assert transactions == [["release", "weight", "neighbours", "weight", "neighbours"]]
         assert {memo.status for memo in memory.state.memories} == {"active"}
-        assert memory.weights() == open_memory(ledger, LIVELY).weights()
+        assert memory.weights() == open_memory(ledger, config).weights()
         assert {event.subject for event in ledger.events("neighbours")} == {"a", "b"}
 
 
