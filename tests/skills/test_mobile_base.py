@@ -7,13 +7,15 @@ import numpy as np
 import pytest
 
 from dualbrain.contracts.contract import Action, Context, Contract
-from dualbrain.core.geometry.shapes import Box, Pose
+from dualbrain.core.geometry.shapes import Box, Capsule, Pose
 from dualbrain.grounding.envelope.scene_rules import scene_rules
+from dualbrain.records import ObjectLimits, SceneObject
 from dualbrain.robots.interface import Command
 from dualbrain.safety.cbf.obstacles import Obstacle
 from dualbrain.simulation.scenes.scene_spec import ObjectSpec
-from dualbrain.skills.mobile_base.controller import PERSON_WAIT_TIMEOUT, wrap_angle
+from dualbrain.skills.mobile_base.controller import PERSON_WAIT_TIMEOUT, YIELD_SPEED, wrap_angle
 from dualbrain.skills.mobile_base.path_planning import clearance, plan_path
+from dualbrain.skills.skill import HeldObject
 from dualbrain.skills.time_slicing import run_to_completion
 from tests.simulation.mobile_base_cell import MOBILE_BASE, MobileBaseCell, drive_to_action
 
@@ -42,6 +44,31 @@ def test_the_base_clears_the_path_of_a_person_who_starts_to_walk(seed, speed):
     outcome = cell.run(drive_to_action("shelf", speed))
     assert outcome.kind == "succeeded", outcome.reason
     assert cell.monitor.violations() == ()
+
+
+@pytest.mark.parametrize(("limit", "pace"), [(None, YIELD_SPEED), (0.25, 0.25), (0.9, YIELD_SPEED)])
+def test_the_base_leaves_the_path_of_a_person_within_the_speed_limit_of_the_load(limit, pace):
+    """A person walks toward the place of the base, which a drive at 0.1 m/s would not leave in time."""
+    base = MobileBaseCell().executor.loop.controller
+    scene = base.observation.scene
+    walker = SceneObject(
+        name="walker",
+        role="person",
+        shape=Capsule(0.2, 0.6),
+        pose=Pose((0.0, -1.2, 0.8)),
+        velocity=(0.0, 0.5, 0.0),
+        stamp=scene.stamp,
+    )
+    cube = SceneObject(
+        name="red_cube",
+        role="object",
+        shape=Box((0.02, 0.02, 0.02)),
+        pose=Pose((0.3, 0.0, 0.6)),
+        limits=ObjectLimits(speed=limit),
+    )
+    base.observation.scene = msgspec.structs.replace(scene, objects=(*scene.objects, walker, cube))
+    base.holding = HeldObject("red_cube", 0.03)
+    assert base._passing_speed([np.zeros(2), np.array([3.0, 0.0])], np.zeros(2), 0.1) == pace
 
 
 def test_waiting_for_a_person_who_stays_in_the_way_ends():

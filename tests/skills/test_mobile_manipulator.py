@@ -24,6 +24,7 @@ from dualbrain.simulation.tasks.placement import PlacementGoal, parse_goal
 from dualbrain.simulation.world import SimulatedWorld
 from dualbrain.skills.mobile_manipulator import LocalFrame
 from dualbrain.skills.registry import skill_registry
+from dualbrain.skills.skill import HeldObject
 
 BODY = load_robot("mobile_panda")
 GRASP = (
@@ -144,6 +145,15 @@ def test_an_opening_that_is_too_small_is_refused_at_the_gate_also_after_a_drive(
     refused = [refusal for rule in rules if (refusal := rule(contract(drive_to("bench"), narrow, PLACE)))]
     assert [refusal.pointer for refusal in refused] == ["/action_sequence/1/params/opening"]
     assert all(rule(contract(drive_to("bench"), GRASP, PLACE)) is None for rule in rules)
+
+
+def test_the_base_observes_the_object_in_the_hand():
+    scene = scene_from_spec(open_scene("workroom:0", BODY.name))
+    robot = controller_at_home(BODY.name, scene)
+    for held in (HeldObject("red_cube", 0.03), None):
+        robot.holding = held
+        robot.observe(robot.observation)
+        assert robot.base.holding is held
 
 
 def test_a_container_is_no_driving_destination():

@@ -165,6 +165,7 @@ class MobileManipulatorController:
         state = self._arm_model.observe(observation.state)
         tool = self._arm_model.localize_tool(observation.tool)
         self.arm.observe(replace(observation, state=state, tool=tool, scene=self._local_scene(observation.scene)))
+        self.base.holding = self.arm.holding
 
     @property
     def observation(self) -> Observation:

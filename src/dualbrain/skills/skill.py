@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Generator
 from dataclasses import dataclass, field
 from enum import Enum
+from math import inf
 from typing import Protocol
 
 import numpy as np
@@ -45,6 +46,12 @@ class HeldObject:
 
     name: str
     below_tool: float
+
+    def speed_limit(self, scene: Scene) -> float:
+        """Largest speed [m/s] that the site allows with this object in the hand; infinite without a limit."""
+        obj = next((one for one in scene.objects if one.name == self.name), None)
+        limit = obj.limits.speed if obj and obj.limits else None
+        return inf if limit is None else limit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

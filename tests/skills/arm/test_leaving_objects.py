@@ -2,13 +2,14 @@
 
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
 from dualbrain.core.geometry.shapes import Box, Pose
-from dualbrain.records import Scene, SceneObject
+from dualbrain.records import ObjectLimits, Scene, SceneObject
 from dualbrain.skills.arm import grasp
-from dualbrain.skills.arm.controller import LEAVING_TIMEOUT, YIELDED
+from dualbrain.skills.arm.controller import LEAVING_TIMEOUT, YIELD_SPEED, YIELDED
 from dualbrain.skills.kinematics.object_geometry import CLEARANCE, part_clearance
 from dualbrain.skills.skill import HeldObject, Observation
 from dualbrain.skills.time_slicing import run_to_completion
@@ -95,6 +96,20 @@ def test_fingers_that_press_on_the_object_rise_straight_up(holding):
     assert cell.carry_out(cell.controller.avoid_person("close", 0.3)) is YIELDED
     assert cell.phases[0] == ("yield" if holding else "close")
     assert_straight_up(cell.path[-1] - cell.path[0])
+
+
+@pytest.mark.parametrize(("limit", "most"), [(0.05, 0.05), (None, YIELD_SPEED)])
+def test_a_hand_with_an_object_yields_within_the_speed_limit_of_the_object(limit, most):
+    cell = CellWithCube(person_until=1.0)
+    table, cube = cell.scene.objects
+    held = msgspec.structs.replace(cube, limits=ObjectLimits(speed=limit))
+    cell.scene = msgspec.structs.replace(cell.scene, objects=(table, held))
+    cell.state = replace(cell.state, finger_forces=(5.0, 5.0))
+    cell.controller.holding = HeldObject("cube", 0.02)
+    cell.observe()
+    assert cell.carry_out(cell.controller.avoid_person("carry", 0.3)) is YIELDED
+    fastest = np.linalg.norm(np.diff(cell.path, axis=0), axis=1).max() / BODY.period
+    assert 0.8 * most < fastest <= 1.05 * most
 
 
 def test_a_hand_that_cannot_leave_yields_after_the_timeout():

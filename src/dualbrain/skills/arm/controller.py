@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import replace
-from math import sqrt
+from math import inf, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,7 +57,7 @@ TOOL_SPEED_FRACTION = 0.95
 MAX_EVASION_HEIGHT = 0.50
 """Largest tool height during evasion [m]."""
 YIELD_SPEED = 0.30
-"""Tool speed during evasion of a person [m/s]."""
+"""Tool speed during evasion of a person [m/s]; less if robot, site or the limit of the held object allows less."""
 LEAVING_SPEED, LEAVING_STEP, LEAVING_TIMEOUT = 0.15, 0.05, 2.0
 """Speed of the open hand while it leaves an object [m/s], distance of its goal [m], and longest duration [s]."""
 PERSON_CLEARANCE = 0.17
@@ -160,7 +160,7 @@ class ArmController:
         without progress it ends as taken over; with `near_suffices`, which is for goals from which another motion
         follows, it succeeds within `PASSING_TOLERANCE` of the goal. It also succeeds once `until()` is true.
         """
-        speed = min(speed, TOOL_SPEED_FRACTION * self.robot_model.tool_speed.value)
+        speed = min(speed, self._max_tool_speed)
         near, turned = RESTING_TOLERANCE if stop else PASSING_TOLERANCE
         progress = ProgressWatchdog(
             self.observation.active_time, time_limit=4.0 + 3.0 * self._distance(goal) / speed, timeout=timeout
@@ -259,7 +259,7 @@ class ArmController:
             target_height = min(height + self.below_tool, MAX_EVASION_HEIGHT)
             if tool.position[2] < target_height - 0.005:
                 up = np.array([tool.position[0], tool.position[1], target_height])
-                u = self._phi.toward_pose(state, tool, pose_error(tool, up, rotation), YIELD_SPEED, posture, now)
+                u = self._phi.toward_pose(state, tool, pose_error(tool, up, rotation), self._yield_speed, posture, now)
             else:
                 u = self._phi.rest(state, now)
             near = near and self._is_near_permitted_contact(phase)
@@ -387,6 +387,17 @@ class ArmController:
     def below_tool(self) -> float:
         """Distance of the lowest point of the load, or of the empty fingers, below the tool [m]."""
         return self.holding.below_tool if self.holding else self.robot_model.gripper.pad_below_tool
+
+    @property
+    def _max_tool_speed(self) -> float:
+        """Largest tool speed [m/s] of a nominal motion of φ."""
+        return TOOL_SPEED_FRACTION * self.robot_model.tool_speed.value
+
+    @property
+    def _yield_speed(self) -> float:
+        """Tool speed [m/s] during evasion of a person, within the limit of the held object."""
+        most = self.holding.speed_limit(self.observation.scene) if self.holding else inf
+        return min(YIELD_SPEED, self._max_tool_speed, most)
 
     def person_threat_height(
         self, spot: Array, horizon: float = 1.5, radius: float = PERSON_CLEARANCE, *, any_height: bool = False

@@ -42,7 +42,10 @@ NEW_WAIT_DISTANCE = 0.5
 PASSING_CLEARANCE = 0.4
 """Least distance between the footprint and a passing person [m] at which the base drives on; else it waits."""
 YIELD_SPEED = 0.5
-"""Least speed at which the base leaves the path of a person [m/s], above the speed parameter if necessary."""
+"""Speed at which the base leaves the path of a person [m/s], above the speed parameter if necessary.
+
+It is less if the limit of the object in the hand of a mobile manipulator is.
+"""
 PREDICTION_HORIZON = 3.0
 """Shortest horizon of the prediction of people [s]."""
 PASSING_DISTANCE = 2.2
@@ -58,6 +61,7 @@ class BaseController:
         """Use `motion` for the projection; call `observe` before every step of a routine."""
         self.robot_model = robot_model
         self.holding: HeldObject | None = None
+        """The object in the hand of a mobile manipulator."""
         self.footprint_radius = max(
             float(np.hypot(*sphere.centre[:2])) + sphere.radius for sphere in robot_model.spheres
         )
@@ -202,7 +206,8 @@ class BaseController:
     def _passing_speed(self, path: Sequence[Array], here: Array, speed: float) -> float:
         """Speed at which to continue [m/s]: `speed` if all people keep their distance, else 0 to let them pass.
 
-        If standing still would block the path of a person, the base drives on at `YIELD_SPEED` or faster.
+        If standing still would block the path of a person, the base drives on at `YIELD_SPEED` or faster,
+        within the limit of the object in the hand.
         """
         scene, now = self.observation.scene, self.observation.now
         if not any(obj.role == "person" for obj in scene.objects):
@@ -220,7 +225,8 @@ class BaseController:
         if distance_at(speed) > min_distance:
             return speed
         standing = min_person_distance(scene, lambda t: here, horizon, now)
-        faster = max(speed, YIELD_SPEED)
+        most = self.holding.speed_limit(scene) if self.holding else inf
+        faster = max(speed, min(YIELD_SPEED, most))
         return 0.0 if standing > min_distance or standing >= distance_at(faster) else faster
 
     def _wait_for_people(self, path: Sequence[Array], speed: float, since: float) -> SubRoutine:
