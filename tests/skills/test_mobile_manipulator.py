@@ -121,6 +121,21 @@ def test_the_gate_checks_reach_only_at_the_present_base_pose():
     assert any(rule(contract(drive_to("bench"), PLACE)) is not None for rule in rules), "a place needs a held object"
 
 
+def test_the_gate_does_not_check_reach_in_the_heading_before_a_turn():
+    """In front of the bench the cube is out of reach while the base is turned away, and within reach after a turn."""
+    spot = open_scene("workroom:0", BODY.name).find_place("bench").position
+    refusals = {}
+    for heading in (-1.57, 1.57):
+        loop = MobileManipulatorCell(at=(spot[0], spot[1] - 0.15, heading)).executor.loop
+        rules = scene_rules(loop.scene, loop.controller)
+        turn = ("turn_to", {"heading": 1.57, "max_turn_rate": 0.8})
+        for actions in ((GRASP, PLACE), (turn, GRASP, PLACE)):
+            found = [refusal.hint for rule in rules if (refusal := rule(contract(*actions)))]
+            refusals[heading, actions[0][0]] = found
+    assert [hint for hint in refusals.pop((-1.57, "grasp")) if "out of reach" in hint]
+    assert not any(refusals.values())
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_an_object_out_of_reach_from_the_place_driven_to_is_refused_at_the_gate(seed):
     scene = scene_from_spec(open_scene(f"workroom:{seed}", BODY.name))

@@ -31,6 +31,8 @@ from dualbrain.skills.time_slicing import run_to_completion
 TARGET_PARAMETERS = {"grasp": "object", "place": "destination", "push": "object", "move_to": "target"}
 """The parameter of each skill that names the target of the arm."""
 
+BASE_MOTIONS = ("drive_to", "drive_to_pose", "turn_to")
+"""Skills after which the pose of the base is another one."""
 NEED_EMPTY_HAND, NEED_LOAD = ("grasp", "push"), ("place",)
 """Skills that need an empty hand, and skills that need a held object."""
 FULL_HAND_HINT = "the hand is full: place or release first"
@@ -209,9 +211,9 @@ def _check_reach(arm: ArmController, obj: SceneObject, params: Mapping[str, Any]
 def _check_grasps_before_driving(
     contract: Contract, scene: Scene, robot: MobileManipulatorController
 ) -> Rejected | None:
-    """Apply `_check_grasps` to the grasps before the first drive; the pose of the base after a drive is unknown yet."""
-    driving = (i for i, action in enumerate(contract.action_sequence) if action.skill in ("drive_to", "drive_to_pose"))
-    before = contract.action_sequence[: next(driving, None)]
+    """Apply `_check_grasps` to the grasps before the first motion of the base; its pose after that is unknown yet."""
+    moving = (i for i, action in enumerate(contract.action_sequence) if action.skill in BASE_MOTIONS)
+    before = contract.action_sequence[: next(moving, None)]
     if not any(action.skill == "grasp" for action in before):
         return None
     robot.activate(driving=False)
