@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from dualbrain.grounding.instruction.goals.goal import Held, Observed, Placed, Pushed, RobotEnds
+from dualbrain.grounding.instruction.goals.goal_reading import read_goal
 from dualbrain.grounding.outcome.evidence import arm_home, base_position
 from dualbrain.grounding.outcome.goal_conditions import ARRIVAL_DISTANCE, condition_holds
+from dualbrain.grounding.outcome.sense_fulfilled import judge_fulfilled
 from dualbrain.robots.loader import load_robot
-from tests.grounding.outcome.tabletop_cases import HOME, evidence
+from tests.grounding.outcome.tabletop_cases import BEFORE, HOME, evidence
 
 CUBE, BLOCKS, CUBE_IN = ("red_cube",), ("red_block", "yellow_block"), {"red_cube": "in the bowl"}
 IN_BOWL = Placed(CUBE, "in", ("blue_bowl",))
@@ -57,6 +59,16 @@ def test_a_push_has_a_direction(where, directions):
 def test_an_object_in_the_hand_or_in_a_container_was_not_pushed(end):
     one = evidence(**{"moves": {"red_cube": "pushed to the bowl"}} | end)
     assert condition_holds(Pushed(CUBE, "left"), one) is False
+
+
+def test_an_object_that_fell_off_the_table_was_not_pushed():
+    on_table, on_floor, at_edge = (evidence({"red_cube": where}) for where in ("pushed away", "on the floor", "sunk"))
+    for direction, reference in (("right", ""), ("forward", ""), ("away_from", "blue_bowl")):
+        pushed = Pushed(CUBE, direction, reference)
+        assert condition_holds(pushed, on_table) is True
+        assert condition_holds(pushed, on_floor) is False
+        assert condition_holds(pushed, at_edge) is None  # on the table or beside it: within the error
+    assert judge_fulfilled(read_goal("push the red cube to the right", BEFORE), on_floor).verdict == "contradicted"
 
 
 def test_an_object_that_is_observed_stays_where_it_was():

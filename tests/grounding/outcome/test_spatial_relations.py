@@ -66,6 +66,12 @@ def test_left_and_right_are_those_of_the_robot(x, y, left, right):
     assert relation(cube_at(x, y), "right_of") is right
 
 
+@pytest.mark.parametrize("name", ["near", "at", "left_of"])
+def test_an_object_on_the_floor_is_not_beside_one_on_the_table(name):
+    assert relation(cube_at(0.50, 0.37), name) is True
+    assert relation(cube_at(0.50, 0.37, -0.695), name) is False
+
+
 @pytest.mark.parametrize("name", ["in_front_of", "behind"])
 def test_before_and_behind_depend_on_the_point_of_view(name):
     assert relation(cube_at(0.70, 0.25), name) is None

@@ -124,14 +124,17 @@ def is_on(obj: SceneObject, other: SceneObject) -> bool | None:
 def is_at(obj: SceneObject, place: Place) -> bool | None:
     """Whether `obj` is at `place`, on the surface of the place."""
     near = below(horizontal_distance(obj, place), PLACE_RADIUS, obj.error)
-    low = vertical_extent(obj)[0] - place.position[2]
-    return all_true((near, below(low, SURFACE_TOLERANCE, obj.error), negate(below(low, -SURFACE_TOLERANCE, obj.error))))
+    return all_true((near, _is_level(vertical_extent(obj)[0] - place.position[2], obj.error)))
 
 
 def is_lowered(obj: SceneObject, scene: Scene) -> bool | None:
-    """Whether `obj` rests on the support of `scene`."""
-    low = vertical_extent(obj)[0] - support_height(scene)
-    return below(low, SURFACE_TOLERANCE, obj.error)
+    """Whether `obj` rests on the support of `scene`, neither above nor below it, as on the floor beside a table."""
+    return _is_level(vertical_extent(obj)[0] - support_height(scene), obj.error)
+
+
+def _is_level(height: float, error: float) -> bool | None:
+    """Whether a lowest point at `height` [m] above a surface, within `error`, is on the surface."""
+    return all_true((below(height, SURFACE_TOLERANCE, error), negate(below(height, -SURFACE_TOLERANCE, error))))
 
 
 def support_height(scene: Scene) -> float:
