@@ -38,6 +38,15 @@ def test_the_second_run_places_the_object_that_the_first_one_grasped(two_runs):
     assert cube.position[:2] == pytest.approx(bowl.position[:2], abs=0.03)
 
 
+def test_the_senses_judge_the_object_that_was_in_the_hand_at_the_beginning(two_runs):
+    _, _, episode = two_runs
+    (one,) = episode.outcome.grips
+    assert (one.object_name, one.released) == ("red_cube", True)
+    verdicts = {one.sense: one.verdict for one in episode.senses}
+    assert {verdicts[name] for name in ("placed", "intact", "undisturbed")} == {"confirmed"}
+    assert episode.second_opinion == "agrees"
+
+
 def test_the_second_run_begins_with_the_scene_at_the_end_of_the_first(two_runs):
     first, second, _ = two_runs
     assert load_scene(second / "scene.json") == load_end_state(first / END_STATE_FILE).scene

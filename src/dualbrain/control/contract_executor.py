@@ -98,7 +98,7 @@ class ContractExecutor:
         However the contract ends, the arm brakes to rest through the filter; the supervisor decides about the drive. An
         exception in here is a programming error: the drive goes off at once, and the outcome names the error.
         """
-        first = len(self.log.trace)
+        first, held = len(self.log.trace), self.held_object
         self.loop.begin_contract()
         self._clear_stop()
         results: list[ActionResult] = []
@@ -121,7 +121,7 @@ class ContractExecutor:
         return msgspec.structs.replace(
             outcome,
             margin_shortfalls=self._margin_shortfalls(first),
-            grips=grip_profiles(self.log.trace, first, contract),
+            grips=grip_profiles(self.log.trace, first, contract, held),
         )
 
     def _margin_shortfalls(self, first: int) -> tuple[MarginShortfall, ...]:

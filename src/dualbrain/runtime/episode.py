@@ -92,7 +92,11 @@ def run_episode(
     decision = _decide(request, agent, executor, clock, context)
     outcome, contract = _execute(decision, executor, ground_truth), decision.contract
     first, q_after = request.first_scene or context.scene, executor.state.q
-    evidence = collect_evidence(first, executor.scene, contract, outcome, q_before, q_after, executor.robot_model)
+    evidence = collect_evidence(
+        first, executor.scene, contract, outcome, q_before, q_after, executor.robot_model, held=context.holding
+    )
+    if request.first_scene is not None:
+        evidence = replace(evidence, in_hand_before=request.first_held)
     checked = check_outcome(request.instruction, outcome, contract, evidence)
     episode = Episode(
         id=request.id,

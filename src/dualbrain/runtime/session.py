@@ -181,13 +181,13 @@ class Session:
         results: list[TryResult] = []
         episodes: list[Episode] = []
         tries = 1 if self.config.contract else self.config.tries
-        name, held = self.config.out.name, lambda: executor.held_object
+        name, held, first_held = self.config.out.name, lambda: executor.held_object, executor.held_object or ""
         for one in successive_tries(name, tries, episodes, held, self._machine_was_busy):
             if feedback := one.failure_feedback:
                 details = msgspec.to_builtins(feedback)
                 log.note(executor.state.stamp, "planner", self._describe_retry(feedback, one.tries_left), **details)
             self._ending.begin_try()
-            request = self._episode_request(one, episodes[0].scene if episodes else None)
+            request = self._episode_request(one, episodes[0].scene if episodes else None, first_held)
             result = run_episode(request, agent, executor, robot.clock, robot.ground_truth)
             log_weight_changes(log, executor.state.stamp, result[1])
             results.append(result)
@@ -202,7 +202,7 @@ class Session:
             return f"planning again ({number}), because this machine may have been too busy: {check.description}"
         return f"planning again: {feedback.outcome.replace('_', ' ')}: {feedback.failed_action}: {feedback.reason}"
 
-    def _episode_request(self, one: Try, first_scene: Scene | None) -> EpisodeRequest:
+    def _episode_request(self, one: Try, first_scene: Scene | None, first_held: str) -> EpisodeRequest:
         """The request of one try; a given contract has one shot, and nothing is retrieved for it."""
         config, given = self.config, self.config.contract is not None
         return EpisodeRequest(
@@ -219,6 +219,7 @@ class Session:
             continuation=one.continuation,
             grants=self._resources.site.grants,
             first_scene=first_scene,
+            first_held=first_held,
             machine_was_busy=self._machine_was_busy,
             instruction_check="given_contract" if given else "all",
         )

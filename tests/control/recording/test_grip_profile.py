@@ -43,8 +43,8 @@ def trace_of(*parts):
     return trace
 
 
-def profiles(trace, *actions):
-    return grip_profiles(trace, 0, Contract("c-0001", Context("panda", "x" * 8), actions))
+def profiles(trace, *actions, held=None, first=0):
+    return grip_profiles(trace, first, Contract("c-0001", Context("panda", "x" * 8), actions), held)
 
 
 def test_a_grip_that_a_place_ends():
@@ -67,6 +67,23 @@ def test_an_object_that_is_lost():
     (one,) = profiles(trace_of((0, 0.02, 20.0, 60), (0, 0.0, 0.0, 20)), GRASP)
     assert not one.holds_at_end
     assert not one.released
+
+
+HOLD, RELEASE = Action("hold", {"duration": 1.0}), Action("release", {"speed": 0.1})
+
+
+def test_an_object_in_the_hand_at_the_beginning_has_the_first_profile():
+    """Its grip ends with the first skill that opens the hand; the ticks before the contract do not count."""
+    carried = (-1, 0.02, 60.0, 30), (-1, 0.02, 20.0, 9), (0, 0.02, 20.0, 40)
+    trace = trace_of(*carried, (1, 0.02, 15.0, 9), (1, 0.04, 0.0, 9), (2, 0.018, 9.0, 30))
+    one, two = profiles(trace, HOLD, PLACE, Action("grasp", {"object": "green_tin"}), held="red_cube", first=30)
+    assert (one.object_name, one.max_force, one.first_opening, one.released) == ("red_cube", 20.0, 0.02, True)
+    assert not one.holds_at_end
+    assert (two.object_name, two.max_force, two.holds_at_end) == ("green_tin", 9.0, True)
+    (kept,) = profiles(trace_of(*carried), HOLD, RELEASE, held="red_cube")
+    assert (kept.holds_at_end, kept.released) == (True, False)
+    (lost,) = profiles(trace_of(*carried, (0, 0.0, 0.0, 9)), HOLD, held="red_cube")
+    assert (lost.holds_at_end, lost.released) == (False, False)
 
 
 @pytest.mark.parametrize(("step", "ticks", "sudden"), [(0.005, 0, True), (0.005, 200, False)])

@@ -48,6 +48,15 @@ def test_every_fact_of_the_exact_episode_counts(facts, expected):
     assert judge(PUT, **facts) is expected
 
 
+def test_an_object_that_is_in_the_hand_before_and_after_is_held():
+    lifted = scene_after({"red_cube": "lifted"})
+    held = {"before": lifted, "after": lifted, "in_hand": "red_cube"}
+    assert judge("hold the red cube", **held, in_hand_before="red_cube") is True
+    assert judge("hold the red cube", **held | {"after": BEFORE}, in_hand_before="red_cube") is False
+    home = np.array(load_robot("panda").home)
+    assert judge("go home", **held, in_hand_before="red_cube", q_after=home) is True
+
+
 def test_the_joints_count_for_the_end_of_the_robot():
     still = {"after": BEFORE, "q_after": HOME}
     assert judge("stop", **still) is True

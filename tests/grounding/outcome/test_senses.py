@@ -70,6 +70,9 @@ def test_placed_does_not_judge_without_a_placement_or_a_perceived_object():
     }
     held = contract(*put("red_cube", "blue_bowl"), ("grasp", {"object": "red_cube"}))
     assert expected_placements(held) == {}
+    assert expected_placements(contract(("place", {"destination": "blue_bowl"})), "red_cube") == {
+        "red_cube": "blue_bowl"
+    }
 
 
 # --- intact -----------------------------------------------------------------------------------------------------------
@@ -155,10 +158,10 @@ def test_undisturbed_looks_at_every_other_object(moves, fallen, gone, expected):
 # --- together ---------------------------------------------------------------------------------------------------------
 
 
-def check(instruction, kind, moves, *, steps, grips, **scene):
+def check(instruction, kind, moves, *, steps, grips, before=BEFORE, held=None, **scene):
     outcome = Outcome(kind=kind, reason="", grips=grips)
     plan = contract(*steps)
-    one = collect_evidence(BEFORE, scene_after(moves, **scene), plan, outcome, HOME, HOME + 0.3, PANDA)
+    one = collect_evidence(before, scene_after(moves, **scene), plan, outcome, HOME, HOME + 0.3, PANDA, held=held)
     return check_outcome(instruction, outcome, plan, one)
 
 
@@ -283,3 +286,62 @@ def test_the_hand_that_holds_is_part_of_the_evidence():
     assert one.in_hand == "red_cube"
     released = msgspec.structs.replace(outcome, grips=(grip("red_cube"),))
     assert collect_evidence(BEFORE, scene_after({}), contract(), released, HOME, HOME, PANDA).in_hand == ""
+
+
+# --- in the hand at the beginning -------------------------------------------------------------------------------------
+
+
+def check_held(instruction, moves, *steps, grips):
+    """The check of a contract that began with the red cube in the hand, above its place in `BEFORE`."""
+    lifted = scene_after({"red_cube": "lifted"})
+    found = check(instruction, "succeeded", moves, steps=steps, grips=grips, before=lifted, held="red_cube")
+    return found.check, {one.sense: one.verdict for one in found.verdicts}
+
+
+TO_BOWL = ("place", {"destination": "blue_bowl"})
+
+
+@pytest.mark.parametrize("instruction", ["put the red cube in the bowl", ""])
+def test_an_object_in_the_hand_at_the_beginning_is_judged_when_it_is_placed(instruction):
+    done, verdicts = check_held(instruction, CUBE_IN, TO_BOWL, grips=(grip("red_cube"),))
+    assert done == "agrees"
+    assert (verdicts["placed"], verdicts["intact"], verdicts["undisturbed"]) == ("confirmed",) * 3
+    missed, verdicts = check_held(instruction, {"red_cube": "right of the bowl"}, TO_BOWL, grips=(grip("red_cube"),))
+    assert (missed, verdicts["placed"]) == ("disagrees", "contradicted")
+    crushed, verdicts = check_held(instruction, CUBE_IN, TO_BOWL, grips=(grip("red_cube", fastest_closing=0.006),))
+    assert (crushed, verdicts["intact"]) == ("disagrees", "contradicted")
+
+
+@pytest.mark.parametrize(
+    ("where", "grips", "expected"),
+    [
+        ("lifted", (holding("red_cube"),), "agrees"),
+        ("3 cm ahead", (holding("red_cube"),), "disagrees"),  # on the table
+        ("lifted", (grip("red_cube", released=False),), "disagrees"),
+    ],
+)
+def test_an_object_that_was_in_the_hand_is_held_if_it_still_is_above_the_table(where, grips, expected):
+    moves, still = {"red_cube": where}, ("hold", {"duration": 1.0})
+    assert check_held("hold the red cube", moves, still, grips=grips)[0] == expected
+
+
+def test_an_object_that_stays_in_the_hand_is_not_disturbed_by_a_motion_of_the_arm():
+    moves, carry = {"red_cube": "above the bowl"}, ("move_to", {"target": "blue_bowl"})
+    _, verdicts = check_held("move above the blue bowl", moves, carry, grips=(holding("red_cube"),))
+    assert "contradicted" not in verdicts.values()
+    _, verdicts = check_held("move above the blue bowl", moves | CUBE_IN, carry, grips=(grip("red_cube"),))
+    assert verdicts["fulfilled"] == "contradicted"
+
+
+def test_an_object_that_a_try_before_grasped_was_not_in_the_hand_at_the_beginning():
+    """The scene before is that of the first try; the object in the hand has left its place."""
+    plan, outcome = (
+        contract(("hold", {"duration": 1.0})),
+        Outcome(kind="failed", reason="", grips=(holding("red_cube"),)),
+    )
+    one = collect_evidence(
+        BEFORE, scene_after({"red_cube": "lifted"}), plan, outcome, HOME, HOME, PANDA, held="red_cube"
+    )
+    later = replace_fields(one, in_hand_before="")
+    verdicts = {one.sense: one.verdict for one in check_outcome("stop", outcome, plan, later).verdicts}
+    assert (verdicts["fulfilled"], verdicts["held"]) == ("contradicted", "confirmed")

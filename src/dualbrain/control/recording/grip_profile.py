@@ -1,8 +1,9 @@
 """Profiles of grips: forces and openings of the fingers from the trace of a contract.
 
 A grip lasts from the beginning of a `grasp` to the end of the next action that opens the hand, or to the end of the
-trace. The profile depends only on measurements and on the order of actions, not on the phases inside a skill. Ticks in
-which a force or the opening is not finite, because a sensor fails, do not count.
+trace. The grip of an object that is in the hand when the contract begins lasts from the first tick. The profile depends
+only on measurements and on the order of actions, not on the phases inside a skill. Ticks in which a force or the
+opening is not finite, because a sensor fails, do not count.
 """
 
 from __future__ import annotations
@@ -24,24 +25,34 @@ SETTLING_TIME = 0.15
 """Time [s] after the first contact in which the fingers still close onto the surface."""
 OPENING_SKILLS = ("place", "release")
 """Skills that open the hand."""
+BEFORE_THE_CONTRACT = -1
+"""Index of the grasp of an object that is in the hand when the contract begins."""
 
 
-def grip_profiles(trace: Trace, first: int, contract: Contract) -> tuple[GripProfile, ...]:
-    """One profile for each grasp of `contract` whose fingers pressed; the contract began at tick `first` of `trace`."""
+def grip_profiles(trace: Trace, first: int, contract: Contract, held: str | None = None) -> tuple[GripProfile, ...]:
+    """One profile for each grasp of `contract` whose fingers pressed; the contract began at tick `first` of `trace`.
+
+    The object `held`, in the hand when the contract began, has the first profile.
+    """
     if len(trace) <= first:
         return ()
     actions = contract.action_sequence
     ticks = trace["action"][first:]
-    profiles = [_profile(trace, first, ticks, actions, index) for index in _grasps(actions)]
+    profiles = [_profile(trace, first, ticks, actions, *grasp) for grasp in _grasps(actions, held)]
     return tuple(one for one in profiles if one is not None)
 
 
-def _grasps(actions: Sequence[Action]) -> list[int]:
-    return [index for index, action in enumerate(actions) if action.skill == "grasp"]
+def _grasps(actions: Sequence[Action], held: str | None) -> list[tuple[int, str]]:
+    """Index of the action and name of the object of each grasp."""
+    earlier = [(BEFORE_THE_CONTRACT, held)] if held else []
+    grasps = [(index, str(one.params["object"])) for index, one in enumerate(actions) if one.skill == "grasp"]
+    return [*earlier, *grasps]
 
 
-def _profile(trace: Trace, first: int, ticks: Array, actions: Sequence[Action], index: int) -> GripProfile | None:
-    begun = np.flatnonzero(ticks == index)
+def _profile(
+    trace: Trace, first: int, ticks: Array, actions: Sequence[Action], index: int, name: str
+) -> GripProfile | None:
+    begun = np.zeros(1, np.intp) if index == BEFORE_THE_CONTRACT else np.flatnonzero(ticks == index)
     if not len(begun):
         return None
     ending = next((later for later in range(index + 1, len(actions)) if _ends_grip(actions[later])), None)
@@ -59,7 +70,7 @@ def _profile(trace: Trace, first: int, ticks: Array, actions: Sequence[Action], 
         end_force, end_opening = 0.0, float(opening[-1])  # without a measurement nothing counts as held
     released = bool(len(ended)) and actions[ending or 0].skill in OPENING_SKILLS and not pressing[-1]
     return GripProfile(
-        object_name=str(actions[index].params["object"]),
+        object_name=name,
         max_force=float(np.max(forces)),
         first_opening=float(opening[contact]),
         min_opening=float(np.min(opening[pressing])),

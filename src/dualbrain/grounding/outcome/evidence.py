@@ -25,8 +25,9 @@ class Evidence:
     """Facts of an episode.
 
     `q_before`, `q_after` (n,) [rad] are joint positions, `home` the home posture; for a base `base_after` is its (x, y)
-    [m]. `executed` are the skills that ran, `placements` the last destination of each object that the contract grasps
-    and places, `in_hand` the object in the gripper at the end, `touched` the objects that a finger touches.
+    [m]. `executed` are the skills that ran, `placements` the last destination of each object that the contract places,
+    `in_hand` the object in the gripper at the end, `in_hand_before` the one in the scene before, `held_at_start` the
+    one at the beginning of the contract, which may be a later try. `touched` are the objects that a finger touches.
     `unsettled` are objects that still move. `broken` are objects that are known to be broken.
     """
 
@@ -41,6 +42,8 @@ class Evidence:
     placements: dict[str, str] = field(default_factory=dict)
     grips: tuple[GripProfile, ...] = ()
     in_hand: str = ""
+    in_hand_before: str = ""
+    held_at_start: str = ""
     touched: frozenset[str] = frozenset()
     unsettled: frozenset[str] = frozenset()
     broken: frozenset[str] = frozenset()
@@ -52,6 +55,11 @@ class Evidence:
     def object_after(self, name: str) -> SceneObject | None:
         """The object `name` after the episode."""
         return next((obj for obj in self.after.objects if obj.name == name), None)
+
+    @property
+    def kept_in_hand(self) -> str:
+        """The object that is in the gripper before and after the episode; "" if there is none."""
+        return self.in_hand if self.in_hand == self.in_hand_before else ""
 
     @property
     def movable_names(self) -> tuple[str, ...]:

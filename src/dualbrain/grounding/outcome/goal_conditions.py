@@ -28,6 +28,7 @@ from dualbrain.grounding.outcome.spatial_relations import (
     is_lowered,
     negate,
     relation_holds,
+    support_height,
     vertical_extent,
 )
 from dualbrain.records import SceneObject
@@ -41,7 +42,10 @@ ARRIVAL_DISTANCE = 0.20
 MIN_PUSH = 0.02
 """A pushed object has moved at least this far in the direction [m]."""
 LIFT_HEIGHT = 0.02
-"""An object in the hand is held up if its lowest point is at least this far above its height before [m]."""
+"""An object in the hand is held up if its lowest point is at least this far above its height before [m].
+
+For an object that was in the hand before, it is the height above the support.
+"""
 
 
 def condition_holds(condition: Condition, evidence: Evidence) -> bool | None:
@@ -62,8 +66,8 @@ def condition_holds(condition: Condition, evidence: Evidence) -> bool | None:
 
 
 def others_unmoved(goal: Goal, evidence: Evidence) -> dict[str, bool | None]:
-    """For each object that the goal does not move: whether it stayed where it was."""
-    others = [name for name in evidence.movable_names if name not in goal.movable]
+    """For each object that the goal does not move: whether it stayed where it was; an object kept in the hand did."""
+    others = [name for name in evidence.movable_names if name not in (*goal.movable, evidence.kept_in_hand)]
     return {name: negate(moved(name, evidence)) for name in others}
 
 
@@ -109,6 +113,8 @@ def _held(objects: Sequence[str], evidence: Evidence, *, handed: bool) -> bool |
     before, after = evidence.object_before(evidence.in_hand), evidence.object_after(evidence.in_hand)
     if before is None or after is None:
         return None
+    if evidence.kept_in_hand:  # its height before is that in the hand
+        return negate(below(vertical_extent(after)[0] - support_height(evidence.after), LIFT_HEIGHT, after.error))
     rise = vertical_extent(after)[0] - vertical_extent(before)[0]
     return negate(below(rise, LIFT_HEIGHT, before.error + after.error))
 

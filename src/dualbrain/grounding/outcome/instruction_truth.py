@@ -41,6 +41,7 @@ def exact_evidence(episode: TrueEpisode) -> Evidence:
         home=arm_home(episode.robot_model),
         base_after=base_position(episode.robot_model, episode.q_after),
         in_hand=episode.in_hand,
+        in_hand_before=episode.in_hand_before,
         touched=episode.touched,
         unsettled=episode.unsettled,
         broken=episode.broken,

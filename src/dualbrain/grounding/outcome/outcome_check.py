@@ -46,7 +46,7 @@ def check_outcome(instruction: str, outcome: Outcome, contract: Contract | None,
     """
     goal = read_goal(instruction, evidence.before) if instruction.strip() else Unread("There is no instruction.")
     asked = goal.movable if isinstance(goal, Goal) else frozenset[str]()
-    handled = handled_objects(contract) | asked
+    handled = handled_objects(contract, evidence.held_at_start) | asked
     verdicts = (
         judge_placed(evidence),
         judge_intact(evidence),
@@ -90,10 +90,15 @@ def collect_evidence(
     q_before: Array,
     q_after: Array,
     robot_model: RobotModel,
+    *,
+    held: str | None = None,
 ) -> Evidence:
-    """The evidence of one contract; `q_before`, `q_after` (nq,) [rad, m] are measured joint positions."""
+    """The evidence of one contract; `q_before`, `q_after` (nq,) [rad, m] are measured joint positions.
+
+    `held` is the object in the hand when the contract began.
+    """
     grips = outcome.grips
-    held = grips[-1].object_name if grips and grips[-1].holds_at_end else ""
+    in_hand = grips[-1].object_name if grips and grips[-1].holds_at_end else ""
     return Evidence(
         before=before,
         after=after,
@@ -103,15 +108,17 @@ def collect_evidence(
         base_after=base_position(robot_model, q_after),
         declined=outcome.kind == "declined",
         executed=tuple(action.skill for action in contract.action_sequence) if contract else (),
-        placements=expected_placements(contract),
+        placements=expected_placements(contract, held),
         grips=grips,
-        in_hand=held,
+        in_hand=in_hand,
+        in_hand_before=held or "",
+        held_at_start=held or "",
     )
 
 
-def expected_placements(contract: Contract | None) -> dict[str, str]:
-    """The last destination of each object that the contract grasps and then places."""
-    obj: str | None = None
+def expected_placements(contract: Contract | None, held: str | None = None) -> dict[str, str]:
+    """The last destination of each object that the contract places: grasped by it, or `held` when it began."""
+    obj = held or None
     found: dict[str, str] = {}
     for action in contract.action_sequence if contract else ():
         if action.skill == "grasp":
@@ -122,10 +129,11 @@ def expected_placements(contract: Contract | None) -> dict[str, str]:
     return found
 
 
-def handled_objects(contract: Contract | None) -> frozenset[str]:
-    """The objects that the contract grasps or pushes."""
+def handled_objects(contract: Contract | None, held: str | None = None) -> frozenset[str]:
+    """The objects that the contract grasps or pushes, and the object `held` when it began."""
     actions = contract.action_sequence if contract else ()
-    return frozenset(str(one.params["object"]) for one in actions if one.skill in ("grasp", "push"))
+    handled = frozenset(str(one.params["object"]) for one in actions if one.skill in ("grasp", "push"))
+    return handled | {held} if held else handled
 
 
 def fulfilled_verdict(verdicts: tuple[SenseVerdict, ...]) -> SenseVerdict | None:

@@ -10,7 +10,7 @@ NAME = "placed"
 
 
 def judge_placed(evidence: Evidence) -> SenseVerdict:
-    """Whether every object that the contract grasps and places is at its last destination."""
+    """Whether every object that the contract places is at its last destination."""
     if not evidence.placements:
         return SenseVerdict(NAME, "not judged", "The contract places nothing.")
     found = {name: _is_at(name, where, evidence) for name, where in evidence.placements.items()}

@@ -129,10 +129,10 @@ def _run_once(
     verdict = cell.check(contract or {})
     if isinstance(verdict, Rejected):
         return ReplayTry("refused", None, verdict.hint)
-    before, q_before = cell.executor.scene, cell.executor.state.q.copy()
+    before, q_before, held = cell.executor.scene, cell.executor.state.q.copy(), cell.executor.held_object
     outcome = cell.executor.execute(verdict.contract)
     evidence = collect_evidence(
-        before, cell.executor.scene, verdict.contract, outcome, q_before, cell.executor.state.q, model
+        before, cell.executor.scene, verdict.contract, outcome, q_before, cell.executor.state.q, model, held=held
     )
     check = check_outcome(stored.episode.instruction, outcome, verdict.contract, evidence).check
     disputed = outcome.kind == "succeeded" and check == "disagrees"  # memory does not take it as a success

@@ -28,8 +28,9 @@ class EpisodeRequest:
     given contract). `tries_left` contracts may still be executed for the instruction, this one included;
     `failure_feedback` is the feedback on the one before, `continuation` the actions that remain of it for the object in
     the hand: if the gate rejects every proposal, or the planner declines, the gate gets a contract of these actions.
-    `first_scene` is the scene in which the instruction was given, if an earlier contract may have changed it. `grants`
-    defines which principal may call which skills; by default the planner may call all of them.
+    `first_scene` is the scene in which the instruction was given, if an earlier contract may have changed it, and
+    `first_held` the object in the hand at that time. `grants` defines which principal may call which skills; by default
+    the planner may call all of them.
     """
 
     id: str
@@ -46,6 +47,7 @@ class EpisodeRequest:
     continuation: tuple[dict[str, Any], ...] = ()
     grants: Grants | None = None
     first_scene: Scene | None = None
+    first_held: str = ""
     machine_was_busy: Callable[[], bool] = lambda: False
     """Whether a busy machine can have ended the contract of a simulated robot; see `should_retry`."""
     instruction_check: InstructionCheck = "all"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import msgspec
@@ -30,7 +30,8 @@ class InstructionVerdict(msgspec.Struct, frozen=True):
 class TrueEpisode:
     """Exact scenes before and after, the configurations (nq,) of the robot, and contacts of the fingers at the end.
 
-    `in_hand` is an object between both fingers, `touched` are all that a finger touches, `unsettled` those that move.
+    `in_hand` is an object between both fingers, `in_hand_before` the one at the beginning, `touched` are all that a
+    finger touches, `unsettled` those that move.
     """
 
     robot_model: RobotModel
@@ -42,6 +43,7 @@ class TrueEpisode:
     touched: frozenset[str]
     unsettled: frozenset[str]
     broken: frozenset[str]
+    in_hand_before: str = ""
 
 
 InstructionJudge = Callable[[TrueEpisode], InstructionVerdict]
@@ -56,23 +58,32 @@ class TrueEpisodeRecorder:
         self._plant = plant
         self._rules = ContactRules(plant.model, plant.spec)
         self._before, self._q_before = exact_scene(plant), plant.configuration()
+        self._in_hand_before = _object_in_hand(self._count_touching_fingers())
 
     def finish(self, broken: frozenset[str]) -> TrueEpisode:
         """The episode until now, with the `broken` objects."""
-        plant = self._plant
-        free = [obj.name for obj in plant.spec.objects if obj.role == "object" and not obj.fixed]
-        touching = {name: count_touching_fingers(plant, self._rules, name) for name in free}
+        plant, touching = self._plant, self._count_touching_fingers()
         return TrueEpisode(
             robot_model=plant.robot_model,
             before=self._before,
             after=exact_scene(plant),
             q_before=self._q_before,
             q_after=plant.configuration(),
-            in_hand=next((name for name, count in touching.items() if count == FINGERS), ""),
+            in_hand=_object_in_hand(touching),
             touched=frozenset(name for name, count in touching.items() if count),
-            unsettled=frozenset(name for name in free if not touching[name] and not is_static(plant, name)),
+            unsettled=frozenset(name for name in touching if not touching[name] and not is_static(plant, name)),
             broken=broken,
+            in_hand_before=self._in_hand_before,
         )
+
+    def _count_touching_fingers(self) -> dict[str, int]:
+        """The number of fingers that touch each free object."""
+        objects = [obj.name for obj in self._plant.spec.objects if obj.role == "object" and not obj.fixed]
+        return {name: count_touching_fingers(self._plant, self._rules, name) for name in objects}
+
+
+def _object_in_hand(touching: Mapping[str, int]) -> str:
+    return next((name for name, count in touching.items() if count == FINGERS), "")
 
 
 def exact_scene(plant: Plant) -> Scene:
