@@ -79,6 +79,8 @@ class Place(Record, frozen=True):
 class Scene(Record, frozen=True, kw_only=True):
     """The scene that the robot perceives at `stamp` [s]. `version` increases whenever the set of names changes.
 
+    Each object and place has a name of its own.
+
     `region` is the floor on which a base may drive: corners (x, y) [m] of a convex polygon, counter-clockwise.
     """
 

@@ -84,6 +84,15 @@ def test_an_object_without_noise_or_without_a_new_stamp_may_repeat():
     assert monitored(*repeated_scenes((CUBE,), 50, new_stamps=False))[1] == 0
 
 
+def test_a_scene_in_which_a_name_is_used_twice_is_not_accepted():
+    """A grasp of one of two objects with one name would remove both from the obstacles."""
+    other = box("red_cube", 0.3, 0.2, error=0.009)
+    assert monitored(scene(CUBE, box("blue_cube", 0.3, 0.2, error=0.009)))[1] == 0
+    assert monitored(scene(CUBE, other))[1] == Condition.SCENE_IMPLAUSIBLE
+    assert monitored(scene(CUBE, places=(("red_cube", (0.3, 0.2, 0.0)),)))[1] == Condition.SCENE_IMPLAUSIBLE
+    assert monitored(scene(CUBE, places=(("left", (0.3, 0.2, 0.0)),) * 2))[1] == Condition.SCENE_IMPLAUSIBLE
+
+
 @pytest.mark.parametrize("noise", NOISES, ids=str)
 @pytest.mark.parametrize("name", ["tabletop:1", "forearm:0"])
 def test_the_simulated_perception_never_causes_a_false_alarm(noise, name):

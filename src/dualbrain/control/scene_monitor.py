@@ -1,9 +1,9 @@
 """Plausibility and age checks of perceived scenes.
 
-A scene is accepted only if its geometry is usable (`check_scene`), no fixed object has moved, no object has moved
-faster than `MAX_OBJECT_SPEED`, and no noisy measurement repeats bit for bit (a camera that hangs and puts new stamps on
-an old image). The checks do not detect every fault of a single camera: a shift within these bounds, or an old image
-with fresh noise, passes.
+A scene is accepted only if its geometry is usable and its names differ (`check_scene`), no fixed object has moved, no
+object has moved faster than `MAX_OBJECT_SPEED`, and no noisy measurement repeats bit for bit (a camera that hangs and
+puts new stamps on an old image). The checks do not detect every fault of a single camera: a shift within these bounds,
+or an old image with fresh noise, passes.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def _reading(obj: SceneObject) -> SensorReading:
 
 
 def _is_usable(scene: Scene) -> bool:
-    """Whether all numbers are within bounds and no object is newer than the scene."""
+    """Whether all numbers are within bounds, no object is newer than the scene, and no name is used twice."""
     try:
         check_scene(scene)
     except GeometryError:

@@ -14,7 +14,7 @@ from dualbrain.core.geometry import validation
 from dualbrain.core.geometry.rotations import quaternion_to_matrix
 from dualbrain.core.geometry.shapes import Bowl, Box, Capsule, Cylinder, HalfSpace, Pose, Sphere
 from dualbrain.errors import GeometryError
-from dualbrain.records import Scene, SceneObject
+from dualbrain.records import Place, Scene, SceneObject
 from dualbrain.safety.cbf.filter import SpeedAndSeparation
 from dualbrain.safety.cbf.kernel import MAX_OBSTACLES, OBSTACLE_COLUMNS, obstacle_table
 from dualbrain.safety.cbf.obstacles import (
@@ -233,6 +233,22 @@ def test_the_check_of_a_scene_agrees_with_that_of_its_objects(seed):
             assert found == expected
         refused += isinstance(found, str)
     assert 300 < refused < 1400
+
+
+def test_every_object_and_place_of_a_scene_has_a_name_of_its_own():
+    cups = [SceneObject(name=name, role="object", shape=Sphere(0.03), pose=Pose((0.5, 0.1, 0.03))) for name in "aba"]
+    one = Scene(robot="panda", stamp=0.0, version=1, objects=tuple(cups[:2]), places=(Place("c", (0.3, 0.2, 0.0)),))
+    assert check_scene(one) is one
+    for changes in (
+        {"objects": tuple(cups)},
+        {"places": (*one.places, *one.places)},
+        {"places": (Place("b", (0.3, 0.2, 0.0)),)},
+    ):
+        with pytest.raises(GeometryError, match="one object or place for each name"):
+            check_scene(msgspec.structs.replace(one, **changes))
+    for place in (Place(("a",), (0.3, 0.2, 0.0)), "a", Place("a" * 10_000, (0.3, 0.2, 0.0))):
+        with pytest.raises(GeometryError):
+            check_scene(msgspec.structs.replace(one, places=(place,)))
 
 
 @pytest.mark.parametrize("count", [0, 1, MAX_OBSTACLES, MAX_OBSTACLES + 1])

@@ -12,7 +12,7 @@ from dualbrain.core.geometry.distance import Solid, bounding_solid
 from dualbrain.core.geometry.plain_values import is_plain_length, is_plain_motion, is_plain_pose, is_plain_size
 from dualbrain.core.geometry.shapes import IDENTITY_POSE, Box, Capsule, HalfSpace, Pose, Sphere, Vector
 from dualbrain.errors import GeometryError
-from dualbrain.records import ZERO_VECTOR, Scene, SceneObject
+from dualbrain.records import ZERO_VECTOR, Place, Scene, SceneObject
 from dualbrain.safety.cbf.config import MAX_CARTESIAN_SPEED, MAX_GAIN, MIN_CARTESIAN_SPEED
 from dualbrain.safety.cbf.rows import Rank
 
@@ -221,7 +221,8 @@ def obstacles_from_scene(
     `known` lists the objects that the projection φ respects. `persons` adds its limits to the persons.
 
     Raises:
-        GeometryError: an object has a number, shape or pose that is not usable, or a stamp after that of the scene.
+        GeometryError: an object has a number, shape or pose that is not usable, a stamp after that of the scene, or the
+            name of another object or of a place.
     """
     validation.check_length("clearance", clearance)
     usable = check_scene(scene)
@@ -236,15 +237,32 @@ def check_scene(scene: object) -> Scene:
     """`scene` with all numbers within bounds and quaternions of length 1.
 
     Raises:
-        GeometryError: a number, shape, pose or corner is not usable, or an object has a stamp after that of the scene.
+        GeometryError: a number, shape, pose or corner is not usable, an object has a stamp after that of the scene, or
+            two objects or places have one name.
     """
     given = validation.check_instance("scene", scene, Scene)
     stamp = validation.check_stamp("stamp of the scene", given.stamp)
     for corner in given.region:
         validation.check_vector("corner of the region of the scene", (*corner, 0.0))
-    if all(_is_plain_object(obj, stamp) for obj in given.objects):  # the usual case
-        return given
-    return msgspec.structs.replace(given, objects=tuple(_check_scene_object(obj, stamp) for obj in given.objects))
+    if not all(_is_plain_object(obj, stamp) for obj in given.objects):  # the unusual case
+        given = msgspec.structs.replace(given, objects=tuple(_check_scene_object(obj, stamp) for obj in given.objects))
+    _check_names(given)
+    return given
+
+
+def _check_names(scene: Scene) -> None:
+    """Each object and place has a name of its own: a held or permitted obstacle is found by its name."""
+    names = [obj.name for obj in scene.objects]
+    for place in scene.places:
+        given = validation.check_instance("place of the scene", place, Place)
+        names.append(validation.check_name("name of a place", given.name))
+    if len(set(names)) < len(names):
+        raise GeometryError(
+            "names in the scene",
+            got=sorted({name for name in names if names.count(name) > 1}),
+            allowed="one object or place for each name",
+            fix="Number the objects of one kind, such as cup_1 and cup_2.",
+        )
 
 
 def _is_plain_object(obj: object, scene_stamp: float) -> bool:

@@ -11,6 +11,8 @@ partly visible, keeps its last pose. While both finger pads measure a grip force
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
@@ -99,8 +101,9 @@ class DepthPerception:
             keep &= signed_distance(*bounding_solid(obj.shape, obj.pose), points) > MAP_TOLERANCE
         found = fit_primitives(points[keep], colours[keep])
         if not self._seen:
+            fixed = {one.name for one in (*self._fixed_objects, *self._places)}
             for one in found:
-                obj = _to_scene_object(one, self._seen, now)
+                obj = _to_scene_object(one, fixed.union(self._seen), now)
                 self._seen[obj.name], self._first_fits[obj.name] = obj, one
             return
         for name, old in self._seen.items():
@@ -138,8 +141,8 @@ def _is_gripping(plant: Plant) -> bool:
     return min(plant.pad_forces()) > MIN_GRIP_FORCE
 
 
-def _to_scene_object(one: Primitive, taken: dict[str, SceneObject], now: float) -> SceneObject:
-    """The object that a primitive represents; further objects of the same name are numbered."""
+def _to_scene_object(one: Primitive, taken: Collection[str], now: float) -> SceneObject:
+    """The object that a primitive represents; its name is numbered if it is among the `taken` ones."""
     category = shape_category(one)
     name = f"{one.colour}_{category}"
     number = 2
