@@ -2,6 +2,10 @@
 
 If every measurement is within the error bound, so is their average, because a ball is convex. The bound that the filter
 gets therefore remains valid. The position of an object that has moved is taken over at once.
+
+The average stays within the error bound of the newest measurement: an average further away is moved toward it until
+then. After a displacement that is too small to be recognised, the average is wrong by at most the bound plus the error
+of the newest measurement.
 """
 
 from __future__ import annotations
@@ -44,8 +48,14 @@ class SceneSmoother:
         if dist(position, mean) > MOVED_ERROR_BOUNDS * obj.error:
             mean = position
         else:
-            share = min(1.0, (obj.stamp - stamp) / TIME_CONSTANT)
-            (x, y, z), (a, b, c) = mean, position
-            mean = (x + (a - x) * share, y + (b - y) * share, z + (c - z) * share)
+            mean = _between(mean, position, min(1.0, (obj.stamp - stamp) / TIME_CONSTANT))
+            if (apart := dist(position, mean)) > obj.error:
+                mean = _between(mean, position, 1.0 - obj.error / apart)
         self._averages[obj.name] = (obj.stamp, mean)
         return msgspec.structs.replace(obj, pose=Pose(mean, obj.pose.quaternion))
+
+
+def _between(start: Vector, end: Vector, share: float) -> Vector:
+    """The point (3,) [m] at the `share` of the way from `start` to `end`."""
+    (x, y, z), (a, b, c) = start, end
+    return (x + (a - x) * share, y + (b - y) * share, z + (c - z) * share)
