@@ -18,6 +18,7 @@ from dualbrain.skills.arm.waypoints import (
     wait_for_people,
 )
 from dualbrain.skills.kinematics import object_geometry
+from dualbrain.skills.kinematics.push_room import push_room
 from dualbrain.skills.kinematics.release_point import receiving_point
 from dualbrain.skills.skill import SkillResult, SkillRoutine, SkillStatus
 from dualbrain.skills.time_slicing import SlicedComputation, SlicedIterator, first_clear
@@ -75,7 +76,7 @@ def spec(robot_model: RobotModel) -> SkillSpec:
 def routine(
     arm: ArmController, *, object: str, destination: str, distance: float, speed: float, clearance: float, wait: str
 ) -> SkillRoutine:
-    """Close, wait, move behind the object, descend, push, retreat, rise, verify."""
+    """Check the room, close, wait, move behind the object, descend, push, retreat, rise, verify."""
     support = arm.support
     arm.begin(spec(arm.robot_model), target=object, support=support.name if support else None)
     if arm.holding:
@@ -87,6 +88,13 @@ def routine(
             SkillStatus.FAILED, f"{destination} is nearer to {object} than the push is long", FailureCause.PRECONDITION
         )
     direction = offset / np.linalg.norm(offset)
+    room = push_room(arm.observation.scene, obj, direction)
+    if room.distance < distance:
+        return SkillResult(
+            SkillStatus.FAILED,
+            f"{object} can be pushed by at most {100.0 * room.distance:.1f} cm toward {destination}: to {room.limit}",
+            FailureCause.PRECONDITION,
+        )
     low, _ = yield from first_clear(
         _start_candidates(arm, obj, direction, distance),
         lambda goal, threshold: _descent_clearance(arm, goal, obj, clearance, threshold),
