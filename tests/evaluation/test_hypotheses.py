@@ -159,6 +159,14 @@ def test_h3_uses_unconstrained_answers_if_a_suite_asks_for_them():
     assert evaluate_hypotheses(few)[2].claims[0].found.effect == 1.0
 
 
+def test_h3_ignores_unconstrained_answers_of_methods_that_it_does_not_compare():
+    rows = [*adapted("M", 0.3, 0.3), *adapted("PE", 0.3, 0.3), *adapted("Full", 0.9, 0.3), *adapted("P", 0.9, 0.3)]
+    unrelated = [msgspec.structs.replace(one, free_compliant=one.compliant) for one in adapted("B1-free", 0.5, 0.3)]
+    alone, together = (evaluate_hypotheses(some)[2] for some in (rows, [*rows, *unrelated]))
+    assert (alone.verdict, alone.claims[0].quantity) == ("supported", "one-shot compliance")
+    assert together == alone
+
+
 def test_equal_results_refute_only_after_many_runs():
     """Two equal runs leave the verdict undecided; forty equal runs refute."""
     few, many = (

@@ -188,7 +188,7 @@ def _intervention_claim(rows: Sequence[EpisodeRow], a: str, b: str, where: str =
 
 def _adaptation_claims(rows: Sequence[EpisodeRow], a: str, b: str) -> list[Claim]:
     possible = [row for row in rows if row.label == "possible"]
-    free = any(row.free_compliant is not None for row in possible)
+    free = any(row.free_compliant is not None for row in possible if row.method in (a, b))
     name = "free one-shot compliance" if free else "one-shot compliance"
     compliance = _compare_rates(pair_values(possible, a, b, METRIC_BY_NAME[name].value_of))
     on_task = "intervention frequency, on task"
