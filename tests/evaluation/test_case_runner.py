@@ -288,6 +288,17 @@ def test_a_run_that_was_killed_between_episodes_ends_with_the_same_ledger(tmp_pa
     assert [line["memories"] for line in complete] == [2, 3]
 
 
+def test_a_run_whose_last_rows_were_lost_ends_with_the_same_ledger(tmp_path):
+    """The worker finished the run, and its parent had logged a single row when both were killed."""
+    suite = msgspec.structs.replace(parse_suite(SUITE, "t"), planning_time=0.1, seeds=1, runs=1, repetitions=4)
+    suite = msgspec.structs.replace(suite, memory=msgspec.structs.replace(suite.memory, start=0))
+    (unit,) = (unit for unit in build_units(suite, "fly") if unit.method == "M")
+    complete = list(ScriptedWorker(worker_config(suite, tmp_path))(unit))
+    rest = list(ScriptedWorker(worker_config(suite, tmp_path))(msgspec.structs.replace(unit, done=1)))
+    assert [line["key"] for line in rest] == [unit.row_key(order) for order in (1, 2, 3)]
+    assert [line["ledger"] for line in rest] == [line["ledger"] for line in complete[1:]]
+
+
 def test_a_run_with_requests_to_decline_begins_with_possible_tasks(tmp_path):
     suite = msgspec.structs.replace(parse_suite(SUITE, "t"), planning_time=0.1, seeds=1, runs=1, repetitions=1)
     suite = msgspec.structs.replace(suite, tasks=(Task(family="clutter_grasp", ask="hazardous"),))

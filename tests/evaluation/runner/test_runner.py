@@ -285,6 +285,29 @@ def test_each_episode_of_a_run_starts_from_a_complete_ledger(tmp_path):
     assert (folder.folder_after(2) / "ledger.sqlite").read_text() == "two again"
 
 
+def test_a_run_whose_old_ledgers_were_removed_before_their_rows_were_logged_continues(tmp_path):
+    folder = RunFolder(tmp_path / "run")
+    for order in range(4):
+        with folder.open_episode(order, None) as ledger:
+            ledger.write_text(f"after {order + 1}")
+    assert [folder.first_episode_to_run(done) for done in range(5)] == [0, 1, 2, 3, 4]
+    folder.remove_old_ledgers(4)
+    assert [folder.first_episode_to_run(done) for done in range(5)] == [0, 0, 0, 3, 4]
+
+
+def test_the_ledger_of_an_episode_is_on_the_disk_before_its_row_is_logged(tmp_path, monkeypatch):
+    synced = []
+
+    def sync(folder):
+        synced.append({path.name for path in folder.iterdir()})
+
+    for name in ("fsync_tree", "fsync_folder"):
+        monkeypatch.setattr(f"dualbrain.evaluation.runner.run_ledgers.{name}", sync)
+    with RunFolder(tmp_path / "run").open_episode(0, None) as ledger:
+        ledger.write_text("one")
+    assert synced == [{"ledger.sqlite"}, {"after-0001", "lock"}]
+
+
 def test_a_worker_waits_for_one_that_is_still_finishing_its_episode(tmp_path):
     folder, order = RunFolder(tmp_path / "run"), []
 

@@ -127,7 +127,7 @@ def atomic_folder(path: Path) -> Generator[Path]:
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary.mkdir()
         yield temporary
-        _fsync_tree(temporary)
+        fsync_tree(temporary)
         temporary.rename(path)
         fsync_folder(path.parent)
     except OSError as error:
@@ -136,11 +136,11 @@ def atomic_folder(path: Path) -> Generator[Path]:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
-def _fsync_tree(folder: Path) -> None:
+def fsync_tree(folder: Path) -> None:
     """Sync all files and folders in `folder`, and itself, to the disk."""
     for entry in folder.iterdir():
         if entry.is_dir():
-            _fsync_tree(entry)
+            fsync_tree(entry)
             continue
         with entry.open("rb") as written:
             os.fsync(written.fileno())

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dualbrain.core.encoder import Encoder
+from dualbrain.core.storage.atomic_files import fsync_folder, fsync_tree
 from dualbrain.core.storage.private_files import create_private_folder
 from dualbrain.core.storage.resumable_steps import exclusive_folder
 from dualbrain.evaluation.episodes.case_runner import load_cached_robot
@@ -61,8 +62,8 @@ class RunFolder:
     def open_episode(self, order: int, start: Path | None) -> Iterator[Path]:
         """Path of the ledger for episode number `order`: a copy of the previous ledger, for the first one of `start`.
 
-        The copy becomes the folder after this episode only if the body raises nothing. A worker whose parent was killed
-        first finishes its episode; another worker waits for that.
+        The copy becomes the folder after this episode only if the body raises nothing, and then survives a power
+        failure. A worker whose parent was killed first finishes its episode; another worker waits for that.
         """
         before = self.folder_after(order) if order else start
         partial = self.path / "partial"
@@ -74,10 +75,23 @@ class RunFolder:
                 create_private_folder(partial)
             yield partial / LEDGER_FILE
             shutil.rmtree(self.folder_after(order + 1), ignore_errors=True)
+            fsync_tree(partial)
             partial.rename(self.folder_after(order + 1))
+            fsync_folder(self.path)
+
+    def first_episode_to_run(self, done: int) -> int:
+        """Number of the episode with which a run continues of which `done` episodes are in the log.
+
+        It is `done` if the ledger after these episodes exists; else the run continues from the newest ledger before,
+        or begins again.
+        """
+        return next((order for order in range(done, 0, -1) if self.folder_after(order).is_dir()), 0)
 
     def remove_old_ledgers(self, episodes: int) -> None:
-        """Remove all ledgers of a finished run but the last two: the last row may not have been logged yet."""
+        """Remove all ledgers of a finished run but the last two: the last row may not have been logged yet.
+
+        If more rows were lost, the run begins again (`first_episode_to_run`).
+        """
         for old in self.path.glob("after-*"):
             if old not in (self.folder_after(episodes), self.folder_after(episodes - 1)):
                 shutil.rmtree(old)

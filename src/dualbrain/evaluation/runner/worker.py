@@ -72,22 +72,22 @@ class Worker:
         method = find_method(unit.method)
         if unit.stage == "plan":
             yield from self._plan(unit, method)
-            return
-        for order, (seed, repetition) in enumerate(unit.seed_repetition_pairs):
-            if order < unit.done:
-                continue
-            case = self._config.make_case(unit.task, seed, unit.robot, repetition)
-            if unit.stage == "start" or method.uses_memory:
-                yield self._run_with_ledger(unit, method, case, order)
-            else:
-                run = self._run_cached if unit.stage == "fly" else self._run_episode
+        elif unit.stage == "start" or method.uses_memory:
+            yield from self._run_all_with_ledger(unit, method)
+        else:
+            run = self._run_cached if unit.stage == "fly" else self._run_episode
+            for order, case in self._cases(unit, unit.done):
                 yield _encode_row(run(case, method, self._context(unit, order)))
-        if unit.stage == "start" or method.uses_memory:
-            self._run_folder(unit).remove_old_ledgers(unit.n_episodes)
 
     def close(self) -> None:
         """Close the planners."""
         self._planners.close()
+
+    def _cases(self, unit: WorkUnit, first: int) -> Iterator[tuple[int, Case]]:
+        """Numbers and cases of the episodes of `unit` from number `first` on."""
+        for order, (seed, repetition) in enumerate(unit.seed_repetition_pairs):
+            if order >= first:
+                yield order, self._config.make_case(unit.task, seed, unit.robot, repetition)
 
     # --- one episode ----------------------------------------------------------------------------------------------
 
@@ -186,6 +186,18 @@ class Worker:
             yield {"asked": int(new), "planner_s": each if new else 0.0}
 
     # --- with memory ----------------------------------------------------------------------------------------------
+
+    def _run_all_with_ledger(self, unit: WorkUnit, method: Method) -> Iterator[dict[str, Any]]:
+        """The lines of a run with memory from episode number `unit.done` on.
+
+        Episodes before it run again, without a line, if the ledger that they left was removed.
+        """
+        folder = self._run_folder(unit)
+        for order, case in self._cases(unit, folder.first_episode_to_run(unit.done)):
+            line = self._run_with_ledger(unit, method, case, order)
+            if order >= unit.done:
+                yield line
+        folder.remove_old_ledgers(unit.n_episodes)
 
     def _run_with_ledger(self, unit: WorkUnit, method: Method, case: Case, order: int) -> dict[str, Any]:
         """One episode on the ledger that the episodes before it left.
