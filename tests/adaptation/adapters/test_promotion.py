@@ -8,13 +8,16 @@ from hypothesis import strategies as st
 from msgspec import structs
 
 from dualbrain.adaptation.adapters.promotion import (
+    MIN_SCENES,
     PlannerResults,
     PromotionDecision,
     QuestionResult,
     Tolerances,
     decide_promotion,
 )
+from dualbrain.adaptation.adapters.scene_statistics import scene_interval, sign_flip_p
 from dualbrain.errors import ConfigurationError
+from dualbrain.evaluation.analysis import statistics
 
 
 def trial_results(adapter, n_right, n=60, *, success=None, Delta=0.002, perplexity=10.0, runtime="llama"):
@@ -35,6 +38,89 @@ def trial_results(adapter, n_right, n=60, *, success=None, Delta=0.002, perplexi
 
 def verdict(candidate, champion, tolerances=None, seed=0):
     return decide_promotion(candidate, champion, tolerances or Tolerances(), np.random.default_rng(seed))
+
+
+def in_scenes(results, count):
+    """The same results, as equally many questions in each of `count` scenes, one scene after the other."""
+    n = len(results.trials)
+    rows = (structs.replace(trial, scene=f"s{i * count // n}") for i, trial in enumerate(results.trials))
+    return structs.replace(results, trials=tuple(rows))
+
+
+def drawn_results(rng, adapter, n_scenes, n_questions):
+    """Results of a planner of constant quality: all questions of a scene have the result of the scene."""
+    right, ends, Delta = (rng.random(n_scenes) for _ in range(3))
+    trials = tuple(
+        QuestionResult(
+            question=f"q{scene} {number}",
+            scene=f"s{scene}",
+            compliant=bool(right[scene] < 0.8),
+            right=bool(right[scene] < 0.7),
+            success=bool(right[scene] < 0.7 and ends[scene] < 0.9),
+            Delta=0.002 * float(Delta[scene]),
+        )
+        for scene in range(n_scenes)
+        for number in range(n_questions)
+    )
+    return PlannerResults(adapter, "llama", 10.0, trials)
+
+
+@pytest.mark.parametrize(("n_scenes", "n_questions"), [(4, 10), (12, 4), (40, 1)])
+def test_an_equal_planner_is_rarely_promoted(n_scenes, n_questions):
+    """The four measures are tested together at 5 %, two-sided: an equal planner is better by chance in 2.5 %."""
+    rng = np.random.default_rng([1, n_scenes])
+    found = [
+        verdict(*(drawn_results(rng, name, n_scenes, n_questions) for name in ("new", "")), seed=seed)
+        for seed in range(100)
+    ]
+    assert sum(any(measure.is_better for measure in one.measures.values()) for one in found) <= 5
+    assert sum(one.promotes for one in found) <= 5
+
+
+def test_questions_of_the_same_scenes_are_no_further_evidence():
+    """Fifteen more right answers: enough in scenes of their own, not in three scenes of twelve."""
+    new, old = trial_results("new", 45), trial_results("", 30)
+    assert verdict(new, old).promotes
+    found = verdict(in_scenes(new, 12), in_scenes(old, 12))
+    assert found.against == ("no measure is significantly better",)
+    assert verdict(in_scenes(trial_results("new", 58), 12), in_scenes(trial_results("", 0), 12)).promotes
+
+
+@pytest.mark.parametrize("count", [1, MIN_SCENES - 1])
+def test_questions_of_few_scenes_justify_no_promotion(count):
+    found = verdict(in_scenes(trial_results("new", 60), count), in_scenes(trial_results("", 0, success=0), count))
+    assert {measure.p for measure in found.measures.values()} == {None}
+    words = "1 scene," if count == 1 else f"{count} scenes,"
+    assert found.against[0] == f"the questions are of {words} at least 10 are needed"
+
+
+def test_an_improvement_is_corrected_over_the_measures():
+    """Seven of seven different scenes have p = 0.016, and 0.06 after correction; eight have 0.03."""
+    for better, promotes in ((7, False), (8, True)):
+        found = verdict(trial_results("new", 20 + better, n=30, success=10), trial_results("", 20, n=30, success=10))
+        compliance = found.measures["compliance"]
+        assert compliance.low > 0.0
+        assert compliance.p == pytest.approx(4 * 2 * 0.5**better, rel=0.3)
+        assert (compliance.is_better, found.promotes) == (promotes, promotes)
+
+
+def test_measurements_without_scenes_are_read_and_each_question_is_a_scene():
+    new, old = trial_results("new", 58), trial_results("", 20)
+    stored = msgspec.to_builtins(new)
+    for trial in stored["trials"]:
+        del trial["scene"]
+    assert msgspec.convert(stored, PlannerResults) == new
+    assert verdict(new, old) == verdict(in_scenes(new, 60), in_scenes(old, 60))
+
+
+@pytest.mark.parametrize("n_scenes", [10, 30])
+def test_the_statistics_of_scenes_are_those_of_the_evaluation(n_scenes):
+    scenes = np.random.default_rng(n_scenes).normal(0.2, 1.0, size=(n_scenes, 3))
+    mine = scene_interval(list(scenes), np.random.default_rng(0))
+    theirs = statistics.estimate({str(i): list(one) for i, one in enumerate(scenes)})
+    assert mine == pytest.approx((theirs.low, theirs.high), abs=0.06)
+    p = statistics.sign_flip_p(scenes.mean(axis=1))
+    assert sign_flip_p(list(scenes), np.random.default_rng(0)) == pytest.approx(p, abs=0.02 * (n_scenes > 16) + 1e-12)
 
 
 def test_a_clearly_better_candidate_is_promoted():
@@ -149,6 +235,7 @@ def test_at_most_one_of_two_planners_is_better(a, b):
         (trial_results("new", 10, n=29), trial_results("", 5, n=29)),
         (trial_results("new", 10, n=31), trial_results("", 5, n=30)),
         (trial_results("new", 10, runtime="torch"), trial_results("", 5)),
+        (in_scenes(trial_results("new", 10), 30), in_scenes(trial_results("", 5), 20)),
         (trial_results("", 10), trial_results("", 5)),
         (trial_results("new", 10, perplexity=float("nan")), trial_results("", 5)),
         (trial_results("new", 10, perplexity=0.9), trial_results("", 5)),

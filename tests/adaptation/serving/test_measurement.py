@@ -20,7 +20,7 @@ from dualbrain.adaptation.adapters import packaged
 from dualbrain.adaptation.adapters.base_models import base_model_hash
 from dualbrain.adaptation.adapters.card import read_adapter_card
 from dualbrain.adaptation.adapters.comparison import combine_layers, compare_cards, compare_layers
-from dualbrain.adaptation.adapters.promotion import MIN_QUESTIONS, Measurement
+from dualbrain.adaptation.adapters.promotion import MIN_QUESTIONS, MIN_SCENES, Measurement
 from dualbrain.adaptation.adapters.registry import AdapterRegistry
 from dualbrain.adaptation.adapters.stacking import load_stack
 from dualbrain.adaptation.conversion.concatenated_lora import concatenate_adapters, write_peft_adapter
@@ -109,6 +109,7 @@ def test_each_answer_is_scored_by_the_gate_and_against_the_instruction(known_ans
         ANSWERS[n % len(ANSWERS)][1:] for n in range(MIN_QUESTIONS)
     ]
     assert {t.success for t in found.trials} == {None}
+    assert [t.scene for t in found.trials] == [one.scene for one in ASKED]
     assert (found.adapter, found.runtime, found.perplexity) == ("a", "r", 12.5)
     executed = []
 
@@ -129,6 +130,9 @@ def test_too_few_questions_and_a_runtime_without_answers_are_errors(known_answer
     with pytest.raises(ConfigurationError, match="held-out questions"):
         select_questions(ASKED, 10)
     assert len(select_questions((*ASKED, *ASKED), 40)) == 40
+    few = tuple(replace(one, scene=f"g{number % (MIN_SCENES - 1)}") for number, one in enumerate(ASKED))
+    with pytest.raises(ConfigurationError, match="scenes of the held-out questions: got 9"):
+        select_questions(few)
     monkeypatch.setattr(
         "dualbrain.adaptation.serving.measurement.complete",
         lambda *a, **k: ChatResponse(text="", finish_reason="timeout"),

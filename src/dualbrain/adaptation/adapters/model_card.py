@@ -146,7 +146,7 @@ def _results(card: AdapterCard, decision: PromotionDecision | None) -> Iterator[
     verdict = "Promoted" if decision.promotes else "**Not promoted**"
     runtime = escape_markdown(decision.runtime) or "a runtime that was not recorded"
     yield f"{verdict} after a comparison with {champion} in {runtime}."
-    heads = ("measure", "before", "after", "gain", "95 % interval of the gain", "tolerance", "result")
+    heads = ("measure", "before", "after", "gain", "95 % interval of the gain", "p (corrected)", "tolerance", "result")
     yield "\n".join(_table(heads, (_measure_row(name, found) for name, found in decision.measures.items())))
     if decision.against:
         yield "Against a promotion:"
@@ -156,7 +156,8 @@ def _results(card: AdapterCard, decision: PromotionDecision | None) -> Iterator[
 def _measure_row(name: str, found: MeasureComparison) -> tuple[str, ...]:
     interval = "too few questions" if found.low is None else f"{found.low:+.4g} to {found.high:+.4g}"
     result = "worse" if found.is_worse else "better" if found.is_better else "no significant improvement"
-    numbers = (f"{found.before:.4g}", f"{found.after:.4g}", f"{found.gain:+.4g}", interval, f"{found.tolerance:.4g}")
+    p = "–" if found.p is None else f"{found.p:.2g}"
+    numbers = (f"{found.before:.4g}", f"{found.after:.4g}", f"{found.gain:+.4g}", interval, p, f"{found.tolerance:.4g}")
     return name, *numbers, result
 
 

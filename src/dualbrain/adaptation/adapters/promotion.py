@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Callable, Mapping
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from dualbrain.adaptation.adapters.scene_statistics import scene_interval, sign_flip_p
+from dualbrain.core.text import count_noun
 from dualbrain.errors import ConfigurationError
 
-Array = NDArray[np.float64]
 MIN_QUESTIONS = 30
 """Minimum number of questions: with fewer, no relevant difference can be distinguished from chance."""
-MIN_PAIRED_QUESTIONS = 10
-"""Minimum number of questions on which both planners have a measure, for its interval to justify a promotion."""
-N_RESAMPLES = 2000
+MIN_SCENES = 10
+"""Minimum number of scenes of the questions on which both planners have a measure, for it to justify a promotion.
+
+Below eight scenes no difference can reach the corrected level.
+"""
+MAX_P = 0.05
+"""Largest corrected p value of a significant improvement."""
 MEASURE_AGAIN_HINT = "Measure again: `dualbrain adapters measure`."
 EXECUTE_HINT = "measure with `dualbrain adapters measure`, without --no-fly"
 
@@ -24,10 +29,12 @@ EXECUTE_HINT = "measure with `dualbrain adapters measure`, without --no-fly"
 class QuestionResult(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The result of one held-out question in the serving runtime: was the unconstrained answer compliant, and right?
 
-    `success` and `Delta` (Δ of the execution) are None if the contract was not executed.
+    `success` and `Delta` (Δ of the execution) are None if the contract was not executed. `scene` is the scene or group
+    of scenes of the question; "" in measurements of versions that did not record it: a scene of its own.
     """
 
     question: str
+    scene: str = ""
     compliant: bool
     right: bool
     success: bool | None = None
@@ -68,7 +75,9 @@ class Tolerances(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 class MeasureComparison(msgspec.Struct, frozen=True, kw_only=True):
     """One measure before and after. `gain` is positive if the candidate is better.
 
-    `low` and `high` bound `gain` with 95 % confidence; None if too few questions have the measure.
+    `low` and `high` bound `gain` with 95 % confidence, and `p` is the two-sided p value of a gain of 0, corrected over
+    all measures. They are None if questions of too few scenes have the measure; `p` also in decisions of versions that
+    did not compute it.
     """
 
     before: float
@@ -77,6 +86,7 @@ class MeasureComparison(msgspec.Struct, frozen=True, kw_only=True):
     low: float | None
     high: float | None
     tolerance: float
+    p: float | None = None
 
     @property
     def is_worse(self) -> bool:
@@ -85,8 +95,8 @@ class MeasureComparison(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def is_better(self) -> bool:
-        """Whether the improvement is significant: the interval is above 0."""
-        return self.low is not None and self.low > 0.0
+        """Whether the improvement is significant: the interval is above 0, and p at most 5 %."""
+        return self.low is not None and self.low > 0.0 and (self.p is None or self.p <= MAX_P)
 
 
 class PromotionDecision(msgspec.Struct, frozen=True, kw_only=True):
@@ -126,13 +136,14 @@ def decide_promotion(
     *,
     dataset: str = "",
 ) -> PromotionDecision:
-    """Compare two planners question by question (paired bootstrap of the mean difference, 95 %).
+    """Compare two planners question by question; the scene is the unit of all statistics (`scene_statistics`).
 
-    Promise: the candidate is promoted only if at least one measure improves significantly (interval above 0) and no
-    mean is worse than its tolerance. Tolerances apply to the mean because the interval of some 30 questions is wider
-    than any useful tolerance: more questions make the gate finer. Success and Δ in closed loop are measures like the
-    others, and a candidate without them is not promoted. Raises `ConfigurationError` for results that cannot be
-    compared.
+    Promise: the candidate is promoted only if at least one measure improves significantly (interval above 0, and p at
+    most 5 % after correction over the measures) and no mean is worse than its tolerance. An equal candidate is
+    therefore promoted with a probability of at most 5 %. Tolerances apply to the mean because the interval of some 30
+    questions is wider than any useful tolerance: more questions make the gate finer. Success and Δ in closed loop are
+    measures like the others, and a candidate without them is not promoted. Raises `ConfigurationError` for results that
+    cannot be compared.
     """
     pairs = _paired_results(candidate, champion)
     measures = {
@@ -147,6 +158,7 @@ def decide_promotion(
     )
     measures["perplexity"] = kept
     against = [f"{name} got worse, from {m.before:.4g} to {m.after:.4g}" for name, m in measures.items() if m.is_worse]
+    against += _too_few_scenes(pairs)
     against += _not_executed(candidate, champion) or _missing_delta(pairs)
     if not any(measure.is_better for measure in measures.values()):
         against.append("no measure is significantly better")
@@ -158,6 +170,18 @@ def decide_promotion(
         dataset=dataset,
         runtime=candidate.runtime,
     )
+
+
+def scene_of(question: str, scene: str) -> str:
+    """The unit of the statistics that a question belongs to: its scene, or without one the question itself."""
+    return f"scene {scene}" if scene else f"question {question}"
+
+
+def _too_few_scenes(pairs: list[tuple[QuestionResult, QuestionResult]]) -> list[str]:
+    """Why the questions are too closely related, as reasons against a promotion."""
+    count = len({scene_of(trial.question, trial.scene) for trial, _ in pairs})
+    found = f"the questions are of {count_noun(count, 'scene')}, at least {MIN_SCENES} are needed"
+    return [] if count >= MIN_SCENES else [found]
 
 
 def _not_executed(candidate: PlannerResults, champion: PlannerResults) -> list[str]:
@@ -186,11 +210,11 @@ def _missing_delta(pairs: list[tuple[QuestionResult, QuestionResult]]) -> list[s
 def _paired_results(candidate: PlannerResults, champion: PlannerResults) -> list[tuple[QuestionResult, QuestionResult]]:
     of_champion = {trial.question: trial for trial in champion.trials}
     of_candidate = {trial.question: trial for trial in candidate.trials}
-    same = of_candidate.keys() == of_champion.keys() and len(of_candidate) == len(candidate.trials) == len(
-        champion.trials
-    )
+    same = len(of_candidate) == len(candidate.trials) == len(champion.trials) and {
+        trial.question: trial.scene for trial in candidate.trials
+    } == {trial.question: trial.scene for trial in champion.trials}
     if not same or candidate.runtime != champion.runtime:
-        problem = "The results of the two planners cannot be compared: their questions or their runtimes differ."
+        problem = "The results of the two planners cannot be compared: their questions, scenes or runtimes differ."
         raise ConfigurationError.stating(problem, fix=MEASURE_AGAIN_HINT)
     if len(of_candidate) < MIN_QUESTIONS:
         problem = f"The measurement has {len(of_candidate)} questions, but a comparison needs at least {MIN_QUESTIONS}."
@@ -222,13 +246,19 @@ def _compare_measure(
 ) -> MeasureComparison | None:
     """One measure over the questions on which both planners have it; None if there is no such question."""
     values = np.array([(read(of_candidate), read(of_champion)) for of_candidate, of_champion in pairs])
-    both = values[~np.isnan(values).any(axis=1)]
-    if not len(both):
+    has_both = ~np.isnan(values).any(axis=1)
+    if not has_both.any():
         return None
-    gains: Array = sign * (both[:, 0] - both[:, 1])
-    means = gains[rng.integers(len(gains), size=(N_RESAMPLES, len(gains)))].mean(axis=1)
-    low, high = map(float, np.percentile(means, [2.5, 97.5])) if len(both) >= MIN_PAIRED_QUESTIONS else (None, None)
-    after, before = both.mean(axis=0)
-    return MeasureComparison(
-        before=float(before), after=float(after), gain=float(gains.mean()), low=low, high=high, tolerance=tolerance
-    )
+    gains = sign * (values[:, 0] - values[:, 1])
+    by_scene: dict[str, list[float]] = defaultdict(list)
+    for row in np.flatnonzero(has_both):
+        trial = pairs[row][0]
+        by_scene[scene_of(trial.question, trial.scene)].append(float(gains[row]))
+    low = high = p = None
+    if len(by_scene) >= MIN_SCENES:
+        scenes = [np.array(one) for one in by_scene.values()]
+        low, high = scene_interval(scenes, rng)
+        p = min(1.0, len(MEASURES) * sign_flip_p(scenes, rng))
+    after, before = map(float, values[has_both].mean(axis=0))
+    gain = float(gains[has_both].mean())
+    return MeasureComparison(before=before, after=after, gain=gain, low=low, high=high, tolerance=tolerance, p=p)

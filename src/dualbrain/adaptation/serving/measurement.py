@@ -6,7 +6,13 @@ from collections.abc import Callable, Sequence
 
 import msgspec
 
-from dualbrain.adaptation.adapters.promotion import MIN_QUESTIONS, PlannerResults, QuestionResult
+from dualbrain.adaptation.adapters.promotion import (
+    MIN_QUESTIONS,
+    MIN_SCENES,
+    PlannerResults,
+    QuestionResult,
+    scene_of,
+)
 from dualbrain.adaptation.curation.sample import Sample
 from dualbrain.adaptation.serving.perplexity import perplexity, retention_text
 from dualbrain.adaptation.serving.raw_completion import RawCompletion, complete
@@ -38,12 +44,25 @@ class NoAnswerError(DualbrainError):
 
 
 def select_questions(samples: Sequence[Sample], max_questions: int = 0) -> tuple[Sample, ...]:
-    """At most `max_questions` (0: all) evenly chosen held-out `samples`; `ConfigurationError` if they are too few."""
+    """At most `max_questions` (0: all) evenly chosen held-out `samples`.
+
+    Raises `ConfigurationError` if they, or their scenes, are too few.
+    """
     count = min(max_questions or len(samples), len(samples))
-    if count < MIN_QUESTIONS:
-        fix = "With fewer, no relevant difference can be distinguished from chance."
-        raise ConfigurationError("held-out questions", got=count, allowed=f"at least {MIN_QUESTIONS}", fix=fix)
-    return tuple(samples[row * len(samples) // count] for row in range(count))
+    chosen = tuple(samples[row * len(samples) // count] for row in range(count))
+    for name, got, least in (
+        ("held-out questions", count, MIN_QUESTIONS),
+        ("scenes of the held-out questions", count_scenes(chosen), MIN_SCENES),
+    ):
+        if got < least:
+            fix = "With fewer, no relevant difference can be distinguished from chance."
+            raise ConfigurationError(name, got=got, allowed=f"at least {least}", fix=fix)
+    return chosen
+
+
+def count_scenes(samples: Sequence[Sample]) -> int:
+    """Number of scenes of `samples`, as the promotion gate counts them."""
+    return len({scene_of(one.id, one.scene) for one in samples})
 
 
 def samples_for_robot(samples: Sequence[Sample], robot: str) -> tuple[Sample, ...]:
@@ -89,8 +108,14 @@ def _measure_question(
 
     found = score_answer(answer.text if answer.is_complete else "", sample.contract, registry, accepts)
     if execute is None:
-        return QuestionResult(question=sample.id, compliant=found.compliant, right=found.is_right)
-    success, Delta = execute(sample, answer.text) if found.compliant else (False, None)
+        success, Delta = None, None
+    else:
+        success, Delta = execute(sample, answer.text) if found.compliant else (False, None)
     return QuestionResult(
-        question=sample.id, compliant=found.compliant, right=found.is_right, success=success, Delta=Delta
+        question=sample.id,
+        scene=sample.scene,
+        compliant=found.compliant,
+        right=found.is_right,
+        success=success,
+        Delta=Delta,
     )

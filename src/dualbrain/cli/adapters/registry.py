@@ -250,6 +250,7 @@ def promote(name: str, /, *, measured: Path, shadow: Count = MIN_SHADOW_ANSWERS)
     require_runtime(registry, one, decision.runtime)
     for measure, found in decision.measures.items():
         interval = "" if found.low is None else f", 95 %: {found.low:+.4g} to {found.high:+.4g}"
+        interval += "" if found.p is None else f", corrected p {found.p:.2g}"
         StderrConsole().print(f"{measure}: {found.before:.4g} -> {found.after:.4g}, gain {found.gain:+.4g}{interval}")
     count = count_shadow_answers(registry, one, decision.champion)
     if decision.promotes and (
