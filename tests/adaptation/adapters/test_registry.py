@@ -131,6 +131,8 @@ def test_registered_weights_are_rejected_with_another_config_or_card(registry, t
     for words, changed in (
         ("robot", {"robot": "ur5e"}),
         ("dataset", {"dataset": "e"}),
+        ("scene_values", {"scene_values": True}),
+        ("bootstrapped", {"bootstrapped": True}),
         ("", {"versions": {"a": "1"}, "steps": 9}),
     ):
         again = make_adapter(tmp_path / f"again {words}", "first")

@@ -294,9 +294,12 @@ class NotPromotedError(DualbrainError):
         super().__init__(f"adapter {adapter[:16]} was not promoted: {'; '.join(reasons)}.")
 
 
-IDENTITY_FIELDS = ("base", "base_sha256", "robot", "also", "registry", "prompt", "dataset", "sources")
-"""Card entries that must agree for equal weights: where the adapter may serve and its training data. Settings may
-differ."""
+IDENTITY_FIELDS = (
+    *("base", "base_sha256", "robot", "also", "registry", "prompt", "scene_values"),
+    *("dataset", "sources", "bootstrapped"),
+)
+"""Card entries that must agree for equal weights: where and with which prompt the adapter serves, and its training
+data. Settings may differ."""
 
 
 def _conflicting_facts(source: Path, target: Path, recorded: dict[str, str]) -> list[str]:
