@@ -144,21 +144,35 @@ def test_the_folder_is_printed_at_the_start_and_after_an_interrupt(run_command, 
     assert f"resume with the same command and --out {shlex.quote(str(folder))}\n" in err
 
 
-@pytest.mark.parametrize("ledger_named", [False, True])
-@pytest.mark.parametrize("serves", [False, True])
-def test_a_new_adapter_is_reported_with_the_next_commands(
-    run_command, ledger, tmp_path, monkeypatch, ledger_named, serves
-):
-    def champion(place):
-        return "b" * 64 if serves else ""
-
-    registry = SimpleNamespace(add=lambda folder, now: None, champion=champion, verify=dict)
+@pytest.fixture
+def trained(ledger, monkeypatch):
+    """Nothing is trained or registered; the state names the champion."""
+    state = SimpleNamespace(champion="")
+    registry = SimpleNamespace(add=lambda folder, now: None, champion=lambda place: state.champion, verify=dict)
     monkeypatch.setattr("dualbrain.cli.adapters.registry.open_adapter_registry", lambda: registry)
     monkeypatch.setattr(command, "_record_in_ledger", lambda *args: True)
     facts = {"id": "a" * 64, "robot": "panda", "base": "base-135m", "base_sha256": "c" * 64}
     trainer = SimpleNamespace(adapt=lambda *args, **kwargs: SimpleNamespace(**facts))
     monkeypatch.setattr(training, "import_trainer", lambda: trainer)
     monkeypatch.setattr("dualbrain.adaptation.adapters.base_models.find_base_model", lambda name, cache: name)
+    return state
+
+
+def test_a_new_adapter_is_reported_with_the_questions_that_its_measurement_lacks(run_command, trained, tmp_path):
+    code, _, err = run_command("adapt", "--out", "fit")
+    count = len(read_dataset(tmp_path / "fit" / "dataset").held_out)
+    message = " ".join(err.split())
+    assert code == ExitCode.SUCCESS
+    assert f"`dualbrain adapters measure` refuses its data set. held-out questions: got {count}, allowed: at" in message
+    assert "dualbrain adapters promote" not in err
+
+
+@pytest.mark.parametrize("ledger_named", [False, True])
+@pytest.mark.parametrize("serves", [False, True])
+def test_a_new_adapter_is_reported_with_the_next_commands(run_command, trained, monkeypatch, ledger_named, serves):
+    for name in ("MIN_QUESTIONS", "MIN_SCENES"):
+        monkeypatch.setattr(f"dualbrain.adaptation.serving.measurement.{name}", 1)
+    trained.champion = "b" * 64 if serves else ""
     of, one = " --ledger ledger.sqlite" if ledger_named else "", "a" * 16
     code, _, err = run_command("adapt", "--out", "fit", *of.split())
     assert code == ExitCode.SUCCESS

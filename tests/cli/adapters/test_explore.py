@@ -6,10 +6,12 @@ import msgspec
 import pytest
 
 from dualbrain.adaptation.adapters import base_models
+from dualbrain.adaptation.adapters.promotion import MIN_QUESTIONS
 from dualbrain.cli.adapters import explore as command
 from dualbrain.cli.adapters import registry, training
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.runtime.data_collection.exploration import cycle
+from tests.adaptation.sample_episodes import pick_contract
 
 SETTINGS = """
 robot = "ur5e"
@@ -35,7 +37,10 @@ def bench(monkeypatch):
 
     card = SimpleNamespace(id="a" * 64, robot="ur5e", base="base-135m", base_sha256="c" * 64)
     monkeypatch.setattr(command, "write_explored_dataset", write)
-    monkeypatch.setattr("dualbrain.adaptation.curation.dataset.read_dataset", lambda folder: None)
+    contract = msgspec.json.encode(pick_contract(robot="ur5e")).decode()
+    held_out = [SimpleNamespace(id=f"q{k}", scene=f"s{k}", contract=contract) for k in range(MIN_QUESTIONS)]
+    dataset = SimpleNamespace(held_out=held_out)
+    monkeypatch.setattr("dualbrain.adaptation.curation.dataset.read_dataset", lambda folder: dataset)
     monkeypatch.setattr(training, "import_trainer", lambda: SimpleNamespace(adapt=lambda *args, **options: card))
     monkeypatch.setattr(base_models, "find_base_model", lambda name, cache: name)
     monkeypatch.setattr(

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from dualbrain.cli.adapters.process_launcher import console_of
 from dualbrain.cli.common.console import StderrConsole
 from dualbrain.core.paths import cache_folder
-from dualbrain.errors import MissingDependencyError
+from dualbrain.errors import ConfigurationError, MissingDependencyError
 from dualbrain.planner.registry import DEFAULT_PLANNER
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ def register_adapter(folder: Path) -> None:
 
 
 def print_next_commands(card: Any, folder: Path, *, ledger: Path | None = None, serving: str = DEFAULT_PLANNER) -> None:
-    """Print the commands that bring the new adapter of `card` into service.
+    """Print the commands that bring the new adapter of `card` into service, or why its data set does not suffice.
 
     `serving` is the planner in service, unless another adapter serves in the place of the new one.
     """
@@ -96,10 +96,27 @@ def print_next_commands(card: Any, folder: Path, *, ledger: Path | None = None, 
     from dualbrain.cli.adapters.registry import open_adapter_registry
 
     registry, console = open_adapter_registry(), StderrConsole()
-    console.print(f"adapter {card.id[:16]}; it is not used until it is promoted. Next, in this order:")
+    unused = f"adapter {card.id[:16]}; it is not used until it is promoted."
+    if problem := _measurement_problem(folder / DATASET_FOLDER, card.robot):
+        fix = "Measure it with a larger data set, or train again with more clean episodes or a larger held-out part."
+        console.print(f"{unused} `dualbrain adapters measure` refuses its data set. {problem} {fix}", markup=False)
+        return
+    console.print(f"{unused} Next, in this order:")
     beside = "" if registry.champion(place_of_card(card)) else f"@{serving}"
     for line in _next_commands(card, folder, ledger, beside):
         print_unwrapped(console, f"  {line}")
+
+
+def _measurement_problem(data: Path, robot: str) -> str:
+    """Why the held-out questions for `robot` in the data set `data` justify no promotion; "" if they can."""
+    from dualbrain.adaptation.curation.dataset import read_dataset
+    from dualbrain.adaptation.serving.measurement import samples_for_robot, select_questions
+
+    try:
+        select_questions(samples_for_robot(read_dataset(data).held_out, robot))
+    except ConfigurationError as error:
+        return str(error)
+    return ""
 
 
 def _next_commands(card: Any, folder: Path, ledger: Path | None, beside: str) -> tuple[str, ...]:
