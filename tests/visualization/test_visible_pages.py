@@ -3,7 +3,7 @@
 import msgspec
 import pytest
 
-from dualbrain.core.markdown import escape_markdown, markdown_table
+from dualbrain.core.markdown import code_span, escape_markdown, markdown_table
 from dualbrain.records import Episode
 from dualbrain.visualization.html.page import Html, badge, document, element, join, section, table
 from dualbrain.visualization.live.panel import final_html, lines_html
@@ -29,6 +29,7 @@ def test_no_part_of_a_page_hides_text(text: str) -> None:
         assert_visible(part)
     assert_visible(document(text, text, Html(f"<svg><text>{text}</text></svg>")))
     assert_visible(escape_markdown(text))
+    assert_visible(code_span(text))
     assert_visible("".join(markdown_table((text,), [(text,)])))
 
 

@@ -126,9 +126,9 @@ def clearance_table(rows: dict[str, Sequence[EpisodeRow]]) -> Table:
     ]
     header = (
         "suite, method",
-        "episodes with h < 0",
+        "episodes with h below 0",
         "worst h [mm]",
-        "time with h < 0",
+        "time with h below 0",
         "longest in an episode [s]",
     )
     note = (

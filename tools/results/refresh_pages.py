@@ -66,7 +66,7 @@ def refreshed_page(data: ReportData, old: str) -> str:
             tables.append(latencies)
         tables.append(table)
     pair = re.search(rf"^{TRACES_PREFIX}(.*?); ", old, re.MULTILINE)
-    traced_pair = pair[1].replace("\\", "") if pair else ""
+    traced_pair = unescaped(pair[1]) if pair else ""
     not_measured = list_not_measured(data.rows, data.suite, costs_from_config(data.config))
     not_measured = [line for line in not_measured if not (traced_pair and line == NO_TRACES)]
     return render_markdown_page(data, tables, not_measured, traced_pair, captions(data.rows, old))
@@ -75,8 +75,13 @@ def refreshed_page(data: ReportData, old: str) -> str:
 def decision_latencies(page: str) -> Table:
     """Table of the decision times in `page`; without rows if the page has none."""
     lines = page.partition(f"## {DECISION_LATENCY_TITLE}\n")[2].partition("\n## ")[0].splitlines()
-    rows = [tuple(line.strip("| ").split(" | ")) for line in lines if line.startswith("|")][2:]
+    rows = [tuple(map(unescaped, line.strip("| ").split(" | "))) for line in lines if line.startswith("|")][2:]
     return Table(DECISION_LATENCY_TITLE, DECISION_LATENCY_HEADER, tuple(rows), DECISION_LATENCY_NOTE)
+
+
+def unescaped(text: str) -> str:
+    """The text that `escape_markdown` made `text` from."""
+    return re.sub(r"\\(.)", r"\1", text)
 
 
 def captions(rows: Sequence[EpisodeRow], page: str) -> list[tuple[EpisodeRow, str]]:

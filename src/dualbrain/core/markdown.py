@@ -22,6 +22,14 @@ def markdown_table(head: Sequence[object], rows: Iterable[Sequence[object]], *, 
     return [first, "| " + " | ".join(["---"] * len(head)) + " |", *others]
 
 
+def code_span(text: str) -> str:
+    """Untrusted text as code in a line: the fence is longer than every run of backticks in the text."""
+    line = visible_text(" ".join(text.splitlines()))
+    fence = "`" * (1 + max(map(len, re.findall("`+", line)), default=0))
+    pad = " " if not line.strip() or line[0] == "`" or line[-1] == "`" else ""
+    return f"{fence}{pad}{line}{pad}{fence}"
+
+
 def escape_markdown(text: str) -> str:
     """Untrusted text with every Markdown character escaped and every hidden character visible, on one line.
 

@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 import msgspec
 import numpy as np
 import pytest
+from markdown_it import MarkdownIt
 
 from dualbrain.cli.evaluation.results import last_run_date, load_results
 from dualbrain.cli.main import run_command_line
@@ -430,6 +431,44 @@ def test_the_markdown_page_shows_images_of_its_folder_and_escapes_its_texts(rows
     assert "mathdefault" not in (tmp_path / "latencies.svg").read_text()  # tick labels are numbers, not formulas
     assert ElementTree.fromstring(chart).tag.endswith("svg")
     assert set(re.findall(r"var\((--[a-z]+)\)", chart)) <= set(re.findall(r"(--[a-z]+):", chart))
+
+
+def test_backslash_and_pipe_of_a_cell_are_both_escaped():
+    """GitHub ends a cell at a pipe behind an escaped backslash; other parsers do not."""
+    assert markdown_table(Table("t", ("a", "b"), ((r"c\|d", "e"),)))[4] == r"| c\\\|d | e |"
+
+
+def structure(page):
+    """Types of all Markdown tokens, without their text."""
+    tokens = MarkdownIt("commonmark").enable("table").parse(page)
+    inline = [child.type for token in tokens for child in token.children or () if child.type != "text"]
+    return [token.type for token in tokens], inline
+
+
+@pytest.mark.parametrize(
+    "text", ["![x](http://evil/p.png) <img src=x>", r"c\|d", "a|b", "`a` ``` b", "- x\n\n# y", "<!-- &lt; [a]: b"]
+)
+def test_no_text_of_results_changes_the_form_of_the_markdown_page(suite, tmp_path, text):
+    """Results of another person name robots, kinds of violations, planners and keys freely."""
+
+    def page(text):
+        moved = msgspec.structs.replace(COLLISION, kind=text, bodies=(text, "cup"))
+        changed = {"robot": text, "planner": text, "key": text, "violations": (moved,), "epsilon": 0.1}
+        rows = [episode_row("B3", seed=seed, **changed) for seed in (1, 2)]
+        named = {"name": text, "description": text, "planners": {"base": text}}
+        data = ReportData(
+            rows=rows,
+            suite=msgspec.structs.replace(suite, **named),
+            config={"origin": {"code": text, "numpy": text}},
+            gallery=[FailureImage(rows[0], text, np.zeros((48, 64, 3), np.uint8))],
+            date=text,
+            command=text,
+            omissions=[text],
+        )
+        write_markdown_page(tmp_path, data)
+        return (tmp_path / "report.md").read_text()
+
+    assert structure(page(text)) == structure(page("a"))
 
 
 def test_a_page_in_another_folder_comes_with_the_table_of_all_episodes(rows, suite, tmp_path):

@@ -9,7 +9,7 @@ import pytest
 
 from dualbrain.control.recording.trace import DEAD_BAND
 from dualbrain.core.storage.jsonl_log import JsonlLog
-from dualbrain.errors import ConfigurationError
+from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.evaluation.episodes.episode_cache import EpisodeCache
 from dualbrain.evaluation.planners.answer_cache import AnswerCache
 from dualbrain.evaluation.planners.factory import (
@@ -27,7 +27,7 @@ from dualbrain.evaluation.protocol.suite import (
 from dualbrain.evaluation.report.adaptation_cost import AdapterCost
 from dualbrain.evaluation.runner import runner as runner_module
 from dualbrain.evaluation.runner.run_ledgers import RunFolder, plasticity_rule
-from dualbrain.evaluation.runner.runner import STAGES, Runner, pilot_epsilon
+from dualbrain.evaluation.runner.runner import STAGES, Runner, pilot_epsilon, suite_from_config
 from dualbrain.evaluation.runner.work_units import build_units
 from dualbrain.evaluation.runner.worker_pool import ProcessPool, SerialPool
 from dualbrain.evaluation.runner.workload import Workload, compute_workload
@@ -306,6 +306,18 @@ def test_the_ledger_of_an_episode_is_on_the_disk_before_its_row_is_logged(tmp_pa
     with RunFolder(tmp_path / "run").open_episode(0, None) as ledger:
         ledger.write_text("one")
     assert synced == [{"ledger.sqlite"}, {"after-0001", "lock"}]
+
+
+@pytest.mark.parametrize("robot", ["/tmp/robot.json", "other"])
+def test_the_robot_of_a_stored_suite_is_a_packaged_one(suite, tmp_path, robot):
+    stored = {"suite": msgspec.to_builtins(suite)}
+    assert suite_from_config(stored, tmp_path) == suite
+    for part in (stored["suite"], stored["suite"]["tasks"][0]):
+        before = part["robots"]
+        part["robots"] = [robot]
+        with pytest.raises(UnknownNameError, match="packaged robot"):
+            suite_from_config(stored, tmp_path)
+        part["robots"] = before
 
 
 def test_a_worker_waits_for_one_that_is_still_finishing_its_episode(tmp_path):

@@ -195,7 +195,7 @@ def check_suite(suite: Suite) -> None:
     _ = suite.resolved_methods
     for check in (
         _check_name,
-        _check_robots,
+        check_robots,
         _check_target,
         _check_unique,
         _check_tasks,
@@ -213,8 +213,11 @@ def _check_name(suite: Suite) -> None:
         raise ConfigurationError("name of the suite", got=suite.name, allowed=allowed)
 
 
-def _check_robots(suite: Suite) -> None:
-    """The robots are packaged ones with a plant: the name of a robot in a suite opens no file."""
+def check_robots(suite: Suite) -> None:
+    """The robots are packaged ones with a plant: the name of a robot in a suite opens no file.
+
+    Raises `UnknownNameError`.
+    """
     for robot in (*suite.robots, *(robot for task in suite.tasks for robot in task.robots)):
         if robot not in SIMULATED_ROBOTS:
             raise UnknownNameError("packaged robot", robot[:80], SIMULATED_ROBOTS, owner=f"suite {suite.name}")

@@ -23,7 +23,7 @@ def margins_table(rows: Sequence[EpisodeRow]) -> Table:
     causes = [*(cause.value for cause in MarginCause), NOT_RECORDED]
     causes += [f"{cause.value} (introduced)" for cause in MarginCause]
     lines = [
-        ("h < 0", *(_share([row for row in some if _is_short(row)], some) for some in by_method)),
+        ("h below 0", *(_share([row for row in some if _is_short(row)], some) for some in by_method)),
         ("least h [mm]", *(f"{1e3 * min(row.h_min or 0.0 for row in some):.2f}" for some in by_method)),
     ]
     for cause in causes:

@@ -49,7 +49,7 @@ def list_not_measured(
         sentences.append(NO_TRACES)
     names = {row.planner for row in rows}
     if TEMPLATE_PLANNER in names:
-        sentences.append("A language model: the planner `template` draws random contracts.")
+        sentences.append("A language model: the planner “template” draws random contracts.")
     labels = {row.label for row in rows}
     sentences += [f"Instructions that are {label}." for label in LABELS if label not in labels]
     wanted = sum(

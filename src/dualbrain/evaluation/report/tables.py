@@ -260,20 +260,21 @@ def throughput_table(rows: Sequence[EpisodeRow]) -> Table:
 
 
 def markdown_table(table: Table) -> list[str]:
-    """Lines of Markdown: the title as a heading, the note, the table."""
-    lines = [f"## {table.title}", ""]
+    """Lines of Markdown: the title as a heading, the note, the table. Title and cells are escaped."""
+    lines = [f"## {markdown.escape_markdown(table.title)}", ""]
     if table.note:
         lines += [f"{table.note[0].upper()}{table.note[1:]}.", ""]
     if not table.rows:
         return [*lines, "None.", ""]
     for header, rows in table.split_columns():
-        lines += [*markdown.markdown_table(header, rows, pipe="\\|"), ""]
+        head, *cells = ([markdown.escape_markdown(cell) for cell in row] for row in (header, *rows))
+        lines += [*markdown.markdown_table(head, cells, pipe="|"), ""]
     return lines
 
 
 def markdown_page(title: str, header_lines: Sequence[str], tables: Iterable[Table]) -> str:
-    """A Markdown page: title, header lines, tables."""
-    lines = [f"# {title}", "", *(f"{line}  " for line in header_lines), ""]
+    """A Markdown page: title, which is escaped, header lines, tables."""
+    lines = [f"# {markdown.escape_markdown(title)}", "", *(f"{line}  " for line in header_lines), ""]
     for table in tables:
         lines += markdown_table(table)
     return "\n".join(lines)

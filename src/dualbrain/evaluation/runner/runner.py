@@ -21,7 +21,7 @@ from dualbrain.core.storage.private_files import open_private_folder
 from dualbrain.core.untrusted.bounded_file import read_bounded_file
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError
 from dualbrain.evaluation.protocol.method import METHODS
-from dualbrain.evaluation.protocol.suite import Suite
+from dualbrain.evaluation.protocol.suite import Suite, check_robots
 from dualbrain.evaluation.report.adaptation_cost import AdapterCost
 from dualbrain.evaluation.results.episode_row import EpisodeRow
 from dualbrain.evaluation.runner.parts.part import Part
@@ -212,11 +212,17 @@ def read_config(path: Path) -> dict[str, Any]:
 
 
 def suite_from_config(config: dict[str, Any], path: Path) -> Suite:
-    """The suite in the configuration that was read from `path`; raises `ConfigurationError` if it is damaged."""
+    """The suite in the configuration that was read from `path`; raises `ConfigurationError` if it is damaged.
+
+    Results of other versions are read even if this version refuses their suite, except for an unknown robot
+    (`UnknownNameError`), whose name could be that of a file.
+    """
     try:
-        return msgspec.convert(config.get("suite"), Suite)
+        suite = msgspec.convert(config.get("suite"), Suite)
     except msgspec.ValidationError as error:
         raise _damaged_config(path, error) from error
+    check_robots(suite)
+    return suite
 
 
 def _damaged_config(path: Path, error: Exception) -> ConfigurationError:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from dualbrain.core.markdown import escape_markdown
+from dualbrain.core.markdown import code_span, escape_markdown
 from dualbrain.core.untrusted.visible_text import visible_text
 from dualbrain.evaluation.report.captions import headline
 from dualbrain.evaluation.report.summary import describe_methods
@@ -66,7 +66,7 @@ def render_markdown_page(
         lines += [escape_markdown(title), "", f"![{name}]({name}.svg)", ""]
     for number, (row, caption) in enumerate(captions, start=1):
         lines += [f"![{number}](failure_{number}.jpg)", "", *_caption_lines(row, caption), ""]
-    lines += ["## Not measured", "", *(f"- {line}" for line in not_measured), ""]
+    lines += ["## Not measured", "", *(f"- {escape_markdown(line)}" for line in not_measured), ""]
     facts = provenance_facts(data)
     lines += ["## Provenance", "", *(f"- {name}: {escape_markdown(fact)}" for name, fact in facts.items()), ""]
     return markdown_page(f"Evaluation {data.suite.name}", header_lines(data), tables) + "\n" + "\n".join(lines)
@@ -89,9 +89,11 @@ def header_lines(data: ReportData) -> list[str]:
         f"**{escape_markdown(data.summary)}**",
         "![success and violations by method](summary.svg)",
         escape_markdown(describe_methods(data.rows)),
-        data.suite.description,
-        f"{len(data.rows)} episodes, {data.date}, code {code}, seeds {seeds[0]} to {seeds[-1]} ({len(seeds)}).",
-        f"Reproduce: `{data.command}`; with `--again KEY` a single episode by its key.",
+        escape_markdown(data.suite.description),
+        escape_markdown(
+            f"{len(data.rows)} episodes, {data.date}, code {code}, seeds {seeds[0]} to {seeds[-1]} ({len(seeds)})."
+        ),
+        f"Reproduce: {code_span(data.command)}; with `--again KEY` a single episode by its key.",
     ]
 
 
@@ -106,5 +108,5 @@ def standalone_svg(chart: Html) -> str:
 def _caption_lines(row: EpisodeRow, caption: str) -> list[str]:
     return [
         f"{escape_markdown(row.method)}: {escape_markdown(headline(row))}. {escape_markdown(caption)}  ",
-        f"`{row.key}`",
+        code_span(row.key),
     ]
