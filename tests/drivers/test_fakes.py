@@ -2,6 +2,7 @@
 
 import inspect
 import re
+import time
 
 import msgspec
 import numpy as np
@@ -214,6 +215,40 @@ def test_the_leading_axis_reaches_its_speed_with_the_given_acceleration():
         controller.set_speed([0.0] * 6, 41.0)
     assert (UR5E.position_range == 2.0 * np.pi * np.array((-1.0, 1.0))).all()
     assert trial.driver._acceleration == 15.0
+
+
+def slow_ur(delay=0.1):
+    """A driver whose controller takes `delay` [s] to load the script, and the controller."""
+    robot_model = load_robot("ur5e")
+    sdk = FakeUr(robot_model)
+    driver, load = UrDriver(sdk, "fake", robot_model), sdk.controller.load_script
+    sdk.controller.load_script = lambda: (time.sleep(delay), load())[1]
+    return driver, sdk.controller
+
+
+@pytest.mark.parametrize("end", ["stop", "close"])
+def test_a_stop_while_the_script_is_loaded_keeps_the_drive_off(end):
+    driver, controller = slow_ur()
+    driver.enable()
+    time.sleep(0.02)
+    getattr(driver, end)()
+    driver._start_thread.join(10.0)
+    driver.wait()
+    assert not driver.read().drive_enabled
+    assert not controller.script_running
+    assert driver.faults() == ()
+
+
+def test_a_drive_that_is_wanted_again_while_the_script_is_loaded_comes_on():
+    driver, controller = slow_ur()
+    driver.enable()
+    driver.stop()
+    driver.enable()
+    driver._start_thread.join(10.0)
+    driver.wait()
+    assert driver.read().drive_enabled
+    driver.stop()
+    assert not controller.script_running
 
 
 def test_after_an_emergency_stop_the_script_does_not_restart_by_itself():

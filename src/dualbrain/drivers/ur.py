@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from importlib import import_module
-from threading import Thread
+from threading import Lock, Thread
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,8 @@ ACCELERATION_FACTOR = 1.5
 """Acceleration of `speedJ` relative to the limit of the robot model; above 1, so that `speedJ` delays no command."""
 MAX_ACCELERATION = 40.0
 """Largest acceleration that `speedJ` accepts [rad/s²]."""
+MAX_START_TIME = 3.0
+"""Maximum time [s] that `close` waits for the end of a switch-on."""
 MAX_WAIT_PERIODS = 3
 """Maximum number of periods that `wait` waits for a state with a new time stamp."""
 
@@ -71,6 +73,9 @@ class UrDriver:
             MAX_ACCELERATION, ACCELERATION_FACTOR * max(joint.acceleration.value for joint in robot_model.joints)
         )
         self._is_enabled, self._closed = False, False
+        self._lock = Lock()
+        """Guards the three flags of the switch-on: `_is_enabled`, `_wanted` and `_is_starting`."""
+        self._wanted, self._is_starting = False, False
         self._start_thread: Thread | None = None
         self._faults: tuple[str, ...] = ()
         self._state = self._read_state()
@@ -104,14 +109,22 @@ class UrDriver:
         self._end_script()
 
     def enable(self) -> None:
-        """Load the script again in a separate thread; this takes about a second, in which states continue to arrive."""
-        if self._is_enabled or self._closed or (self._start_thread and self._start_thread.is_alive()):
+        """Load the script again in a separate thread; this takes about a second, in which states continue to arrive.
+
+        A stop in this time ends the script as soon as it is loaded, and the drive stays off.
+        """
+        if self._is_enabled or self._closed:
             return
         if safety_stop := self._safety_stop():
             self._faults = (f"{safety_stop}: clear it at the pendant",)
             return
-        self._start_thread = Thread(target=self._start_script, name="ur script", daemon=True)
-        self._start_thread.start()
+        with self._lock:
+            if self._is_enabled:  # since the first check
+                return
+            was_starting, self._wanted, self._is_starting = self._is_starting, True, True
+        if not was_starting:
+            self._start_thread = Thread(target=self._start_script, name="ur script", daemon=True)
+            self._start_thread.start()
 
     # --- the driver interface -----------------------------------------------------------------------------------
 
@@ -133,32 +146,49 @@ class UrDriver:
         return self._faults
 
     def close(self) -> None:
-        """Stop the arm and disconnect."""
+        """Stop the arm and disconnect, after the end of a switch-on."""
         self._end_script()
         if not self._closed:
             self._closed = True
+            if self._start_thread is not None:
+                self._start_thread.join(MAX_START_TIME)
             self._control.disconnect()
 
     # --- private ------------------------------------------------------------------------------------------------
 
     def _start_script(self) -> None:
+        """Load the script, and end it again if the drive is no longer wanted; runs in a separate thread."""
+        fault = self._load_script()
+        with self._lock:
+            self._is_starting, self._is_enabled = False, self._wanted and not fault
+            if self._wanted:
+                self._faults = (fault,) if fault else ()
+            else:
+                self._stop_script()
+
+    def _load_script(self) -> str:
+        """Load the script and set its watchdog; returns the fault, "" if the script runs."""
         try:
             ready = self._control.isProgramRunning() or self._control.reuploadScript()
-            self._is_enabled = bool(ready and self._control.setWatchdog(1.0 / WATCHDOG_TIMEOUT))
-            self._faults = () if self._is_enabled else ("the controller does not run the script",)
+            is_running = ready and self._control.setWatchdog(1.0 / WATCHDOG_TIMEOUT)
         except RuntimeError as error:
-            self._faults = (str(error),)
+            return str(error)
+        return "" if is_running else "the controller does not run the script"
 
     def _end_script(self, fault: str = "") -> None:
-        was_enabled, self._is_enabled = self._is_enabled, False
+        with self._lock:
+            was_enabled, self._is_enabled, self._wanted = self._is_enabled, False, False
         if fault:
             self._faults = (fault,)
         if was_enabled:
-            try:
-                self._control.stopScript()
-            except RuntimeError as error:
-                self._faults = (*self._faults, str(error))
+            self._stop_script()
         self._state = replace(self._state, drive_enabled=False)
+
+    def _stop_script(self) -> None:
+        try:
+            self._control.stopScript()
+        except RuntimeError as error:
+            self._faults = (*self._faults, str(error))
 
     def _safety_stop(self) -> str:
         if self._receive.isEmergencyStopped():

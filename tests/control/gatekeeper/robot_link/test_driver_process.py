@@ -173,6 +173,18 @@ def test_a_malformed_late_command_stops_the_arm():
     theirs.close()
 
 
+def test_a_drive_that_comes_on_although_it_is_to_be_off_is_stopped():
+    ours, theirs = socket_pair()
+    driver = RecordedDriver()
+    process = DriverProcess(driver, Scene(robot="ur5e", stamp=0.0, version=1, objects=()), theirs)
+    driver.wait = process.lose_gatekeeper  # one period
+    driver.close = lambda: None
+    process.serve()
+    assert driver.calls == [("stop",)]
+    ours.close()
+    theirs.close()
+
+
 # --- commands of a control thread -----------------------------------------------------------------------------------
 
 

@@ -81,9 +81,7 @@ class DriverProcess:
                     self._drop_late_commands()
                 self._send_state()
                 self._await_command(time.monotonic() + REPLY_FRACTION * self._driver.timing.period)
-                if self._drive_on and time.monotonic() - self._last_command_at > WATCHDOG_TIMEOUT:
-                    self._drive_on = False
-                    self._driver.stop()
+                self._check_drive()
         finally:
             self._driver.close()
 
@@ -164,6 +162,13 @@ class DriverProcess:
         (self._driver.enable if on else self._driver.stop)()
         if first:  # a repeated order is no command and does not feed the watchdog; an arm may take time to switch on
             self._last_command_at = time.monotonic()
+
+    def _check_drive(self) -> None:
+        """Stop a drive without commands, and one that came on although it is to be off."""
+        if self._drive_on and time.monotonic() - self._last_command_at > WATCHDOG_TIMEOUT:
+            self._stop_drive()
+        elif not self._drive_on and self._driver.read().drive_enabled:
+            self._driver.stop()
 
     def _stop_drive(self) -> None:
         """Stop after a packet that this arm cannot use; the drive remains off until it is switched on again."""
