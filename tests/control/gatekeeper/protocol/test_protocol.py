@@ -35,6 +35,7 @@ from dualbrain.control.gatekeeper.protocol.messages import (
     CLIENT_MESSAGES,
     Heartbeat,
     Message,
+    OperatorCommand,
     Propose,
     decode_message,
     encode_body,
@@ -42,6 +43,7 @@ from dualbrain.control.gatekeeper.protocol.messages import (
 )
 from dualbrain.control.gatekeeper.protocol.server import (
     FRAMES_PER_TICK,
+    KEPT_OBSERVERS,
     MAX_CONNECTIONS,
     MAX_FRAMES_PER_SECOND,
     SocketServer,
@@ -297,6 +299,76 @@ def test_there_is_always_room_for_another_observer(server):
     clients = [connect(server) for _ in range(3 * MAX_CONNECTIONS)]
     assert len(server.connections) == MAX_CONNECTIONS
     assert server.connections[-1].number == len(clients)
+
+
+def wait_in_the_queue(server, count=1):
+    """Clients that have connected and are not accepted yet."""
+    clients = [socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) for _ in range(count)]
+    CLIENTS.extend(clients)
+    for client in clients:
+        client.connect(str(server.path))
+    return clients
+
+
+def send_stop(client):
+    stop = OperatorCommand(act="estop")
+    client.send(encode(kind_code(stop), 1, encode_body(stop)))
+
+
+def occupy(server, n_observers):
+    """As many connections without a key as are possible, the oldest of which are observers."""
+    for _ in range(MAX_CONNECTIONS):
+        connect(server)
+    for connection in server.connections[:n_observers]:
+        connection.role = "observer"
+
+
+def messages(server, now=0.0):
+    return [message for _, _, message in server.receive(now)]
+
+
+@pytest.mark.parametrize("n_observers", [0, 3, 8, MAX_CONNECTIONS])
+@pytest.mark.parametrize("accepted", [False, True], ids=["waiting", "accepted"])
+def test_no_client_replaces_a_connection_whose_stop_was_not_read(server, accepted, n_observers):
+    """Neither a stop that is sent while the client waits, nor one that is sent after it was accepted."""
+    occupy(server, n_observers)
+    (stopper,) = wait_in_the_queue(server)
+    received = messages(server) if accepted else []
+    send_stop(stopper)
+    received += [] if accepted else messages(server)
+    wait_in_the_queue(server, MAX_CONNECTIONS)
+    received += messages(server, 0.001)
+    assert received == [OperatorCommand(act="estop")]
+
+
+def test_a_client_that_is_accepted_is_read_in_the_same_tick(server):
+    occupy(server, 0)
+    for client in wait_in_the_queue(server, server_module.ACCEPTED_PER_TICK):
+        send_stop(client)
+    assert len(messages(server)) == server_module.ACCEPTED_PER_TICK
+
+
+def test_observers_beyond_the_kept_ones_are_replaced_first_and_then_strangers(server):
+    occupy(server, 8)
+    first = server.connections[0]
+    expected = [1, 2, *range(9, 13), *range(13, 19)]
+    for number in expected:
+        assert number in [connection.number for connection in server.connections]
+        connect(server)
+        assert number not in [connection.number for connection in server.connections]
+    assert first not in server.connections
+    assert sum(connection.role == "observer" for connection in server.connections) == KEPT_OBSERVERS
+
+
+def test_a_connection_with_a_fault_is_not_replaced_before_it_is_reported(server):
+    occupy(server, 0)
+    for connection in server.connections:
+        connection.fault = "malformed"
+    wait_in_the_queue(server)
+    assert messages(server) == []
+    assert len(server.failed_connections()) == MAX_CONNECTIONS
+    assert messages(server) == []
+    assert len(server.connections) == 1
 
 
 @settings(max_examples=60, deadline=None)

@@ -1,8 +1,8 @@
 """Non-blocking Unix-domain socket server (mode 0600, same user only).
 
-In each tick the server reads a bounded number of bytes and frames from every connection, in turn. It closes a
-connection that exceeds the rate limit and drops its unread frames. A flood therefore costs a bounded time per tick, and
-bounded memory.
+In each tick the server reads a bounded number of bytes and frames from every connection, in turn, and then accepts a
+bounded number of clients, from which it reads at once. It closes a connection that exceeds the rate limit and drops its
+unread frames. A flood therefore costs a bounded time per tick, and bounded memory.
 """
 
 from __future__ import annotations
@@ -45,6 +45,10 @@ BACKLOG = 128
 """Clients that may wait for `accept`; a client of a longer queue is refused."""
 ACCEPTED_PER_TICK = MAX_CONNECTIONS - MAX_AUTHENTICATED
 """Connections that are accepted per tick. All are read in the same tick, before a later client can replace them."""
+KEPT_OBSERVERS = 6
+"""Observers beyond this number are replaced before connections that have not authenticated themselves."""
+REPLACEABLE_ROLES = ("stranger", "observer")
+"""Roles without a key."""
 ANOTHER_PATH = "Name another path with --socket"
 """Remedy if the path of the socket is taken."""
 DISCONNECTED, FLOOD = "disconnected", "flood"
@@ -54,7 +58,8 @@ DISCONNECTED, FLOOD = "disconnected", "flood"
 class Connection:
     """One connection: role and principal, decoder of received frames, and data that is not sent yet.
 
-    `fault` is the reason why the connection ended or must be closed, "" if there is none.
+    `fault` is the reason why the connection ended or must be closed, "" if there is none. `was_read` is whether it
+    had a turn since it was accepted.
     """
 
     def __init__(self, sock: socket.socket, number: int) -> None:
@@ -63,7 +68,7 @@ class Connection:
         self.nonce = secrets.token_bytes(NONCE_BYTES)
         self.principal, self.role, self.receives_reports = "", "stranger", False
         self.last_received_at = 0.0
-        self.fault = ""
+        self.fault, self.was_read = "", False
         self._decoder = FrameDecoder()
         self._sent = 0
         self._unsent = bytearray()
@@ -175,17 +180,16 @@ class SocketServer:
         self._n_accepted = self._first_index = 0
 
     def receive(self, now: float) -> Iterator[tuple[Connection, int, Message]]:
-        """Messages of all connections in turn, within the budget of a tick; `now` [s] is a monotonic clock."""
-        readable = {descriptor for descriptor, _ in self._readable.poll(0)}  # a quarter of the time of one failed call
-        if self._listener.fileno() in readable:
-            self._accept_waiting(now)
-        if not self.connections:
-            return
-        self._first_index = (self._first_index + 1) % len(self.connections)
-        for connection in [*self.connections[self._first_index :], *self.connections[: self._first_index]]:
-            if connection.has_frame or connection.socket.fileno() in readable:
-                for sequence, message in connection.receive(now):
-                    yield connection, sequence, message
+        """Messages of all connections in turn, within the budget of a tick; `now` [s] is a monotonic clock.
+
+        Clients that wait are accepted after every connection had its turn, so that none is replaced unread.
+        """
+        readable = self._poll()
+        self._first_index = (self._first_index + 1) % max(1, len(self.connections))
+        in_turn = [*self.connections[self._first_index :], *self.connections[: self._first_index]]
+        yield from self._read(in_turn, readable, now)
+        if self._listener.fileno() in readable and (accepted := self._accept_waiting(now)):
+            yield from self._read(accepted, self._poll(), now)
 
     def failed_connections(self) -> list[Connection]:
         """Close, remove and return the connections that have a fault."""
@@ -219,47 +223,67 @@ class SocketServer:
     @property
     def is_full(self) -> bool:
         """Whether there are as many commanders and operators as are allowed."""
-        return len(self.connections) - len(self._replaceable()) >= MAX_AUTHENTICATED
+        return sum(connection.role not in REPLACEABLE_ROLES for connection in self.connections) >= MAX_AUTHENTICATED
+
+    def _poll(self) -> set[int]:
+        """The descriptors that can be read; a poll takes a quarter of the time of one failed call."""
+        return {descriptor for descriptor, _ in self._readable.poll(0)}
+
+    def _read(
+        self, connections: list[Connection], readable: set[int], now: float
+    ) -> Iterator[tuple[Connection, int, Message]]:
+        for connection in connections:
+            connection.was_read = True
+            if connection.has_frame or connection.socket.fileno() in readable:
+                for sequence, message in connection.receive(now):
+                    yield connection, sequence, message
 
     def _replaceable(self) -> list[Connection]:
-        """Connections that may be closed to make room: strangers, then observers, the oldest first."""
-        roles = ("stranger", "observer")
-        return [connection for role in roles for connection in self.connections if connection.role == role]
+        """Connections that may be closed to make room: surplus observers, strangers, other observers, the oldest first.
 
-    def _make_room(self) -> None:
-        """Close connections that are neither commander nor operator until there is room for one more."""
-        while len(self.connections) >= MAX_CONNECTIONS:
-            self._remove(self._replaceable()[0])
+        A connection that was not read since it was accepted, or whose fault was not reported, may not.
+        """
+        strangers, observers = (
+            [one for one in self.connections if one.role == role and one.was_read and not one.fault]
+            for role in REPLACEABLE_ROLES
+        )
+        n_surplus = max(0, len(observers) - KEPT_OBSERVERS)
+        return [*observers[:n_surplus], *strangers, *observers[n_surplus:]]
 
     def _remove(self, connection: Connection) -> None:
         self._readable.unregister(connection.socket)
         connection.close()
         self.connections.remove(connection)
 
-    def _accept_waiting(self, now: float) -> None:
-        """Accept the clients that wait, within the budget of a tick."""
+    def _accept_waiting(self, now: float) -> list[Connection]:
+        """Accept clients of the same user that wait, within the budget of a tick and while there is room."""
+        accepted: list[Connection] = []
         for _ in range(ACCEPTED_PER_TICK):
-            if not self._accept_connection(now):
-                return
+            replaceable = self._replaceable()
+            if len(self.connections) >= MAX_CONNECTIONS and not replaceable:
+                break
+            try:
+                client, _ = self._listener.accept()
+            except OSError:  # no client waits, or it has gone, or no file handle is left
+                break
+            if _peer_uid(client) != os.getuid():
+                client.close()
+                continue
+            if len(self.connections) >= MAX_CONNECTIONS:
+                self._remove(replaceable[0])
+            accepted.append(self._add(client, now))
+        return accepted
 
-    def _accept_connection(self, now: float) -> bool:
-        """Accept a connection of the same user; returns whether another client may wait."""
-        try:
-            accepted, _ = self._listener.accept()
-        except OSError:  # no client waits, or it has gone, or no file handle is left
-            return False
+    def _add(self, accepted: socket.socket, now: float) -> Connection:
+        """Add an accepted connection, and send it the challenge."""
         accepted.setblocking(False)
-        if _peer_uid(accepted) != os.getuid():
-            accepted.close()
-            return True
-        self._make_room()
         self._n_accepted += 1
         connection = Connection(accepted, self._n_accepted)
         connection.last_received_at = now
         self.connections.append(connection)
         self._readable.register(accepted, select.POLLIN)
         connection.send(Challenge(connection.nonce))
-        return True
+        return connection
 
 
 def _peer_uid(accepted: socket.socket) -> int:
