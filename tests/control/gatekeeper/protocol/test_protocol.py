@@ -150,6 +150,18 @@ def test_an_authentication_code_is_valid_for_exactly_one_contract():
         assert not verify_with(**{name: value}), name
 
 
+@pytest.mark.parametrize("scene_version", [-1, 2**63, 2**64 - 1])
+def test_a_contract_whose_scene_version_cannot_be_authenticated_is_refused(scene_version):
+    contract = Propose(contract=b"{}", issued=1.0, expires=2.0, scene_version=scene_version, mac=b"")
+    frame = Frame(kind_code(contract), 1, encode_body(contract))
+    assert "scene_version" in decode_message(frame, from_client=True)
+
+
+@pytest.mark.parametrize("change", [{"scene_version": 2**63}, {"scene_version": -(2**63) - 1}, {"sequence": 2**64}])
+def test_a_number_that_no_authentication_code_represents_has_no_valid_code(change):
+    assert not verify_with(**change)
+
+
 def test_a_proof_is_valid_for_one_principal_and_one_nonce():
     key, nonce = b"k" * SECRET_BYTES, b"n" * 16
     proof = hello_proof(key, nonce, "planner")

@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
+from struct import error as struct_error
 from struct import pack
 
 import msgspec
@@ -228,15 +229,18 @@ def contract_mac(
 
 def verify_contract_mac(secret: bytes, nonce: bytes, sequence: int, message: Propose) -> bool:
     """Whether the code of `message` was made with `secret`, for this connection and this frame."""
-    expected = contract_mac(
-        secret,
-        nonce,
-        sequence,
-        message.contract,
-        issued=message.issued,
-        expires=message.expires,
-        scene_version=message.scene_version,
-    )
+    try:
+        expected = contract_mac(
+            secret,
+            nonce,
+            sequence,
+            message.contract,
+            issued=message.issued,
+            expires=message.expires,
+            scene_version=message.scene_version,
+        )
+    except struct_error:  # a number that no code represents
+        return False
     return hmac.compare_digest(expected, message.mac)
 
 

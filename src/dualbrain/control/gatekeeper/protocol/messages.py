@@ -8,7 +8,7 @@ only the gatekeeper's own gate parses.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 
@@ -22,6 +22,10 @@ OperatorAction = Literal[
     "pause", "resume", "abort", "takeover", "hand_back", "speed", "estop", "release_estop", "reset", "shut_down"
 ]
 """Commands of a person. Every client may send `estop`; release, reset, resume and speed need the operator's key."""
+
+
+SceneVersion = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
+"""Version of a scene, as the authentication code of a contract can represent it."""
 
 
 class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -52,7 +56,7 @@ class Propose(Message, frozen=True, kw_only=True, rename={"mac": "seal"}):
     contract: bytes
     issued: float
     expires: float
-    scene_version: int
+    scene_version: SceneVersion
     mac: bytes
 
 
