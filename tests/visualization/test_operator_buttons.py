@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import msgspec
 import pytest
 
-from dualbrain.control.gatekeeper.operator_commands import OperatorCommands, is_allowed
+from dualbrain.control.gatekeeper.operator_commands import LATCHED_CONDITIONS, OperatorCommands, is_allowed
 from dualbrain.control.gatekeeper.protocol.messages import OperatorAction, OperatorCommand
 from dualbrain.robots.loader import load_robot
 from dualbrain.safety.supervisor.actions import SafetyAction
@@ -220,6 +220,18 @@ def test_every_action_has_a_button_and_an_outcome():
         supervisor.update(0.0, commands.conditions())
         assert supervisor.contract_outcome == outcome
     assert {check.name for check in CHECKS} >= {"paused", "speed_stage"}
+
+
+@pytest.mark.parametrize(
+    ("press", "release"), [("estop", "release_estop"), ("takeover", "hand_back"), ("pause", "resume")]
+)
+def test_a_condition_that_is_released_in_its_own_tick_holds_for_this_tick(press, release):
+    """Two operators may press and release between two ticks: the stop remains one."""
+    commands = OperatorCommands()
+    for action in (press, release):
+        assert commands.apply(OperatorCommand(act=action)) == ""
+    assert commands.conditions() & LATCHED_CONDITIONS[press]
+    assert commands.conditions() == 0
 
 
 def test_the_reset_takes_two_buttons_and_ends_in_hold():

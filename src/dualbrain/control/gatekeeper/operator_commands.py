@@ -10,7 +10,7 @@ UNRESTRICTED_ACTIONS = ("estop",)
 MIN_SPEED = 0.01
 """Lowest speed scale."""
 LATCHED_CONDITIONS = {"pause": Condition.PAUSE, "takeover": Condition.TAKEOVER, "estop": Condition.ESTOP}
-"""Conditions that hold until they are released."""
+"""Conditions that hold until they are released, and at least for one tick."""
 RELEASE_ACTIONS = {"resume": Condition.PAUSE, "hand_back": Condition.TAKEOVER, "release_estop": Condition.ESTOP}
 """Commands that release a latched condition."""
 MOMENTARY_CONDITIONS = {"resume": Condition.RESUME, "reset": Condition.RESET, "abort": Condition.ABORT}
@@ -28,9 +28,10 @@ class OperatorCommands:
 
     def apply(self, command: OperatorCommand) -> str:
         """Apply a command; returns "" or the reason why it is refused."""
-        self._latched |= int(LATCHED_CONDITIONS.get(command.act, 0))
+        pressed = int(LATCHED_CONDITIONS.get(command.act, 0))
+        self._latched |= pressed
         self._latched &= ~int(RELEASE_ACTIONS.get(command.act, 0))
-        self._momentary |= int(MOMENTARY_CONDITIONS.get(command.act, 0))
+        self._momentary |= pressed | int(MOMENTARY_CONDITIONS.get(command.act, 0))
         if command.act == "speed":
             if not MIN_SPEED <= command.speed <= 1.0:
                 return f"speed: got {command.speed}, allowed {MIN_SPEED} to 1"
