@@ -129,7 +129,7 @@ class Gatekeeper:
         self._log = FlightLog(self._trace, recorder, self._broadcast_event)
         self._counter = TickCounter()
         self._commander: Connection | None = None
-        self._had_commander = False
+        self._had_commander = self._commander_replaced = False
         self._recording_pause = RecordingPause()
         self._flood_until = self._refused_until = -1.0
         self._next_contract: Contract | None = None
@@ -255,7 +255,8 @@ class Gatekeeper:
 
     def _conditions(self, now: float) -> int:
         flags = self.operator_commands.conditions() | self.robot.conditions()
-        if self._had_commander and self._commander is None:
+        replaced, self._commander_replaced = self._commander_replaced, False
+        if replaced or (self._had_commander and self._commander is None):
             flags |= Condition.LINK_LOST
         elif self._commander is not None and now - self._commander.last_received_at > HEARTBEAT_TIMEOUT:
             flags |= Condition.HEARTBEAT_LOST
@@ -347,6 +348,7 @@ class Gatekeeper:
                 return
             if self._commander is not None:
                 self._commander.fault = "silent, and another commander connected"
+                self._commander_replaced = True
             self._commander, self._had_commander = connection, True
         connection.principal, connection.receives_reports = hello.principal, hello.watch
         registry = self._registry

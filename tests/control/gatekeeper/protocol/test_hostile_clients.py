@@ -4,6 +4,7 @@ import socket
 
 import pytest
 
+from dualbrain.control.gatekeeper.gatekeeper import HEARTBEAT_TIMEOUT
 from dualbrain.control.gatekeeper.protocol.authentication import hello_proof
 from dualbrain.control.gatekeeper.protocol.frames import FrameDecoder, encode
 from dualbrain.control.gatekeeper.protocol.messages import (
@@ -15,6 +16,8 @@ from dualbrain.control.gatekeeper.protocol.messages import (
 )
 from dualbrain.safety.supervisor.conditions import Condition
 from tests.control.gatekeeper.lockstep_cell import make_cell
+
+LOST = Condition.LINK_LOST | Condition.HEARTBEAT_LOST
 
 
 class Ticks:
@@ -32,12 +35,16 @@ class Ticks:
     def connect(self):
         return Client(self)
 
-    def commander(self):
-        """A client that has authenticated itself, and the conditions of the tick in which it did."""
-        client = self.connect()
+    def authenticate(self, client):
+        """Give `client` the role of the commander; the conditions of this tick."""
         proof = hello_proof(self.cell.keys.secrets["planner"], client.nonce, "planner")
         client.send(Hello(principal="planner", proof=proof))
-        return client, self.tick()
+        return self.tick()
+
+    def commander(self):
+        client = self.connect()
+        self.authenticate(client)
+        return client
 
 
 class Client:
@@ -68,7 +75,7 @@ def ticks(tmp_path):
 
 @pytest.mark.parametrize("scene_version", [-1, 2**63, 2**64 - 1])
 def test_a_contract_with_an_impossible_scene_version_closes_its_connection_only(ticks, scene_version):
-    commander, _ = ticks.commander()
+    commander = ticks.commander()
     other = ticks.connect()
     commander.send(Propose(contract=b"{}", issued=0.0, expires=1.0, scene_version=scene_version, mac=b"m" * 32))
     assert ticks.tick() & Condition.FRAMES_REFUSED
@@ -76,3 +83,16 @@ def test_a_contract_with_an_impossible_scene_version_closes_its_connection_only(
     assert ticks.tick() & Condition.LINK_LOST
     commander.close()
     other.close()
+
+
+def test_the_replacement_of_a_silent_commander_is_a_lost_connection(ticks):
+    """Also in the tick in which the former commander becomes silent: its contract must end."""
+    first, second = ticks.commander(), ticks.connect()
+    ticks.now += HEARTBEAT_TIMEOUT
+    assert not ticks.tick() & LOST
+    ticks.now += 1e-3
+    assert ticks.authenticate(second) & Condition.LINK_LOST
+    assert not ticks.tick() & LOST
+    assert ticks.gatekeeper._commander.number == 2
+    first.close()
+    second.close()
