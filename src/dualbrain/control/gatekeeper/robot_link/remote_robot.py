@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import subprocess
 import time
+from math import inf, isfinite
 from typing import Any
 
 import msgspec
@@ -27,6 +28,8 @@ STATE_TIMEOUT_PERIODS = 5
 """Periods that a tick waits for a state; it then continues with the old one, whose age the state monitor checks."""
 STARTUP_TIMEOUT = 60.0
 """Longest time [s] until the first state and scene of the robot process."""
+NO_STAMP = (-inf, 0.0)
+"""Newest stamp and its arrival before the first finite stamp."""
 NOT_STARTED = "The robot process has not started."
 
 
@@ -58,7 +61,7 @@ class RemoteRobot:
         self.tick_timer, self._profiler = TickTimer(timing), profiler or TickProfiler()
         self._state: RobotState | None = None
         self._scene: Scene | None = None
-        self._state_received_at = 0.0
+        self._newest_stamp, self._arrived_at = NO_STAMP
         self._wait_for_start()
 
     # --- robot --------------------------------------------------------------------------------------------------
@@ -114,8 +117,12 @@ class RemoteRobot:
         self.tick_timer = TickTimer(self._timing)
 
     def clock(self) -> float:
-        """The stamp of the newest state plus the time since its arrival [s]."""
-        return self.read().stamp + (time.monotonic() - self._state_received_at)
+        """The newest stamp plus the time since its arrival [s]; no state stops it, sets it back or makes it infinite.
+
+        Before the first finite stamp it is the monotonic time.
+        """
+        stamp = self._newest_stamp if self._newest_stamp > -inf else 0.0
+        return stamp + (time.monotonic() - self._arrived_at)
 
     def conditions(self) -> int:
         """Timing `Condition` bits since the last call."""
@@ -186,10 +193,8 @@ class RemoteRobot:
 
     def _accept_state(self, state: packets.StatePacket) -> None:
         now = time.monotonic()
-        if (
-            self._state is None or state.stamp > self._state.stamp
-        ):  # a robot that repeats a state does not stop the clock
-            self._state_received_at = now
+        if isfinite(state.stamp) and state.stamp > self._newest_stamp:
+            self._newest_stamp, self._arrived_at = state.stamp, now
         lost = state.sequence - self._state.sequence - 1 if self._state else 0
         self._state = state.to_robot_state()
         self.tick_timer.on_state(now, lost)
