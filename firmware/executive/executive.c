@@ -9,6 +9,8 @@ static void read_joints(const uint8_t *from, dbk_real *to) {
   for (int32_t k = 0; k < DBK_MAX_DOF; ++k) { to[k] = k < robot_model.n ? read_f32(from + 4 * k) : (dbk_real)0; }
 }
 
+static uint32_t period_us(void) { return (uint32_t)(robot_model.period * (dbk_real)1e6 + (dbk_real)0.5); }
+
 void executive_init(executive *e) {
   dbk_prepare(&robot_hull_model);
 #ifndef PROFILE_SMALL
@@ -150,10 +152,10 @@ static int cycle_is_due(executive *e, uint64_t now_us) {
   (void)e;
   (void)now_us;
 #else
-  const uint32_t period_us = (uint32_t)(robot_model.period * (dbk_real)1e6 + (dbk_real)0.5);
+  const uint32_t period = period_us();
   const uint64_t due_us = e->due_us > now_us ? e->due_us : now_us;
-  if (due_us - now_us > (uint64_t)CYCLES_AHEAD * period_us) { return 0; }
-  e->due_us = due_us + period_us - period_us / 64u;
+  if (due_us - now_us > (uint64_t)CYCLES_AHEAD * period) { return 0; }
+  e->due_us = due_us + period - period / 64u;
 #endif
   return 1;
 }
@@ -194,10 +196,9 @@ static void output_without_host(executive *e, uint64_t since_us, uint64_t now_us
   send(MESSAGE_OUTPUT, e->session.last_sequence, reply, REPLY_SIZE, &e->session.key);
 }
 
+/* Every output may change the control by one period's acceleration, so they follow at the control period. */
 void executive_watchdog(executive *e, uint64_t now_us) {
   if (!e->session.cycling || now_us < e->cycle_us) { return; }
   const uint64_t since_us = now_us - e->cycle_us;
-  if (since_us > STATE_STALE_US && now_us - e->output_us >= OUTPUT_PERIOD_US) {
-    output_without_host(e, since_us, now_us);
-  }
+  if (since_us > STATE_STALE_US && now_us - e->output_us >= period_us()) { output_without_host(e, since_us, now_us); }
 }

@@ -14,7 +14,6 @@
 
 #define STATE_STALE_US 50000u  /* without a CYCLE for this time the arm brakes (controlled stop) */
 #define STATE_LOST_US 150000u  /* without a CYCLE for this time the drive is switched off */
-#define OUTPUT_PERIOD_US 1000u /* period of the outputs while the watchdog acts */
 #define CYCLES_AHEAD 4u        /* most CYCLEs that may come before their time */
 
 /* the tables of the robot and the key, linked into the firmware */
@@ -60,7 +59,8 @@ void executive_init(executive *e);
 /* receives one byte of the link; answers over hal_tx */
 void executive_receive(executive *e, uint8_t byte);
 
-/* the watchdog, called at least once per period: without a CYCLE in time the arm brakes and the drive goes off */
+/* the watchdog, called at least once per millisecond: without a CYCLE in time the arm brakes, with one output per
+ * control period, and the drive goes off */
 void executive_watchdog(executive *e, uint64_t now_us);
 
 #endif
