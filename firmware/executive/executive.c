@@ -21,7 +21,7 @@ void executive_init(executive *e) {
   scene_make_unusable(e); /* until the host has sent a scene */
   dbk_cycle_init(&e->cycle);
   frame_reader_clear(&e->reader);
-  e->session.open = e->session.cycling = e->transferring = e->drive_on = 0;
+  e->session.open = e->session.cycling = e->transferring = e->drive_on = e->reset_waits = 0;
   e->n_staged = e->n_announced = e->refused = 0;
   e->cycle_us = e->output_us = e->due_us = e->host_now_us = e->last_stamp_us = 0;
 }
@@ -63,7 +63,7 @@ static void answer_hello(executive *e, const frame *f) {
   e->session.last_sequence = f->sequence;
   e->session.open = 1;
   scene_make_unusable(e);
-  e->transferring = 0;
+  e->transferring = e->reset_waits = 0;
 }
 
 /* a HELLO for other robot tables is answered, so that the host can name both hashes, but it opens no session */
@@ -100,6 +100,11 @@ static void write_reply(const executive *e, const dbk_real *u, uint32_t step_us,
   write_u32(b + REPLY_STEP_TIME, step_us);
 }
 
+static void count_refusal(executive *e) {
+  ++e->refused;
+  e->cycle.pending |= DBK_CONDITION_FRAMES_REFUSED;
+}
+
 /* the filter step under the decision in force, and the drive */
 static void filter(executive *e, const dbk_model *model, dbk_real *u) {
   (void)dbk_cycle_filter(&e->cycle, model, &e->scene, u);
@@ -134,6 +139,7 @@ static int cycle(executive *e, const frame *f) {
   const uint64_t started_us = hal_now(), now_us = read_u64(b + CYCLE_NOW), stamp_us = read_u64(b + CYCLE_STAMP);
   read_cycle(e, b);
   decide(e, now_us, stamp_us, read_u64(b + CYCLE_CONDITIONS), read_u32(b + CYCLE_OPTIONS));
+  if (!reset_apply(e)) { count_refusal(e); }
   filter(e, read_u32(b + CYCLE_OPTIONS) & CYCLE_OPENING_KNOWN ? &robot_model : &robot_hull_model, u);
   e->host_now_us = now_us;
   e->last_stamp_us = stamp_us;
@@ -176,10 +182,7 @@ void executive_receive(executive *e, uint8_t byte) {
   const int accepted = frame_parse(&e->reader, &f) == FRAME_OK &&
                        (f.type == MESSAGE_HELLO ? hello(e, &f) : session_message(e, &f));
   frame_reader_clear(&e->reader);
-  if (!accepted) {
-    ++e->refused;
-    e->cycle.pending |= DBK_CONDITION_FRAMES_REFUSED;
-  }
+  if (!accepted) { count_refusal(e); }
 }
 
 /* one output without a CYCLE: the filter rejects the old state, and its control brakes */

@@ -15,6 +15,7 @@
 #define STATE_STALE_US 50000u  /* without a CYCLE for this time the arm brakes (controlled stop) */
 #define STATE_LOST_US 150000u  /* without a CYCLE for this time the drive is switched off */
 #define CYCLES_AHEAD 4u        /* most CYCLEs that may come before their time */
+#define RESET_PERIODS 2.01f    /* a RESET may change the control by the acceleration of two periods, and rounding */
 
 /* the tables of the robot and the key, linked into the firmware */
 extern dbk_model robot_hull_model; /* the spheres of the fingers cover every opening of the gripper */
@@ -52,6 +53,8 @@ typedef struct {
   uint64_t host_now_us, last_stamp_us;
   uint32_t refused;
   uint8_t drive_on;
+  uint8_t reset_waits; /* a RESET takes effect in the next CYCLE, whose state it must agree with */
+  dbk_real reset_u[DBK_MAX_DOF], reset_change[DBK_MAX_DOF];
 } executive;
 
 void executive_init(executive *e);

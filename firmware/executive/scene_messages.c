@@ -133,8 +133,8 @@ static int set_rows(executive *e, const frame *f) {
   return 1;
 }
 
-/* a last control that is not within the velocity limits is refused */
-static int reset_control(executive *e, const frame *f) {
+/* a last control that is not within the velocity limits is refused; any other one waits for the next CYCLE */
+static int keep_reset(executive *e, const frame *f) {
   dbk_real u[DBK_MAX_DOF], change[DBK_MAX_DOF];
   if (f->payload_size != 64u) { return 0; }
   read_reals(f->payload, u, DBK_MAX_DOF);
@@ -145,10 +145,34 @@ static int reset_control(executive *e, const frame *f) {
       return 0;
     }
   }
+  for (int32_t k = 0; k < robot_model.n; ++k) {
+    e->reset_u[k] = u[k];
+    e->reset_change[k] = change[k];
+  }
+  e->reset_waits = 1;
+  return 1;
+}
+
+/* 1 if joint `k` may continue from `u`; a measured velocity of NaN does not count */
+static int may_continue_from(const executive *e, int32_t k, dbk_real u, int slowing) {
+  const dbk_real last = e->cycle.ctx.u_prev[k], v = e->cycle.in.v[k];
+  const dbk_real low = v < last ? v : last, high = v > last ? v : last;
+  const dbk_real change = (dbk_real)RESET_PERIODS * robot_model.a_max[k] * robot_model.period;
+  const dbk_real fastest = -low > high ? -low : high;
+  return u >= low - change && u <= high + change && !(slowing && (u > fastest || u < -fastest));
+}
+
+int reset_apply(executive *e) {
+  const int slowing = e->cycle.supervisor.decision.action >= DBK_ACTION_HOVER && !e->cycle.yielding;
+  if (!e->reset_waits) { return 1; }
+  e->reset_waits = 0;
+  for (int32_t k = 0; k < robot_model.n; ++k) {
+    if (!may_continue_from(e, k, e->reset_u[k], slowing)) { return 0; }
+  }
   dbk_init(&e->cycle.ctx);
   for (int32_t k = 0; k < robot_model.n; ++k) {
-    e->cycle.ctx.u_prev[k] = e->cycle.ctx.u_nom_prev[k] = u[k];
-    e->cycle.ctx.u_change[k] = change[k];
+    e->cycle.ctx.u_prev[k] = e->cycle.ctx.u_nom_prev[k] = e->reset_u[k];
+    e->cycle.ctx.u_change[k] = e->reset_change[k];
   }
   return 1;
 }
@@ -169,7 +193,7 @@ int scene_message_apply(executive *e, const frame *f) {
       part = ROWS_MISSING;
       accepted = set_rows(e, f);
       break;
-    case MESSAGE_RESET: return reset_control(e, f);
+    case MESSAGE_RESET: return keep_reset(e, f);
     default: return 0;
   }
   if (!accepted) {

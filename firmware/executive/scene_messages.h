@@ -8,6 +8,11 @@
  * until the next valid message of the same kind */
 int scene_message_apply(executive *e, const frame *f);
 
+/* Applies a RESET that waits, after the state of a CYCLE has been read and decided on. Returns 0 if it is refused. Its
+ * control must be within the acceleration of RESET_PERIODS of the last control, of the measured velocity, or between
+ * both. From HOVER on no joint may be faster than in both, unless the arm yields to a contact. */
+int reset_apply(executive *e);
+
 /* makes the obstacles unusable until the next complete SCENE_END */
 void scene_make_unusable(executive *e);
 

@@ -11,7 +11,8 @@
  *   PERMITS        number u16, then link u8, zero u8, obstacle u16, speed f32 [m/s] each
  *   HELD           number u16, zero u16, position error f32 [m], then x, y, z, radius f32 [m] each, in the last frame
  *   ROWS           number u16, zero u16, then a 8 f32, b f32, h f32, rank u32 each
- *   RESET          last control 8 f32, its last change 8 f32
+ *   RESET          last control 8 f32, its last change 8 f32; takes effect in the next CYCLE, and is refused there if it
+ *                  is neither near the control of the target nor near the measured velocity, or faster under a HOVER
  *   CYCLE          see the offsets below
  *
  * Target to host.

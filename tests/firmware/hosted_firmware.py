@@ -110,6 +110,11 @@ class HostedTarget:
         self._buffer = (ctypes.c_uint8 * 65536)()
         self.now, self.period_us = 0.0, round(robot_model.period * 1e6)
         library.port_start()
+        self.open()
+
+    def open(self):
+        """Open a new session, in which the host sends a scene without obstacles."""
+        robot_model = self.robot_model
         self.session = TargetSession(self, KEY, robot_tables_hash(robot_model, operating_config(robot_model)))
         for kind, payload in obstacle_frames(np.zeros((0, 29)), {}):
             self.session.send(kind, payload)

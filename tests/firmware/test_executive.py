@@ -8,6 +8,8 @@ import pytest
 from dualbrain.robots.loader import load_robot
 from dualbrain.safety.supervisor.actions import SafetyAction
 from dualbrain.safety.supervisor.checks import CHECKS
+from dualbrain.safety.supervisor.conditions import Condition
+from dualbrain.safety.target.messages import Message, pack_reset
 from tests.firmware.hosted_firmware import HostedTarget, load_firmware
 
 UR5E = load_robot("ur5e")
@@ -51,3 +53,62 @@ def test_without_a_host_the_arm_brakes_at_its_acceleration_limit(target):
     assert sum(u.any() for _, u in moves) > 10
     assert CHECKS[outputs[0].check].name == "state_stale"
     assert (outputs[-1].action, outputs[-1].drive_enabled) == (SafetyAction.ESTOP, False)
+
+
+def reset(target, u):
+    target.session.send(Message.RESET, pack_reset(*[np.broadcast_to(values, UR5E.n).tolist() for values in (u, 0.0)]))
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.5])
+def test_a_reset_that_would_make_the_control_jump_is_refused(target, speed):
+    """With the measured velocity at the last control; the next control is within its acceleration limit."""
+    before = move(target, speed)
+    for jump in (2.1 * STEP, -2.1 * STEP, 1.0):
+        reset(target, speed + jump)
+        reply = target.cycle(speed, speed)
+        assert reply.refused == before.refused + 1
+        assert reply.conditions & Condition.FRAMES_REFUSED
+        assert reply.u[: UR5E.n] == pytest.approx(speed, abs=1e-3)
+        before = reply
+
+
+@pytest.mark.parametrize(("u", "v"), [(1.9 * STEP, 0.0), (0.5, 0.5), (0.2, 0.5), (0.5 - 1.9 * STEP, 0.5)])
+def test_a_reset_near_the_last_control_or_the_measured_velocity_is_applied(target, u, v):
+    """The host continues from a measured or reported velocity, as at the start of a session with a moving arm."""
+    before = move(target, 0.0)
+    reset(target, u)
+    reply = target.cycle(u, v)
+    assert reply.refused == before.refused
+    assert reply.u[: UR5E.n] == pytest.approx(u, rel=1e-3)
+
+
+def test_a_moving_arm_may_continue_at_rest_once_it_is_at_rest(target):
+    before = move(target, 0.5)
+    reset(target, 0.0)
+    reply = target.cycle(0.0, 0.0)
+    assert (reply.refused, reply.u.any()) == (before.refused, False)
+
+
+def test_no_reset_moves_an_arm_under_a_pause(target):
+    before = move(target, 0.0)
+    target.cycle(0.0, 0.0, Condition.PAUSE)
+    for count in range(1, 20):
+        reset(target, 0.9 * count * STEP)
+        reply = target.cycle(1.0, 0.0, Condition.PAUSE)
+        assert (reply.action, reply.u.any()) == (SafetyAction.HOVER, False)
+        assert reply.refused == before.refused + count
+
+
+def test_a_reset_to_a_lower_speed_is_applied_under_a_pause(target):
+    before = move(target, 0.5)
+    reset(target, 0.5 - 1.5 * STEP)
+    reply = target.cycle(0.5, 0.5, Condition.PAUSE)
+    assert reply.refused == before.refused
+    assert reply.u[: UR5E.n] == pytest.approx(0.5 - 2.5 * STEP, rel=1e-3)
+
+
+def test_a_reset_of_a_former_session_has_no_effect(target):
+    move(target, 0.0)
+    reset(target, 0.5)
+    target.open()
+    assert not target.cycle(0.0, 0.5).u.any()
