@@ -176,13 +176,14 @@ static int session_message(executive *e, const frame *f) {
   return cycle_is_due(e, hal_now()) && cycle(e, f);
 }
 
-void executive_receive(executive *e, uint8_t byte) {
+int executive_receive(executive *e, uint8_t byte) {
   frame f;
-  if (!frame_reader_add(&e->reader, byte)) { return; }
+  if (!frame_reader_add(&e->reader, byte)) { return 0; }
   const int accepted = frame_parse(&e->reader, &f) == FRAME_OK &&
                        (f.type == MESSAGE_HELLO ? hello(e, &f) : session_message(e, &f));
   frame_reader_clear(&e->reader);
   if (!accepted) { count_refusal(e); }
+  return 1;
 }
 
 /* one output without a CYCLE: the filter rejects the old state, and its control brakes */

@@ -59,8 +59,8 @@ typedef struct {
 
 void executive_init(executive *e);
 
-/* receives one byte of the link; answers over hal_tx */
-void executive_receive(executive *e, uint8_t byte);
+/* receives one byte of the link; answers over hal_tx. Returns 1 at the end of a frame */
+int executive_receive(executive *e, uint8_t byte);
 
 /* the watchdog, called at least once per millisecond: without a CYCLE in time the arm brakes, with one output per
  * control period, and the drive goes off */

@@ -3,13 +3,15 @@
 
 #include "port/hal.h"
 
-/* At most one message is handled in a pass, so a host that sends without a pause does not keep the loop from its end. */
-static void receive(executive *e) {
+/* At most one message is handled in a pass, so a host that sends without a pause does not keep the loop from its end.
+ * Returns 1 if more bytes may have arrived. */
+static int receive(executive *e) {
   for (uint32_t n = 0; n < FRAME_MAX_ENCODED; ++n) {
     const int byte = hal_rx();
-    if (byte < 0) { break; }
-    executive_receive(e, (uint8_t)byte);
+    if (byte < 0) { return 0; }
+    if (executive_receive(e, (uint8_t)byte)) { break; }
   }
+  return 1;
 }
 
 #ifndef LOCKSTEP
@@ -28,12 +30,12 @@ void executive_loop(executive *e) {
   uint64_t fed_us = hal_now();
 #endif
   for (;;) {
-    receive(e);
+    const int more = receive(e);
 #ifndef LOCKSTEP /* in lockstep with a simulation the time passes with the messages */
     const uint64_t now_us = hal_now();
     executive_watchdog(e, now_us);
     feed_watchdog(now_us, &fed_us);
 #endif
-    hal_wait();
+    if (!more) { hal_wait(); }
   }
 }

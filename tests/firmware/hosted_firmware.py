@@ -102,6 +102,12 @@ def load_firmware(folder, robot_model):
     return library
 
 
+def refused_by_pass(library, data):
+    """The number of frames that were refused after each pass of a main loop that receives `data` until it waits."""
+    refused = (ctypes.c_uint32 * (len(data) + 16))()
+    return list(refused[: library.port_loop(data, len(data), refused)])
+
+
 class HostedTarget:
     """A session with a firmware that has just been started, without obstacles and with the arm at home."""
 

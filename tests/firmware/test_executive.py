@@ -10,7 +10,7 @@ from dualbrain.safety.supervisor.actions import SafetyAction
 from dualbrain.safety.supervisor.checks import CHECKS
 from dualbrain.safety.supervisor.conditions import Condition
 from dualbrain.safety.target.messages import Message, pack_reset
-from tests.firmware.hosted_firmware import HostedTarget, load_firmware
+from tests.firmware.hosted_firmware import HostedTarget, load_firmware, refused_by_pass
 
 UR5E = load_robot("ur5e")
 PERIOD = UR5E.period
@@ -112,3 +112,11 @@ def test_a_reset_of_a_former_session_has_no_effect(target):
     reset(target, 0.5)
     target.open()
     assert not target.cycle(0.0, 0.5).u.any()
+
+
+def test_a_pass_of_the_main_loop_handles_one_message_and_waits_only_without_bytes(library):
+    """The clock is read before the first pass and once in each."""
+    torn = b"\2\1\0"
+    assert refused_by_pass(library, 5 * torn) == [0, 1, 2, 3, 4, 5, 5]
+    assert refused_by_pass(library, b"") == [0, 0]
+    assert refused_by_pass(library, bytes([255]) * 3000 + torn) == [0, 0, 0, 1, 1]
