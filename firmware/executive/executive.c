@@ -173,7 +173,11 @@ static int session_message(executive *e, const frame *f) {
   }
   e->session.last_sequence = f->sequence;
   if (f->type != MESSAGE_CYCLE) { return scene_message_apply(e, f); }
-  return cycle_is_due(e, hal_now()) && cycle(e, f);
+  if (cycle_is_due(e, hal_now())) { return cycle(e, f); }
+  if (f->payload_size == CYCLE_SIZE) { /* a stop counts at any time */
+    e->cycle.pending |= read_u64(f->payload + CYCLE_CONDITIONS) & ~DBK_CONDITION_BUTTONS;
+  }
+  return 0;
 }
 
 int executive_receive(executive *e, uint8_t byte) {

@@ -120,3 +120,29 @@ def test_a_pass_of_the_main_loop_handles_one_message_and_waits_only_without_byte
     assert refused_by_pass(library, 5 * torn) == [0, 1, 2, 3, 4, 5, 5]
     assert refused_by_pass(library, b"") == [0, 0]
     assert refused_by_pass(library, bytes([255]) * 3000 + torn) == [0, 0, 0, 1, 1]
+
+
+def send_too_early(target, conditions):
+    """Send more CYCLEs than are accepted, and then one with `conditions`, which is refused."""
+    for _ in range(8):
+        target.send_cycle(0.0, 0.0)
+    assert len(target.replies()) < 8
+    target.send_cycle(0.0, 0.0, conditions)
+    assert target.replies() == []
+
+
+def test_an_emergency_stop_in_a_cycle_that_comes_too_early_counts_in_the_next_one(target):
+    before = target.cycle(0.0, 0.0)
+    send_too_early(target, Condition.ESTOP)
+    reply = target.cycle(0.0, 0.0)
+    assert (reply.action, reply.drive_enabled) == (SafetyAction.ESTOP, False)
+    assert reply.refused > before.refused
+
+
+def test_a_button_in_a_cycle_that_comes_too_early_has_no_effect(target):
+    target.cycle(0.0, 0.0, Condition.ESTOP)
+    for _ in range(50):
+        target.cycle(0.0, 0.0)
+    send_too_early(target, Condition.RESET)
+    assert target.cycle(0.0, 0.0).action == SafetyAction.ESTOP
+    assert target.cycle(0.0, 0.0, Condition.RESET).action < SafetyAction.ESTOP
