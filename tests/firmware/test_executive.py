@@ -1,15 +1,20 @@
 """The executive by its own clock, on the host: rates, resets, and messages that come too early."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
+from dualbrain.robots.interface import home_state
 from dualbrain.robots.loader import load_robot
+from dualbrain.safety.cbf.config import operating_config
 from dualbrain.safety.supervisor.actions import SafetyAction
 from dualbrain.safety.supervisor.checks import CHECKS
 from dualbrain.safety.supervisor.conditions import Condition
+from dualbrain.safety.supervisor.controller import SafetyController
 from dualbrain.safety.target.messages import Message, pack_reset
+from dualbrain.safety.target.target_filter import TargetFilter
 from tests.firmware.hosted_firmware import HostedTarget, load_firmware, refused_by_pass
 
 UR5E = load_robot("ur5e")
@@ -146,3 +151,62 @@ def test_a_button_in_a_cycle_that_comes_too_early_has_no_effect(target):
     send_too_early(target, Condition.RESET)
     assert target.cycle(0.0, 0.0).action == SafetyAction.ESTOP
     assert target.cycle(0.0, 0.0, Condition.RESET).action < SafetyAction.ESTOP
+
+
+# --- the host -----------------------------------------------------------------------------------------------------
+
+
+class Host:
+    """A controller at rest at home whose filter is on the target."""
+
+    def __init__(self, target):
+        self.target, self.ticks = target, 0
+        self.controller = SafetyController(TargetFilter(UR5E, operating_config(UR5E), target.session))
+        self.controller.safety.observe((), 0.0)
+
+    def tick(self, conditions=0):
+        """One tick after one period of the host's clock; the decisions of host and target."""
+        self.ticks += 1
+        now = self.ticks * PERIOD
+        state = replace(home_state(UR5E), stamp=now, sequence=self.ticks)
+        self.target.wait(self.target.period_us)
+        self.controller.accept_state(state, now)
+        decision = self.controller.decide(state, now, int(conditions))
+        self.controller.control(state, np.zeros(UR5E.n), now)
+        return decision, self.controller.safety.target.reply
+
+
+@pytest.mark.parametrize(
+    ("silence_ms", "check", "action"),
+    [(60, "state_stale", SafetyAction.CONTROLLED_STOP), (200, "estop", SafetyAction.ESTOP)],
+)
+def test_the_host_stops_with_a_target_that_has_stopped_by_itself(target, silence_ms, check, action):
+    """The clock of the host did not notice the silence; a person ends the stop on both."""
+    host = Host(target)
+    for _ in range(5):
+        assert host.tick()[0].action < SafetyAction.HOVER
+    for _ in range(silence_ms):
+        target.wait(1000)
+    _, reply = host.tick()
+    assert reply.action == action
+    decision, reply = host.tick()
+    assert (decision.check, decision.action, reply.action) == (check, action, action)
+    for _ in range(500):
+        host.tick()
+    for button in (Condition.RESET, Condition.RESUME):
+        host.tick(button)
+        decision, reply = host.tick()
+        assert decision.action == reply.action
+    assert decision.action < SafetyAction.HOVER
+    assert host.controller.safety.target.differences == 0
+
+
+def test_outputs_of_the_watchdog_are_kept_until_the_next_cycle_only(target):
+    host = Host(target)
+    host.tick()
+    for _ in range(60):
+        target.wait(1000)
+    host.tick()
+    assert len(target.session.outputs) > 3
+    host.tick()
+    assert target.session.outputs == []

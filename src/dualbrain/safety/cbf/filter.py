@@ -88,7 +88,7 @@ class SupervisedTick(msgspec.Struct, frozen=True, kw_only=True):
     """The supervisor's view of one tick at `now` [s], with a joint state of `stamp` [s] and `conditions` (`Condition`).
 
     `yielding`: the arm yields to a contact force. `standstill`: u = 0 is written, and not the control of the filter.
-    `stopped`: the decision is CONTROLLED_STOP or above.
+    `action` is the decision (`SafetyAction`). `stopped`: it is CONTROLLED_STOP or above.
     """
 
     now: float
@@ -97,6 +97,7 @@ class SupervisedTick(msgspec.Struct, frozen=True, kw_only=True):
     yielding: bool = False
     standstill: bool = False
     stopped: bool = False
+    action: int = 0
 
 
 class SafetyFilter:

@@ -228,6 +228,7 @@ class SafetyController:
                 yielding=self.retreating,
                 standstill=self.enforcement.at_standstill,
                 stopped=self.decision.action >= SafetyAction.CONTROLLED_STOP,
+                action=int(self.decision.action),
             )
         )
         result = self.safety.filter(state, scaled, now)

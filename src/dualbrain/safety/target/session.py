@@ -34,7 +34,7 @@ def derive_session_key(shared: bytes, host_nonce: int, target_nonce: int) -> byt
 
 
 class TargetSession:
-    """An open session; `outputs` are the replies that the target sent without a cycle, when its watchdog acted."""
+    """An open session; `outputs` are the replies since the last cycle that the target sent when its watchdog acted."""
 
     def __init__(self, link: Link, key: bytes, robot_hash: int) -> None:
         """Open a session with the target behind `link`, which must have the robot tables with `robot_hash`.
@@ -84,11 +84,12 @@ class TargetSession:
         return self._sequence
 
     def cycle(self, payload: bytes) -> CycleReply:
-        """Send a CYCLE and wait for its reply.
+        """Send a CYCLE and wait for its reply; clears the outputs of the watchdog before it.
 
         Raises:
             TargetLostError: there is no reply in time.
         """
+        self.outputs.clear()
         sequence = self.send(Message.CYCLE, payload)
         reply = self._receive(Message.CYCLE_REPLY, sequence, REPLY_TIMEOUT_S)
         if reply is None:

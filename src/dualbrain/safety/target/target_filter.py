@@ -51,7 +51,7 @@ class TargetFilter(SafetyFilter):
 
     def supervise(self, tick: SupervisedTick) -> None:
         """Pass the tick to the target, which decides on a standstill and on a stop by itself."""
-        self.target.supervise(tick.now, tick.stamp, tick.conditions, yielding=tick.yielding)
+        self.target.supervise(tick.now, tick.stamp, tick.conditions, yielding=tick.yielding, action=tick.action)
 
     def target_conditions(self) -> int:
         """`Condition` bits that the target adds: its own stop, or its loss."""

@@ -20,6 +20,7 @@ from dualbrain.safety.cbf.compiled._kernel import Kernel
 from dualbrain.safety.cbf.config import FilterConfig
 from dualbrain.safety.cbf.kernel import kernel_model
 from dualbrain.safety.cbf.result import FilterResult, RowNames
+from dualbrain.safety.supervisor.actions import SafetyAction
 from dualbrain.safety.supervisor.conditions import Condition
 from dualbrain.safety.target.messages import (
     CYCLE,
@@ -56,7 +57,7 @@ class TargetKernel:
         self._permits: dict[tuple[int, int], float] = {}
         self._scene_changed, self._permits_changed = True, True
         self._base, self._mobile = NO_BASE, False
-        self._tick = (0, 0, 0, 0)
+        self._tick, self._action = (0, 0, 0, 0), 0
         self.reply: CycleReply | None = None
         """The last reply of the target."""
         self.lost = ""
@@ -142,10 +143,13 @@ class TargetKernel:
 
     # --- ticks ----------------------------------------------------------------------------------------------------
 
-    def supervise(self, now: float, stamp: float, conditions: int, *, yielding: bool) -> None:
-        """Conditions of the next step for the supervisor of the target, at `now` and with a state of `stamp` [s]."""
+    def supervise(self, now: float, stamp: float, conditions: int, *, yielding: bool, action: int = 0) -> None:
+        """Conditions of the next step for the supervisor of the target, at `now` and with a state of `stamp` [s].
+
+        `action` is the host's decision on them (`SafetyAction`).
+        """
         times = (_microseconds(now), _microseconds(stamp))
-        self._tick = (*times, conditions & (2**64 - 1), YIELDING * yielding)
+        self._tick, self._action = (*times, conditions & (2**64 - 1), YIELDING * yielding), action
 
     def step(
         self,
@@ -204,10 +208,16 @@ class TargetKernel:
         return same
 
     def conditions(self) -> int:
-        """Conditions of the target for the next decision: those that it detected itself, or its loss."""
+        """Conditions of the target for the next decision: those that it detected itself, its own stop, or its loss."""
         if self.lost:
             return int(Condition.PROGRAM_ERROR)
-        return self.reply.conditions if self.reply is not None else 0
+        return self.reply.conditions | self._stop_condition(self.reply.action) if self.reply is not None else 0
+
+    def _stop_condition(self, action: int) -> int:
+        """The condition of a stop that only the target has decided on; a stop of both ends on each by itself."""
+        if action >= SafetyAction.ESTOP > self._action:
+            return int(Condition.ESTOP)
+        return int(Condition.STATE_STALE) if action >= SafetyAction.CONTROLLED_STOP > self._action else 0
 
 
 def _microseconds(seconds: float) -> int:
