@@ -140,7 +140,7 @@ class HostedTarget:
         self._library.port_wait(us)
 
     def send_cycle(self, u_nom, v, conditions=0):
-        """Send a CYCLE at the present time, with equal values for all joints or one value for each."""
+        """Send a CYCLE at the present time; `u_nom` and `v` are one value for all joints, or one for each."""
         n, times = self.robot_model.n, (round((1.0 + self.now) * 1e6),) * 2
         joints = (self.robot_model.home, *(np.broadcast_to(values, n).tolist() for values in (v, u_nom)))
         reals = [value for values in joints for value in padded(values)]
