@@ -89,6 +89,18 @@ def test_without_lasting_force_on_both_fingers_there_is_no_grip(reading):
     assert failure.status is SkillStatus.FAILED
 
 
+@pytest.mark.parametrize(("opening", "held"), [(0.0, False), (0.02, True), (None, True)])
+def test_fingers_that_press_on_each_other_hold_nothing(opening, held):
+    """The fingers press after a stop, or after a restart of the program; a hand may not measure its opening."""
+    hand = FakeHand()
+    arm = ArmController(PANDA, hand.motion)
+    arm.observe(hand.observe((10.0, 10.0), opening))
+    assert arm.detect_grasp("cube") == held
+    assert (arm.holding is not None) == held
+    arm.holding = None
+    assert arm.resume_grasp("cube", 0.0, 10.0) == held
+
+
 def test_a_declared_limit_lowers_the_bound_of_the_contract():
     cube = SceneObject(name="cube", role="object", shape=Box((0.02, 0.02, 0.02)), pose=Pose((0.5, 0.0, 0.02)))
     assert max_grip_force(PANDA, cube, 60.0) == 60.0

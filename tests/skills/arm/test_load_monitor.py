@@ -11,7 +11,14 @@ from dualbrain.core.geometry.shapes import Box, Pose
 from dualbrain.records import FailureCause, Scene, SceneObject
 from dualbrain.robots.interface import home_state
 from dualbrain.robots.loader import load_robot
-from dualbrain.skills.arm.load_monitor import LOSS_TIME, MAX_AGE, MAX_CLOSING, LoadMonitor, offset_in_tool
+from dualbrain.skills.arm.load_monitor import (
+    DETECTION_TIME,
+    LOSS_TIME,
+    MAX_AGE,
+    MAX_CLOSING,
+    LoadMonitor,
+    offset_in_tool,
+)
 from dualbrain.skills.skill import Observation
 
 STATE = home_state(load_robot("panda"))
@@ -108,6 +115,18 @@ def test_a_lost_load_is_reported_once_and_not_monitored_further():
     events = [one.update(observe(PERIOD * tick, forces=LOOSE)) for tick in range(1, 40)]
     assert sum(event is not None for event in events) == 1
     assert one.name == ""
+
+
+@pytest.mark.parametrize(("closed", "lost"), [(0.0, True), (0.001, False)])
+def test_a_thin_load_is_lost_once_the_fingers_press_on_each_other(closed, lost):
+    """The fingers close by less than `MAX_CLOSING`, and both press all the time."""
+    one = monitor(opening=0.003)
+    events = [one.update(observe(PERIOD * tick, opening=0.003 if tick < 5 else closed)) for tick in range(1, 40)]
+    found = [(tick, event) for tick, event in enumerate(events, start=1) if event is not None]
+    assert len(found) == lost
+    for tick, event in found:
+        assert event.cause is FailureCause.LOAD_LOST
+        assert PERIOD * (tick - 5) <= DETECTION_TIME
 
 
 def test_a_new_load_is_not_compared_with_the_opening_of_the_one_before():

@@ -17,7 +17,7 @@ from dualbrain.contracts.skill_spec import SkillSpec
 from dualbrain.errors import ConfigurationError
 from dualbrain.records import FailureCause, SceneObject
 from dualbrain.robots.model import RobotModel
-from dualbrain.skills.arm.load_monitor import MIN_GRIP_FORCE, LoadEvent, LoadMonitor, offset_in_tool
+from dualbrain.skills.arm.load_monitor import LoadEvent, LoadMonitor, offset_in_tool, press_on_object
 from dualbrain.skills.human_prediction import threat_height
 from dualbrain.skills.kinematics.clearance_prediction import (
     IGNORED_START_STEPS,
@@ -48,8 +48,6 @@ GRIP_CONFIRMATION_TIME = 0.15
 """Time [s] for which both fingers must press without interruption to count as a grip; they may still move."""
 CLOSING_TIMEOUT = 2.0
 """Time [s] after which fingers that do not both press have nothing between them."""
-EMPTY_OPENING = 5e-4
-"""Opening per finger [m] below which the fingers press on each other and not on an object."""
 RESTING_TOLERANCE, PASSING_TOLERANCE = (0.003, 0.02), (0.02, 0.3)
 """Tolerances of position [m] and rotation [rad] at a goal at which the tool rests, and at one that it passes."""
 TOOL_SPEED_FRACTION = 0.95
@@ -214,8 +212,8 @@ class ArmController:
         self.opening, self.force = 0.0, force
         start = released = self.observation.now
         while self.observation.now - start < CLOSING_TIMEOUT:
-            now, opening = self.observation.now, self.observation.state.opening
-            if not self.is_gripping() or (opening is not None and opening < EMPTY_OPENING):
+            now = self.observation.now
+            if not self.is_gripping():
                 released = now
             if now - released > GRIP_CONFIRMATION_TIME:
                 return None
@@ -298,8 +296,8 @@ class ArmController:
     # --- state and prediction -----------------------------------------------------------------------------------
 
     def is_gripping(self) -> bool:
-        """Whether both fingers press on an object (two-finger test)."""
-        return min(self.observation.state.finger_forces) >= MIN_GRIP_FORCE
+        """Whether both fingers press on an object (two-finger test), and not on each other."""
+        return press_on_object(self.observation.state)
 
     @property
     def tool_force(self) -> ContactForce | None:

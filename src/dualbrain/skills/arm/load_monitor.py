@@ -1,10 +1,10 @@
 """Load monitor: detects within 0.2 s that a held object was lost, removed, or slips in the fingers.
 
 It uses the finger forces, the finger opening and the perceived position of the object, never the true state. A load is
-lost once a finger has not pressed for `LOSS_TIME`, or once the fingers have closed by more than `MAX_CLOSING` within
-`MAX_AGE`; an object that is gripped askew turns slowly and is still held while both fingers press. A load
-slips once its perceived position in the tool frame differs from that at the grasp by more than `MAX_SLIP` beyond the
-errors of both measurements.
+lost once a finger has not pressed, or the fingers have pressed on each other, for `LOSS_TIME`, or once they have closed
+by more than `MAX_CLOSING` within `MAX_AGE`; an object that is gripped askew turns slowly and is still held while both
+fingers press. A load slips once its perceived position in the tool frame differs from that at the grasp by more than
+`MAX_SLIP` beyond the errors of both measurements.
 """
 
 from __future__ import annotations
@@ -16,12 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.records import FailureCause, SceneObject
+from dualbrain.robots.interface import RobotState
 from dualbrain.skills.skill import Observation
 
 Array = NDArray[np.float64]
 
 MIN_GRIP_FORCE = 0.5
 """Force on each finger that counts as contact [N] (two-finger test)."""
+EMPTY_OPENING = 5e-4
+"""Opening per finger [m] below which the fingers press on each other and not on an object."""
 DETECTION_TIME = 0.2
 """Bound of the time [s] between the loss of a load and its detection."""
 LOSS_TIME = 0.1
@@ -92,7 +95,7 @@ class LoadMonitor:
             return None
         self._store_pose(observation)
         lost, slip = self._is_lost(observation), self._slip(observation)
-        if lost or (slip and not _presses(observation)):
+        if lost or (slip and not press_on_object(observation.state)):
             event = LoadEvent(self.name)
             self.forget()
             return event
@@ -100,7 +103,7 @@ class LoadMonitor:
 
     def _is_lost(self, observation: Observation) -> bool:
         now = observation.now
-        if _presses(observation):
+        if press_on_object(observation.state):
             self._pressed_at = now
         closed = self._poses[0].opening - self._poses[-1].opening > MAX_CLOSING
         return closed or now - self._pressed_at > LOSS_TIME
@@ -127,9 +130,10 @@ class LoadMonitor:
         return distance
 
 
-def _presses(observation: Observation) -> bool:
-    """Whether both fingers press."""
-    return min(observation.state.finger_forces) >= MIN_GRIP_FORCE
+def press_on_object(state: RobotState) -> bool:
+    """Whether both fingers press on an object (two-finger test), and not on each other."""
+    apart = state.opening is None or state.opening >= EMPTY_OPENING
+    return apart and min(state.finger_forces) >= MIN_GRIP_FORCE
 
 
 def offset_in_tool(obj: SceneObject, position: Array, rotation: Array) -> Array:
