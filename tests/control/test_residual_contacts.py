@@ -19,6 +19,7 @@ from dualbrain.simulation.perception.noisy_perception import NoisyPerception, Pe
 from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from dualbrain.simulation.world import SimulatedWorld
+from dualbrain.skills.arm.load_monitor import DETECTION_TIME
 from dualbrain.skills.kinematics.object_geometry import CLEARANCE
 from dualbrain.skills.skill import PermittedContact
 
@@ -85,6 +86,21 @@ def test_an_object_on_which_the_fingers_were_stopped_is_held_and_can_be_put_down
     assert (outcome.kind, outcome.reason) == ("succeeded", "red_cube is at blue_bowl")
     assert outcome.delta_peak < 0.02
     assert grasp.has_no_violations()
+
+
+def micro_lift_begins(executor):
+    """The fingers press on the cube, and it is not known yet whether it rises with them."""
+    return phase(executor) == "grasp: lift"
+
+
+def test_an_object_on_which_the_lift_was_stopped_is_monitored_until_it_is_lost():
+    grasp = InterruptedGrasp(micro_lift_begins)
+    assert grasp.outcome.kind == "stopped"
+    assert grasp.executor.held_object == "red_cube"
+    grasp.plant.data.qpos[grasp.plant.model.joint("red_cube").qposadr[0]] += 0.15  # removed sideways
+    grasp.executor.hold(DETECTION_TIME)
+    assert grasp.executor.held_object is None
+    assert "red_cube" in [one.name for one in grasp.loop.safety.tables.obstacles]
 
 
 def test_open_fingers_that_were_stopped_around_an_object_can_leave_it():

@@ -172,6 +172,7 @@ class ContractExecutor:
             ending = self._run_skill(SkillExecution(self.loop.controller, action.skill, action.params), index)
         except Exception as error:
             ending = self._stop_on_fault(error)
+        self.loop.controller.check_holding()
         self.log.note(self.state.stamp, "action", f"{action.skill}: {ending.reason}", status=ending.status.value)
         kinds: dict[SkillStatus, OutcomeClass] = {
             SkillStatus.DONE: "succeeded",

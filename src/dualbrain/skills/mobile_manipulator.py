@@ -194,6 +194,10 @@ class MobileManipulatorController:
         """Continue a grasp, see `ArmController.resume_grasp`."""
         return self.arm.resume_grasp(name, opening, force)
 
+    def check_holding(self) -> None:
+        """Monitor the held object, see `ArmController.check_holding`."""
+        self.arm.check_holding()
+
     def take_load_event(self) -> LoadEvent | None:
         """The newest change of the load of the arm, which is then reported."""
         return self.arm.take_load_event()

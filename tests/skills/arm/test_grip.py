@@ -101,6 +101,17 @@ def test_fingers_that_press_on_each_other_hold_nothing(opening, held):
     assert arm.resume_grasp("cube", 0.0, 10.0) == held
 
 
+@pytest.mark.parametrize(("forces", "held"), [((10.0, 10.0), True), ((10.0, 0.0), False)])
+def test_a_recorded_grasp_is_monitored_or_dropped(forces, held):
+    """As after a skill that ended between the record of the grasp and the judgement of the micro-lift."""
+    hand = FakeHand()
+    arm = ArmController(PANDA, hand.motion)
+    arm.observe(hand.observe(forces))
+    arm.record_grasp(arm.find_object("cube"))
+    arm.check_holding()
+    assert (arm.holding is not None, arm.load_monitor.name) == ((True, "cube") if held else (False, ""))
+
+
 def test_a_declared_limit_lowers_the_bound_of_the_contract():
     cube = SceneObject(name="cube", role="object", shape=Box((0.02, 0.02, 0.02)), pose=Pose((0.5, 0.0, 0.02)))
     assert max_grip_force(PANDA, cube, 60.0) == 60.0

@@ -363,17 +363,33 @@ class ArmController:
 
     def detect_grasp(self, name: str) -> bool:
         """Store `name` as held if nothing is held and both fingers press, as after an interrupted grasp."""
-        obj = next((obj for obj in self.observation.scene.objects if obj.name == name), None)
+        obj = self._find_if_perceived(name)
         if obj is None or self.holding or not self.is_gripping():
             return False
         self.record_grasp(obj)
         self.watch_load(obj)
         return True
 
+    def _find_if_perceived(self, name: str) -> SceneObject | None:
+        return next((obj for obj in self.observation.scene.objects if obj.name == name), None)
+
     def resume_grasp(self, name: str, opening: float, force: float) -> bool:
         """Continue to grip at `opening` [m] with `force` [N], and store `name` as held if both fingers press on it."""
         self.opening, self.force = opening, force
         return self.detect_grasp(name)
+
+    def check_holding(self) -> None:
+        """Monitor a held object that is not monitored yet; it is not held if the fingers do not press on it.
+
+        A grasp that ends during the micro-lift leaves such an object.
+        """
+        if self.holding is None or self.load_monitor.name == self.holding.name:
+            return
+        obj = self._find_if_perceived(self.holding.name)
+        if obj is not None and self.is_gripping():
+            self.watch_load(obj)
+        else:
+            self.holding = None
 
     def watch_load(self, obj: SceneObject, offset: Array | None = None) -> None:
         """Monitor the held `obj` until it is released; `offset` (3,) [m] in the tool frame, by default as perceived."""

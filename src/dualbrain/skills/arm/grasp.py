@@ -295,6 +295,7 @@ def _micro_lift(arm: ArmController, name: str) -> SubRoutine:
     why = yield from move_to_height(arm, goal_height, "lift", CONTACT_APPROACH_SPEED)
     lift, arrived, seen = float(arm.observation.tool.position[2]) - start, arm.observation.now, 0.0
     if why and not (why.status is SkillStatus.TAKEN_OVER and lift >= goal_height - start - POSITION_TOLERANCE):
+        arm.check_holding()
         return why
     offsets: list[NDArray[np.float64]] = []
     rises: list[float] = []

@@ -179,6 +179,9 @@ class BaseController:
         del name, opening, force
         return False
 
+    def check_holding(self) -> None:
+        """Nothing, because a base has no hand."""
+
     def reproject(self, u: Array) -> Array:
         """u_nom (n,) projected again, because the rows known to φ changed within this tick."""
         self._u_nom = self._u_nom_prev
