@@ -11,11 +11,12 @@ from dualbrain.control.contract_executor import ContractExecutor
 from dualbrain.control.control_loop import ControlLoop, ControlLoopConfig, LoopInputs
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.trace import Trace
-from dualbrain.records import ObjectLimits
+from dualbrain.records import FailureCause, ObjectLimits
 from dualbrain.robots.interface import home_state
 from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.result import FilterStatus
+from dualbrain.skills.arm.load_monitor import LoadEvent
 from tests.grounding.perceived_scenes import bowl, box, scene
 
 MODEL = load_robot("panda")
@@ -44,7 +45,7 @@ class RobotAtRest:
         self.state = replace(state, stamp=state.stamp + MODEL.period, sequence=state.sequence + 1)
 
 
-def make_executor(status=None, since=0.1, until=99.0, interrupted=lambda: False, guard=True):
+def make_executor(status=None, since=0.1, until=99.0, interrupted=lambda: False, guard=True, settle_time=0.05):
     """A robot and an executor whose filter has the `status` between two times [s]."""
     robot, safety = RobotAtRest(), SafetyFilter(MODEL)
     filter_control = safety.filter
@@ -55,7 +56,7 @@ def make_executor(status=None, since=0.1, until=99.0, interrupted=lambda: False,
 
     safety.filter = filter_with_status
     log = FlightLog(Trace(MODEL.n))
-    config = ControlLoopConfig(guard=guard, settle_time=0.05)
+    config = ControlLoopConfig(guard=guard, settle_time=settle_time)
     return robot, ContractExecutor(
         ControlLoop(MODEL, robot, robot, safety, log, config, inputs=LoopInputs(interrupted=interrupted))
     )
@@ -95,6 +96,42 @@ def test_a_stopped_or_faulty_filter_stops_the_robot(status):
     assert outcome.kind == "stopped"
     assert status.name in outcome.reason
     assert robot.stopped
+
+
+@pytest.mark.parametrize(
+    ("status", "kind"),
+    [(FilterStatus.STOPPED, "stopped"), (FilterStatus.FAULT, "stopped"), (FilterStatus.RELAXED, "taken_over")],
+)
+def test_a_filter_that_stops_while_the_robot_settles_ends_the_contract(status, kind):
+    robot, executor = make_executor(status, since=1.02, settle_time=0.3)
+    outcome = executor.execute(hold_contract(0.5))
+    assert outcome.kind == kind
+    assert "50 ms" in outcome.reason
+    assert [action.status for action in outcome.actions] == ["done", "done"]
+    assert robot.stopped == (kind == "stopped")
+
+
+def test_an_interruption_while_the_robot_settles_aborts_the_contract():
+    robot, executor = make_executor(interrupted=lambda: robot.state.stamp > 1.1, settle_time=0.3)
+    outcome = executor.execute(hold_contract(0.5))
+    assert (outcome.kind, robot.stopped) == ("aborted", True)
+
+
+@pytest.mark.parametrize(("slip", "cause"), [(0.0, FailureCause.LOAD_LOST), (0.02, FailureCause.LOAD_SLIPPED)])
+def test_a_change_of_the_load_while_the_robot_settles_is_a_failure_of_the_last_action(slip, cause):
+    robot, executor = make_executor(settle_time=0.3)
+    advance_time, event = robot.advance, LoadEvent("red_cube", slip)
+
+    def advance():
+        advance_time()
+        if robot.state.stamp > 1.1:
+            executor.loop.controller.load_event = event
+
+    robot.advance = advance
+    outcome = executor.execute(hold_contract(0.5))
+    assert (outcome.kind, outcome.failure_cause) == ("failed", cause)
+    assert [action.status for action in outcome.actions] == ["done", "failed"]
+    assert outcome.reason == f"settle: {event.describe()}"
 
 
 def test_an_interruption_stops_the_robot_after_braking():

@@ -109,7 +109,7 @@ class ContractExecutor:
             else:
                 result = not_run_result(action)
             results.append(result)
-        kind, error = self._come_to_rest(kind)
+        kind, error = self._come_to_rest(kind, results)
         if kind == "succeeded":
             declined = all(action.skill == "decline" for action in contract.action_sequence)
             kind = "declined" if declined else self._completed_outcome()
@@ -151,15 +151,36 @@ class ContractExecutor:
                 self.loop.safety_controller.report(Condition.CONTINUE)
             self.loop.rest_tick("continue", IDLE_ACTION)
 
-    def _come_to_rest(self, kind: OutcomeClass) -> tuple[OutcomeClass, str]:
-        """Come to rest and withdraw all permits; an error on the way replaces an outcome that is not already a stop."""
+    def _come_to_rest(self, kind: OutcomeClass, results: list[ActionResult]) -> tuple[OutcomeClass, str]:
+        """Come to rest and withdraw all permits; the outcome, and its reason if it changed on the way.
+
+        An error replaces an outcome that is not already a stop; a stop or a change of the load replaces a success.
+        """
+        reason = ""
         try:
             self.hold(self.loop.config.settle_time, "settle")
+            if kind == "succeeded":
+                kind, reason = self._settled_outcome(results)
             self.loop.end_contract(succeeded=kind == "succeeded")
         except Exception as error:
-            reason = self._stop_on_fault(error).reason
-            return (kind, "") if kind in STOP_OUTCOMES else ("stopped", reason)
-        return kind, ""
+            fault = self._stop_on_fault(error).reason
+            return (kind, reason) if kind in STOP_OUTCOMES else ("stopped", fault)
+        return kind, reason
+
+    def _settled_outcome(self, results: list[ActionResult]) -> tuple[OutcomeClass, str]:
+        """The outcome after settling of a contract whose actions are done, and the reason if it is no success.
+
+        A change of the load is the failure of the last action.
+        """
+        if stop := self._supervisor_result():
+            return self.loop.safety_controller.contract_outcome or "stopped", stop.reason
+        if self.interrupted():
+            return "aborted", INTERRUPTED_REASON
+        if event := self.loop.controller.take_load_event():
+            reason = f"settle: {event.describe()}"
+            results[-1] = msgspec.structs.replace(results[-1], status="failed", reason=reason, cause=event.cause)
+            return "failed", reason
+        return "succeeded", ""
 
     # --- one action -----------------------------------------------------------------------------------------------
 

@@ -12,7 +12,6 @@ from dualbrain.robots.model import RobotModel
 from dualbrain.skills import decline
 from dualbrain.skills.arm import grasp, hold, home, move_to, place, push, release
 from dualbrain.skills.arm.controller import ArmController
-from dualbrain.skills.arm.load_monitor import LoadEvent
 from dualbrain.skills.mobile_base import drive_to, drive_to_pose, stop, turn_to
 from dualbrain.skills.mobile_base.controller import BaseController
 from dualbrain.skills.mobile_manipulator import MobileManipulatorController
@@ -108,12 +107,12 @@ class SkillExecution:
         self._routine: SkillRoutine = skill_modules(controller.robot_model)[skill].routine(part_controller, **params)
         self._steps_per_tick = steps_per_tick(controller.robot_model.period)
         self._phase = skill
-        self._take_load_event()
+        controller.take_load_event()
 
     def nominal(self, observation: Observation) -> Nominal | SkillResult | None:
         """The control of the next tick, or the result of the skill; None while it computes and the robot must rest."""
         self.controller.observe(observation)
-        if event := self._take_load_event():
+        if event := self.controller.take_load_event():
             return SkillResult(SkillStatus.FAILED, f"{self._phase}: {event.describe()}", event.cause)
         for _ in range(self._steps_per_tick):
             try:
@@ -128,7 +127,3 @@ class SkillExecution:
                     else nominal
                 )
         return None
-
-    def _take_load_event(self) -> LoadEvent | None:
-        """The newest change of the load, None for a base without an arm."""
-        return None if isinstance(self.controller, BaseController) else self.controller.take_load_event()

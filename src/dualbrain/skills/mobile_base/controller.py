@@ -179,6 +179,10 @@ class BaseController:
         del name, opening, force
         return False
 
+    def take_load_event(self) -> None:
+        """None, because a base has no load."""
+        return
+
     def check_holding(self) -> None:
         """Nothing, because a base has no hand."""
 
