@@ -16,6 +16,7 @@ from dualbrain.robots.interface import home_state
 from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.result import FilterStatus
+from dualbrain.safety.supervisor.conditions import Condition
 from dualbrain.skills.arm.load_monitor import LoadEvent
 from tests.grounding.perceived_scenes import bowl, box, scene
 
@@ -159,6 +160,23 @@ def test_without_the_filter_the_nominal_control_is_written_unchanged():
     assert np.array_equal(trace["u"], trace["u_nom"].astype(np.float32))
     assert not np.any(trace["delta"])
     assert len(robot.written) == len(trace)
+
+
+def test_every_contract_at_a_lower_speed_stage_is_slowed_until_the_stage_ends():
+    _, executor = make_executor()
+    executor.loop.safety_controller.speed_scale = 0.5
+    executor.hold(0.1)
+    assert [executor.execute(hold_contract(0.5)).kind for _ in range(2)] == ["slowed", "slowed"]
+    executor.loop.safety_controller.speed_scale = 1.0
+    assert executor.execute(hold_contract(0.5)).kind == "succeeded"
+
+
+def test_a_speed_stage_counts_beside_a_stronger_check():
+    _, executor = make_executor()
+    executor.loop.inputs = LoopInputs(external_conditions=lambda: int(Condition.TICKS_OVERRUN))
+    executor.loop.safety_controller.speed_scale = 0.5
+    assert executor.execute(hold_contract(0.5)).kind == "slowed"
+    assert executor.loop.safety_controller.decision.check == "ticks_overrun"
 
 
 def test_a_decline_moves_nothing():

@@ -366,9 +366,10 @@ class ControlLoop:
         if self.inputs.interrupted():
             conditions |= Condition.INTERRUPT
         decision = self.safety_controller.decide(self.state, now, conditions)
+        if decision is not NO_ACTION:
+            self.checks_during_contract.update(self.safety_controller.supervisor.tripped_checks)
         if decision is not self._last_decision:
             self._last_decision = decision
-            self.checks_during_contract.add(decision.check)
             name = decision.action.name
             text = f"{name}: {decision.check or 'all clear'}"
             cause, check = decision.cause.value, decision.check
