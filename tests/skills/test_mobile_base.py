@@ -1,5 +1,6 @@
 """Skills of a mobile base in simulated rooms: it arrives without contact, and in an empty room δ is 0."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import msgspec
@@ -9,13 +10,14 @@ import pytest
 from dualbrain.contracts.contract import Action, Context, Contract
 from dualbrain.core.geometry.shapes import Box, Capsule, Pose
 from dualbrain.grounding.envelope.scene_rules import scene_rules
-from dualbrain.records import ObjectLimits, SceneObject
-from dualbrain.robots.interface import Command
+from dualbrain.records import FailureCause, ObjectLimits, SceneObject
+from dualbrain.robots.interface import Command, home_state
+from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.obstacles import Obstacle
 from dualbrain.simulation.scenes.scene_spec import ObjectSpec
-from dualbrain.skills.mobile_base.controller import PERSON_WAIT_TIMEOUT, YIELD_SPEED, wrap_angle
+from dualbrain.skills.mobile_base.controller import PERSON_WAIT_TIMEOUT, YIELD_SPEED, BaseController, wrap_angle
 from dualbrain.skills.mobile_base.path_planning import clearance, plan_path
-from dualbrain.skills.skill import HeldObject
+from dualbrain.skills.skill import HeldObject, Observation
 from dualbrain.skills.time_slicing import run_to_completion
 from tests.simulation.mobile_base_cell import MOBILE_BASE, MobileBaseCell, drive_to_action
 
@@ -79,6 +81,59 @@ def test_waiting_for_a_person_who_stays_in_the_way_ends():
     assert "a person stayed in the way for 30 s" in outcome.reason
     assert PERSON_WAIT_TIMEOUT < outcome.duration < PERSON_WAIT_TIMEOUT + 10.0
     assert cell.monitor.violations() == ()
+
+
+class ObservedBase:
+    """A base at the origin of a room, at rest; the test lets time and pauses pass."""
+
+    def __init__(self):
+        self.state, self.scene = home_state(MOBILE_BASE), MobileBaseCell().executor.scene
+        self.controller, self.now, self.paused = BaseController(MOBILE_BASE, SafetyFilter(MOBILE_BASE)), 0.0, 0.0
+        self.observe()
+
+    def observe(self, v=(0.0, 0.0)):
+        state = replace(self.state, stamp=self.now, v=np.array(v))
+        self.controller.observe(
+            Observation(state=state, scene=self.scene, now=self.now, tool=None, paused_time=self.paused)
+        )
+
+    def pass_time(self, seconds, *, paused=0.0, v=(0.0, 0.0)):
+        self.now, self.paused = self.now + seconds + paused, self.paused + paused
+        self.observe(v)
+
+
+def test_the_wait_for_a_person_does_not_count_a_pause():
+    base = ObservedBase()
+    base.controller._passing_speed = lambda path, here, speed: 0.0
+    drive, results = base.controller.drive(np.array([1.0, 0.0]), 0.4, 1.0), []
+
+    def advance():
+        """Advance the routine until it rests, or record its result."""
+        try:
+            while next(drive) is None:
+                pass
+        except StopIteration as end:
+            results.append(end.value)
+
+    advance()
+    for seconds, paused in ((1.0, 0.0), (1.0, 2.0 * PERSON_WAIT_TIMEOUT), (PERSON_WAIT_TIMEOUT - 3.0, 0.0)):
+        base.pass_time(seconds, paused=paused)
+        advance()
+        assert not results
+    base.pass_time(2.0)
+    advance()
+    assert results[0].cause is FailureCause.PERSON
+
+
+def test_a_base_brakes_for_its_full_time_after_a_pause():
+    base = ObservedBase()
+    base.observe(v=(0.1, 0.0))
+    braking = base.controller.come_to_rest("drive")
+    assert next(braking).phase == "drive"
+    base.pass_time(0.1, paused=10.0, v=(0.05, 0.0))
+    assert next(braking).phase == "drive"
+    base.pass_time(0.1)
+    assert next(braking, None) is None
 
 
 def test_the_free_aisle_can_be_used_and_a_person_who_leaves_is_waited_for():

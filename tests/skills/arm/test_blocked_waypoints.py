@@ -35,7 +35,7 @@ class KinematicCell:
             *(Obstacle(name=f"wall{i}", shape=shape, pose=pose) for i, (shape, pose) in enumerate(walls)),
         ]
         self.controller = ArmController(BODY, self.safety)
-        self.phases, self.path, self.now = [], [], 0.0
+        self.phases, self.path, self.now, self.paused = [], [], 0.0, 0.0
         self.safety.observe(self.obstacles, 0.0)
         self.observe()
 
@@ -47,9 +47,15 @@ class KinematicCell:
                 scene=Scene(robot="panda", stamp=self.now, version=1, objects=(TABLE,)),
                 now=self.now,
                 tool=tool,
+                paused_time=self.paused,
             )
         )
         self.path.append(tool.position.copy())
+
+    def pause(self, seconds):
+        """Let `seconds` pass during which an operator pauses the routine; the next observation shows it."""
+        self.now += seconds
+        self.paused += seconds
 
     def carry_out(self, routine, limit=60.0):
         """Run `routine` to its end and return its result; AssertionError after `limit` [s]."""

@@ -30,7 +30,7 @@ class FakeHand:
     def __init__(self, error=0.0):
         self.motion, self.state = SafetyFilter(PANDA), home_state(PANDA)
         self.tool = self.motion.tool(self.state.q)
-        self.error, self.now, self.shift = error, 0.0, np.zeros(3)
+        self.error, self.now, self.shift, self.paused = error, 0.0, np.zeros(3), 0.0
 
     def observe(self, forces, opening=0.02):
         self.now += PERIOD
@@ -49,6 +49,7 @@ class FakeHand:
             scene=Scene(robot="panda", stamp=stamp, version=1, objects=(TABLE, cube)),
             now=self.now,
             tool=self.tool,
+            paused_time=self.paused,
         )
 
 

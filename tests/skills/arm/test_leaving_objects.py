@@ -40,7 +40,9 @@ class CellWithCube(KinematicCell):
 
     def observe(self):
         tool = self.safety.tool(self.state.q)
-        self.controller.observe(Observation(state=self.state, scene=self.scene, now=self.now, tool=tool))
+        self.controller.observe(
+            Observation(state=self.state, scene=self.scene, now=self.now, tool=tool, paused_time=self.paused)
+        )
         self.path.append(tool.position.copy())
 
     def finger_clearance(self):

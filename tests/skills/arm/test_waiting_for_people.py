@@ -28,7 +28,8 @@ class CellWithPerson(KinematicCell):
             name="forearm", role="person", shape=Capsule(0.045, 0.25), pose=Pose((float(self.spot[0]), y, 0.1), ALONG_X)
         )
         scene = Scene(robot="panda", stamp=self.now, version=1, objects=(TABLE, forearm))
-        self.controller.observe(Observation(state=self.state, scene=scene, now=self.now, tool=tool))
+        observation = Observation(state=self.state, scene=scene, now=self.now, tool=tool, paused_time=self.paused)
+        self.controller.observe(observation)
         self.path.append(tool.position.copy())
 
     def wait(self):

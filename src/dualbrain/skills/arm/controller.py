@@ -198,7 +198,7 @@ class ArmController:
             )
 
     def wait(self, phase: str, duration: float) -> SubRoutine:
-        """Rest for `duration` [s]."""
+        """Rest for `duration` [s]; a pause counts, because the fingers follow their command during a pause, too."""
         end = self.observation.now + duration
         while self.observation.now < end:
             yield self.rest(phase)
@@ -210,9 +210,9 @@ class ArmController:
         The opening may still change: an object that is gripped askew turns between the fingers.
         """
         self.opening, self.force = 0.0, force
-        start = released = self.observation.now
-        while self.observation.now - start < CLOSING_TIMEOUT:
-            now = self.observation.now
+        start = released = self.observation.active_time
+        while self.observation.active_time - start < CLOSING_TIMEOUT:
+            now = self.observation.active_time
             if not self.is_gripping():
                 released = now
             if now - released > GRIP_CONFIRMATION_TIME:
@@ -226,8 +226,8 @@ class ArmController:
         """Open the fingers to `opening` per finger [m] and release the held object."""
         self.opening, self.holding = opening, None
         self.force = self.robot_model.gripper.force_min.value
-        start = self.observation.now
-        while self.observation.now - start < 1.0 and not self._is_open(opening):
+        start = self.observation.active_time
+        while self.observation.active_time - start < 1.0 and not self._is_open(opening):
             yield self.rest(phase)
         yield from self.wait(phase, 0.2)
         return None
@@ -239,7 +239,8 @@ class ArmController:
         contacts of `phase` stay permitted. The sub-routine takes at least one tick, so that a repeated sub-routine
         starts at a later time.
         """
-        start, spot = self.observation.now, self.observation.tool.position.copy()
+        start, patience = self.observation.now, self.observation.active_time + PERSON_WAIT_TIMEOUT
+        spot = self.observation.tool.position.copy()
         rotation, posture = self.observation.tool.rotation.copy(), self.observation.state.q.copy()
         yield from self._leave_objects(phase)
         near = True
@@ -248,7 +249,7 @@ class ArmController:
             or self.person_threat_height(spot, horizon=2.5, radius=PERSON_CLEARANCE, any_height=True) is not None
         ):
             tool, state, now = self.observation.tool, self.observation.state, self.observation.now
-            if now - start > PERSON_WAIT_TIMEOUT:
+            if self.observation.active_time > patience:
                 return SkillResult(
                     SkillStatus.FAILED,
                     f"{phase}: a person stayed in the way for {PERSON_WAIT_TIMEOUT:.0f} s",
@@ -266,11 +267,11 @@ class ArmController:
 
     def _leave_objects(self, phase: str) -> Generator[Nominal | None, None, None]:
         """Move the empty hand back along its approach axis, until it is clear of the objects that it may touch."""
-        start, first = self.observation.now, self.observation.tool
+        start, first = self.observation.active_time, self.observation.tool
         line, axis, posture = first.position.copy(), first.rotation[:, 2].copy(), self.observation.state.q.copy()
         rotation = first.rotation.copy()
         while (
-            self.observation.now - start < LEAVING_TIMEOUT
+            self.observation.active_time - start < LEAVING_TIMEOUT
             and not (self.holding or self.is_gripping())
             and self._is_near_permitted_contact(phase)
         ):

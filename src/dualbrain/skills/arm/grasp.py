@@ -294,19 +294,20 @@ def _micro_lift(arm: ArmController, name: str) -> SubRoutine:
     goal_height = start + MICRO_LIFT + MICRO_LIFT_PER_ERROR * before.error + POSITION_TOLERANCE
     why = yield from move_to_height(arm, goal_height, "lift", CONTACT_APPROACH_SPEED)
     lift, arrived, seen = float(arm.observation.tool.position[2]) - start, arm.observation.now, 0.0
+    began = arm.observation.active_time
     if why and not (why.status is SkillStatus.TAKEN_OVER and lift >= goal_height - start - POSITION_TOLERANCE):
         arm.check_holding()
         return why
     offsets: list[NDArray[np.float64]] = []
     rises: list[float] = []
-    while arm.observation.now - arrived < MAX_OBSERVATION_TIME:
+    while arm.observation.active_time - began < MAX_OBSERVATION_TIME:
         obj, tool = arm.find_object(name), arm.observation.tool
         if obj.stamp > max(seen, arrived):
             seen = obj.stamp
             offsets.append(offset_in_tool(obj, tool.position, tool.rotation))
             rises.append((obj.pose.position[2] - height) / lift)
         clear = len(rises) > 0 and abs(float(np.mean(rises)) - 0.5) > CLEAR_RISE_MARGIN
-        if clear and arm.observation.now - arrived > MIN_OBSERVATION_TIME:
+        if clear and arm.observation.active_time - began > MIN_OBSERVATION_TIME:
             break
         yield arm.rest("lift")
     if arm.is_gripping() and (not rises or float(np.mean(rises)) > 0.5):

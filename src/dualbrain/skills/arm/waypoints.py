@@ -149,14 +149,14 @@ def wait_for_people(
     radius: float = PERSON_CLEARANCE,
 ) -> SubRoutine:
     """Stay at `wait_goal` until no person may come within `radius` [m] of `spot`, from above, in `horizon` [s]."""
-    start = arm.observation.now
+    start = arm.observation.active_time
     while True:
         if why := (yield from reach_goal(arm, wait_goal, phase, min(speed, 0.2), near_suffices=True)):
             return why
         if not person_may_reach(arm.observation.scene, spot, horizon, radius, arm.observation.now):
             return None
         while person_may_reach(arm.observation.scene, spot, horizon, radius, arm.observation.now):
-            if arm.observation.now - start > PERSON_WAIT_TIMEOUT:
+            if arm.observation.active_time - start > PERSON_WAIT_TIMEOUT:
                 return SkillResult(
                     SkillStatus.FAILED,
                     f"{phase}: a person stayed over the place for {PERSON_WAIT_TIMEOUT:.0f} s",

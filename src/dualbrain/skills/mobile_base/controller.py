@@ -121,7 +121,7 @@ class BaseController:
             pace = self._passing_speed(path, here, speed)
             if pace == 0.0:
                 if wait_start == -inf or float(np.linalg.norm(here - wait_position)) > NEW_WAIT_DISTANCE:
-                    wait_position, wait_start = here, self.observation.now
+                    wait_position, wait_start = here, self.observation.active_time
                 if why := (yield from self._wait_for_people(path, speed, wait_start)):
                     return why
                 progress = self._make_watchdog(path, speed)
@@ -158,8 +158,8 @@ class BaseController:
 
     def come_to_rest(self, phase: str) -> SubRoutine:
         """Brake until the base is at rest."""
-        end = self.observation.now + 3.0
-        while self.observation.now < end and float(np.max(np.abs(self.observation.state.v))) > 5e-3:
+        end = self.observation.active_time + 3.0
+        while self.observation.active_time < end and float(np.max(np.abs(self.observation.state.v))) > 5e-3:
             yield self.rest(phase)
         return None
 
@@ -237,9 +237,12 @@ class BaseController:
         return 0.0 if standing > min_distance or standing >= distance_at(faster) else faster
 
     def _wait_for_people(self, path: Sequence[Array], speed: float, since: float) -> SubRoutine:
-        """Rest until driving on is safe; the wait began at `since` [s]. The filter may still move the base away."""
+        """Rest until driving on is safe; the wait began at the active time `since` [s].
+
+        The filter may still move the base away.
+        """
         while self._passing_speed(path, self.pose[0], speed) == 0.0:
-            if self.observation.now - since > PERSON_WAIT_TIMEOUT:
+            if self.observation.active_time - since > PERSON_WAIT_TIMEOUT:
                 return SkillResult(
                     SkillStatus.FAILED,
                     f"drive: a person stayed in the way for {PERSON_WAIT_TIMEOUT:.0f} s",
