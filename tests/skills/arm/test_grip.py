@@ -279,3 +279,19 @@ def test_every_skill_that_carries_fails_in_time_when_the_load_is_removed(phase, 
     assert f"{phase}: red_cube was lost" in outcome.reason
     assert outcome.actions[1].ended - taken[0] <= DETECTION_TIME
     assert cell.executor.held_object is None
+
+
+@pytest.mark.parametrize("action", [("release", {"speed": 0.2}), place()])
+def test_a_hand_that_does_not_open_still_holds_its_load(action):
+    cell = SkillCell(noise=PerceptionNoise())
+    write = cell.plant.write
+    cell.plant.write = lambda command: write(
+        replace(command, opening=0.0) if cell.executor.loop.phase == "open" else command
+    )
+    outcome = cell.run(grasp(), action)
+    assert (outcome.kind, outcome.failure_cause) == ("failed", FailureCause.GOAL_MISSED)
+    assert "still press on red_cube" in outcome.reason
+    assert cell.executor.held_object == "red_cube"
+    assert cell.executor.loop.controller.load_monitor.name == "red_cube"
+    cell.executor.hold(0.5)
+    assert cell.executor.held_object == "red_cube"

@@ -48,6 +48,8 @@ GRIP_CONFIRMATION_TIME = 0.15
 """Time [s] for which both fingers must press without interruption to count as a grip; they may still move."""
 CLOSING_TIMEOUT = 2.0
 """Time [s] after which fingers that do not both press have nothing between them."""
+OPENING_TIMEOUT, PRESSING_TIMEOUT = 1.0, 2.0
+"""Time [s] for which fingers may open: while they press on nothing, and while they press on an object."""
 RESTING_TOLERANCE, PASSING_TOLERANCE = (0.003, 0.02), (0.02, 0.3)
 """Tolerances of position [m] and rotation [rad] at a goal at which the tool rests, and at one that it passes."""
 TOOL_SPEED_FRACTION = 0.95
@@ -223,14 +225,35 @@ class ArmController:
         )
 
     def open_gripper(self, opening: float, phase: str = "open") -> SubRoutine:
-        """Open the fingers to `opening` per finger [m] and release the held object."""
+        """Open the fingers to `opening` per finger [m] and release the held object.
+
+        Fails if the fingers still press on an object afterwards; an object that was held is then gripped and held as
+        before.
+        """
+        held, command = self.holding, (self.opening, self.force)
         self.opening, self.holding = opening, None
         self.force = self.robot_model.gripper.force_min.value
         start = self.observation.active_time
-        while self.observation.active_time - start < 1.0 and not self._is_open(opening):
+        while not self._is_open(opening):
+            if self.observation.active_time - start >= (PRESSING_TIMEOUT if self.is_gripping() else OPENING_TIMEOUT):
+                break
             yield self.rest(phase)
         yield from self.wait(phase, 0.2)
-        return None
+        why = self.check_release(held.name if held else "")
+        if self.holding:
+            self.opening, self.force = command
+        return why
+
+    def check_release(self, name: str) -> SkillResult | None:
+        """None if the fingers press on nothing; else the failure of a release, and `name` ("" for none) is held."""
+        if not self.is_gripping():
+            return None
+        self.detect_grasp(name)
+        return SkillResult(
+            SkillStatus.FAILED,
+            f"open: the hand did not open, the fingers still press on {name or 'an object'}",
+            FailureCause.GOAL_MISSED,
+        )
 
     def avoid_person(self, phase: str, height: float) -> SubRoutine:
         """Rise until tool and load are above `height` [m], rest until the person has passed, then return `YIELDED`.

@@ -118,7 +118,8 @@ def routine(
             break
     if why or (why := _check_load_lost(arm, held.name)):
         return why
-    yield from arm.open_gripper(arm.robot_model.gripper.opening.value)
+    if why := (yield from arm.open_gripper(arm.robot_model.gripper.opening.value)):
+        return why
     away = yield from _solve_at_height(arm, down, float(down.position[2]) + RETREAT_HEIGHT)
     why = yield from reach_goal(arm, away, "retreat", speed)
     risen = float(arm.observation.tool.position[2] - down.position[2])
@@ -219,7 +220,9 @@ def _waypoints(arm: ArmController, end: ToolGoal, route: str) -> SlicedComputati
 
 
 def _verify_placement(arm: ArmController, name: str, destination: str, release: ReleasePoint) -> SkillResult:
-    """Check by perception that the object is where it was placed."""
+    """Check that the hand is empty, and by perception that the object is where it was placed."""
+    if why := arm.check_release(name):
+        return why
     away = float(np.linalg.norm(np.asarray(arm.find_object(name).pose.position)[:2] - release.centre))
     if away > release.radius + arm.find_object(name).error:
         return SkillResult(

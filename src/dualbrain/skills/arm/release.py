@@ -34,7 +34,8 @@ def routine(arm: ArmController, *, speed: float) -> SkillRoutine:
     """Open the fingers, then retreat."""
     held, support = arm.holding, arm.support
     arm.begin(spec(arm.robot_model), target=held.name if held else None, support=support.name if support else None)
-    yield from arm.open_gripper(arm.robot_model.gripper.opening.value)
+    if why := (yield from arm.open_gripper(arm.robot_model.gripper.opening.value)):
+        return why
     here = arm.current_goal()
     back = yield from arm.translate_goal(here, here.position - RETREAT_DISTANCE * here.rotation[:, 2])
     if why := (yield from reach_goal(arm, back, "retreat", speed)):
