@@ -9,7 +9,7 @@ from dualbrain.records import FailureCause
 from dualbrain.robots.model import RobotModel
 from dualbrain.skills import parameters
 from dualbrain.skills.arm.controller import ArmController, goal_at_height
-from dualbrain.skills.arm.waypoints import follow_waypoints, via_point, wait_for_people
+from dualbrain.skills.arm.waypoints import follow_waypoints, rise, via_point, wait_for_people
 from dualbrain.skills.kinematics import object_geometry
 from dualbrain.skills.kinematics.release_point import receiving_point
 from dualbrain.skills.skill import SkillResult, SkillRoutine, SkillStatus
@@ -60,6 +60,8 @@ def routine(arm: ArmController, *, target: str, speed: float, clearance: float, 
     via = via_point(tool.position, end.position, route)
     if via is not None:
         points.append((yield from arm.translate_goal(end, via)))
+    if why := (yield from rise(arm, height, speed)):
+        return why
     if why := (yield from follow_waypoints(arm, [*points, end], "approach", speed)):
         return why
     return SkillResult(SkillStatus.DONE, f"above {target}")

@@ -25,6 +25,7 @@ from dualbrain.skills.arm.waypoints import (
     follow_waypoints,
     predict_waypoint_clearance,
     reach_goal,
+    rise,
     via_point,
     wait_for_people,
 )
@@ -85,7 +86,7 @@ def spec(robot_model: RobotModel) -> SkillSpec:
 def routine(
     arm: ArmController, *, destination: str, speed: float, clearance: float, route: str, wait: str
 ) -> SkillRoutine:
-    """Wait, carry, lower, open, retreat, verify."""
+    """Wait, rise, carry, lower, open, retreat, verify."""
     held = arm.holding
     if held is None:
         return SkillResult(SkillStatus.FAILED, "nothing is held", FailureCause.PRECONDITION)
@@ -106,6 +107,8 @@ def routine(
         return why
     above = goal_at_height(down, height)
     way = yield from _waypoints(arm, above, route)
+    if why := (yield from rise(arm, height, speed)):
+        return why
     why = yield from follow_waypoints(arm, way, "carry", speed, near_suffices=True)
     if why or (why := _check_load_lost(arm, held.name)):
         return why

@@ -73,6 +73,19 @@ def move_to_height(
     return (yield from reach_goal(arm, goal, phase, speed, near_suffices=near_suffices))
 
 
+def rise(arm: ArmController, height: float, speed: float) -> SubRoutine:
+    """Pass tool height `height` [m] in the phase "rise", in which a held object may leave its support.
+
+    Nothing moves if the tool is not lower. A rise that is blocked succeeds: the motion that follows takes a detour.
+    """
+    here = arm.current_goal()
+    if here.position[2] >= height - 0.01:
+        return None
+    up = goal_at_height(here, height)
+    why = yield from reach_goal(arm, up, "rise", speed, stop=False, timeout=DETOUR_TIMEOUT)
+    return None if why and why.status is SkillStatus.TAKEN_OVER else why
+
+
 def follow_waypoints(
     arm: ArmController, waypoints: Sequence[ToolGoal], phase: str, speed: float, *, near_suffices: bool = False
 ) -> SubRoutine:
