@@ -4,8 +4,10 @@ from dataclasses import replace
 
 import pytest
 
+from dualbrain.robots.loader import load_robot
 from dualbrain.safety.supervisor.actions import SafetyAction
 from dualbrain.safety.supervisor.checks import CHECKS, RESET_HELD, ClearPolicy
+from dualbrain.skills.registry import skill_modules
 from dualbrain.visualization.live.operator.operator_status import (
     GIVING_WAY_TIME_S,
     FilterLimit,
@@ -61,6 +63,13 @@ def test_an_object_that_limits_the_motion_is_a_reason_but_no_other_state():
 
 def test_a_binding_row_without_a_change_of_the_control_is_no_reason():
     assert describe_situation(replace(MOVING, limit=NEAR_PERSON, delta=0.0)).state is OperatorState.MOVING
+
+
+def test_every_phase_that_permits_contact_has_a_sentence():
+    model = load_robot("panda")
+    permits = [one for module in skill_modules(model).values() for one in module.spec(model).permits]
+    for permit in permits:
+        assert f"step “{permit.phase}”" not in describe_situation(replace(MOVING, phase=permit.phase)).reason
 
 
 @pytest.mark.parametrize("phase", ["wait", "yield"])
