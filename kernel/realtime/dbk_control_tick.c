@@ -177,7 +177,7 @@ static void control(dbk_control_tick *t, const dbk_stamped_scene *scene, dbk_tic
   in->mobile = 0;
   const int hull = isnan(t->state.opening) && t->limits.opening_max >= 0.0;
   const int standstill = dbk_cycle_filter(&t->cycle, hull ? &t->hull_model : &t->model, &scene->scene, filtered);
-  const int rests = record->drive_off || (record->standstill && can_rest(t));
+  const int rests = record->drive_off || !t->drive_came_on || (record->standstill && can_rest(t));
   for (int32_t k = 0; k < t->model.n; ++k) { u[k] = rests ? 0.0 : (double)filtered[k]; }
   if (standstill || rests) {
     restart_filter(t, u);

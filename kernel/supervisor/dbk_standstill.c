@@ -42,12 +42,19 @@ static void switch_drive(dbk_standstill *s, int on, int32_t n, const dbk_real *q
   }
 }
 
-/* switches the drive as the decision requires; while it is off, checks that the brakes hold */
+static int is_at_rest(int32_t n, const dbk_real *v) {
+  int at_rest = 1;
+  for (int32_t k = 0; k < n; ++k) { at_rest &= dbk_abs(v[k]) < DBK_REST_VELOCITY; }
+  return at_rest;
+}
+
+/* switches the drive as the decision requires, and on only at rest, because the control begins at zero; while it is
+ * off, checks that the brakes hold */
 static uint64_t update_drive(dbk_standstill *s, dbk_decision decision, int32_t n, const dbk_real *q,
                              const dbk_real *v, uint64_t stamp_us) {
   if ((decision.action >= DBK_ACTION_ESTOP || decision.immediate_drive_off) && s->drive_wanted) {
     switch_drive(s, 0, n, q, v, stamp_us);
-  } else if (decision.action < DBK_ACTION_CONTROLLED_STOP && !s->drive_wanted) {
+  } else if (decision.action < DBK_ACTION_CONTROLLED_STOP && !s->drive_wanted && is_at_rest(n, v)) {
     switch_drive(s, 1, n, q, v, stamp_us);
   }
   if (s->drive_wanted || !s->drive_off_known || stamp_us <= s->drive_off_us) { return 0; }
@@ -63,9 +70,7 @@ static uint64_t monitor_stop(dbk_standstill *s, int32_t n, const dbk_real *q, co
     s->stop_since_us = stamp_us;
   }
   if (s->at_standstill) { return moved_at_most(n, s->standstill_q, q, DBK_MAX_DRIFT) ? 0 : DBK_CONDITION_DRIFT; }
-  int at_rest = 1;
-  for (int32_t k = 0; k < n; ++k) { at_rest &= dbk_abs(v[k]) < DBK_REST_VELOCITY; }
-  if (at_rest) {
+  if (is_at_rest(n, v)) {
     s->at_standstill = 1;
     for (int32_t k = 0; k < n; ++k) { s->standstill_q[k] = q[k]; }
     return 0;

@@ -1,6 +1,7 @@
 """The control loop in C decides as `SafetyController`, bit for bit; late and bad inputs stop the arm in time."""
 
 import time
+from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -8,7 +9,8 @@ import pytest
 
 from dualbrain.core.geometry.shapes import Pose, Sphere
 from dualbrain.errors import ConfigurationError
-from dualbrain.robots.interface import RobotState
+from dualbrain.robots.interface import RobotState, home_state
+from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import Obstacle, SafetyFilter
 from dualbrain.safety.control_thread import ControlThread, ControlThreadConfig
 from dualbrain.safety.supervisor.actions import SafetyAction
@@ -244,6 +246,40 @@ def test_a_drive_that_does_not_come_back_is_a_fault(arm):
     bench.loop.set_drive(on=True)
     records = bench.run(0.5, np.zeros(7), drive_enabled=False)
     assert first(records, SafetyAction.ESTOP) == pytest.approx(0.3, abs=0.005)
+
+
+def test_the_control_is_zero_until_a_drive_that_is_switched_on_has_come_on(arm):
+    """The control would be at full speed when the drive comes on; loop and controller agree."""
+    bench = Bench(arm)
+    bench.run(0.1, np.zeros(7))
+    bench.loop.set_drive(on=False)
+    bench.run(0.1, np.zeros(7), drive_enabled=False)
+    bench.loop.set_drive(on=True)
+    waiting = bench.run(0.2, np.full(7, 0.2), drive_enabled=False)
+    assert waiting["drive_enable"].all()
+    assert not waiting["u"].any()
+    on = bench.run(0.2, np.full(7, 0.2))
+    step = [joint.acceleration.value * arm.period * 1.01 for joint in arm.joints]
+    assert (np.abs(on["u"][0, :7]) <= step).all()
+    assert (on["u"][-1, :7] > 0.1).all()
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5e"])
+def test_the_control_of_a_controller_is_zero_until_the_drive_has_come_on(name):
+    model = load_robot(name)
+    controller, state = SafetyController(SafetyFilter(model)), replace(home_state(model), drive_enabled=False)
+    controller.safety.observe((), 0.0)
+    controller.expect_drive_on(state, 0.0)
+    for tick in range(1, 200):
+        now = 1e-3 * tick
+        state = replace(state, stamp=now, sequence=tick, drive_enabled=tick >= 150)
+        controller.accept_state(state, now)
+        controller.decide(state, now)
+        u = controller.control(state, np.full(model.n, 0.2), now).u
+        assert bool(u.any()) == state.drive_enabled, tick
+        if tick == 150:
+            step = [joint.acceleration.value * model.period * 1.01 for joint in model.joints]
+            assert (np.abs(u) <= step).all()
 
 
 @pytest.mark.parametrize(("silence", "stopped"), [(0.3, False), (0.6, True)])

@@ -37,3 +37,13 @@ def test_a_standstill_is_monitored_in_every_direction(robot):
     assert flags_after_stop(robot, SafetyAction.HOLD, 0.0, 0.005) == 0
     for axis in range(len(load_robot(robot).home)):
         assert flags_after_stop(robot, SafetyAction.HOLD, 0.0, 0.03, axis) & Condition.DRIFT
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_a_drive_is_switched_on_only_at_rest(robot):
+    enforcement, state = Enforcement(), home_state(load_robot(robot))
+    enforcement.apply(SupervisorDecision(SafetyAction.ESTOP), state)
+    for stamp, speed in ((0.1, 0.1), (0.2, float("nan")), (0.3, 0.0)):
+        now = replace(state, stamp=stamp, v=np.full(len(state.v), speed))
+        enforcement.apply(SupervisorDecision(), now)
+        assert enforcement.drive_wanted == (speed == 0.0)

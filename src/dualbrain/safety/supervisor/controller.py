@@ -215,6 +215,8 @@ class SafetyController:
     def control(self, state: RobotState, u_nom: Array, now: float, *, guard: bool = True) -> FilterResult:
         """The control to write under the decision in force: scaled, filtered and checked; sets `scale_applied`.
 
+        It is zero at a standstill, while the drive is off, and while it is being switched on.
+
         `u_nom` (n,) [rad/s] is the nominal control at `now` [s]. With `guard=False` the filter runs without effect, for
         experiments without a filter.
         """
@@ -236,7 +238,7 @@ class SafetyController:
         if not guard:
             result = result.unfiltered()
         self.scale_applied = scale
-        if self.enforcement.at_standstill or not self.drive_wanted:
+        if self.enforcement.at_standstill or not self.drive_wanted or not self._drive_came_on:
             self.scale_applied, u = STANDSTILL, np.zeros_like(result.u)
         elif bad := self.monitor.check_control(result.u) or (
             0 if is_consistent(result, scaled) else Condition.CONTROL_BAD

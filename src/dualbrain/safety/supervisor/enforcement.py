@@ -78,7 +78,7 @@ class Enforcement:
         if self._stop_since is None:
             self._stop_since = state.stamp
         if self.standstill_q is None:
-            if np.abs(state.v).max() < self.limits.rest_velocity:
+            if self._is_at_rest(state):
                 self.standstill_q = state.q.copy()
             elif not state.stamp - self._stop_since <= self.limits.stop_timeout:
                 flags |= C.STOP_OVERDUE
@@ -89,10 +89,13 @@ class Enforcement:
         return flags
 
     def _update_drive(self, decision: SupervisorDecision, state: RobotState) -> int:
-        """Switch the drive off or on as the decision requires; while it is off, check that the brakes hold."""
+        """Switch the drive off or on as the decision requires; while it is off, check that the brakes hold.
+
+        A drive is switched on only at rest, because the control begins at zero.
+        """
         if (decision.action >= SafetyAction.ESTOP or decision.immediate_drive_off) and self.drive_wanted:
             self._switch_drive(state, on=False)
-        elif decision.action < SafetyAction.CONTROLLED_STOP and not self.drive_wanted:
+        elif decision.action < SafetyAction.CONTROLLED_STOP and not self.drive_wanted and self._is_at_rest(state):
             self._switch_drive(state, on=True)
         if self.drive_wanted or self._drive_off_stamp is None or not state.stamp > self._drive_off_stamp:
             return 0  # no state since the drive was switched off
@@ -100,6 +103,9 @@ class Enforcement:
         braked = state.stamp - self._drive_off_stamp > self.limits.brake_time
         fast = braked and not np.abs(state.v).max() <= 10.0 * self.limits.rest_velocity
         return C.FALLING if fast or not (moved <= self._coast_limit).all() else 0
+
+    def _is_at_rest(self, state: RobotState) -> bool:
+        return bool(np.abs(state.v).max() < self.limits.rest_velocity)
 
     def _switch_drive(self, state: RobotState, *, on: bool) -> None:
         self.drive_wanted, self._drive_off_stamp, self._drive_off_q = on, None if on else state.stamp, state.q.copy()
