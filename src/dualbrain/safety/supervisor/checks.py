@@ -477,6 +477,7 @@ The categories are those of IEC 60204-1 by name only; **nothing here is certifie
   ends the HOLD. A reset button that has been held since before has no effect.
 - A CONTROLLED_STOP leaves the drive off until its condition is gone and the next contract begins. If the control loop
   itself is late, the drive does not wait for the filter to brake: it is switched off at once and brakes by itself.
+- A drive is switched on only while the arm is at rest, and the control is zero until the drive reports that it is on.
 - A check that ends a contract ends it with the outcome in the table. Only ESTOP and LOCKOUT need a person.
 - After an unexpected contact the arm yields to the force through the filter before it stops
   ([Contact force](contact_force.md)).
