@@ -9,6 +9,7 @@ Everything else is computed again: all other tables, curves.svg, captions, texts
 
 from __future__ import annotations
 
+import html
 import re
 import sys
 from collections.abc import Mapping, Sequence
@@ -81,7 +82,7 @@ def decision_latencies(page: str) -> Table:
 
 def unescaped(text: str) -> str:
     """The text that `escape_markdown` made `text` from."""
-    return re.sub(r"\\(.)", r"\1", text)
+    return html.unescape(re.sub(r"\\(.)", r"\1", text))
 
 
 def captions(rows: Sequence[EpisodeRow], page: str) -> list[tuple[EpisodeRow, str]]:

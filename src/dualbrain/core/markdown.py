@@ -7,9 +7,16 @@ from collections.abc import Iterable, Sequence
 
 from dualbrain.core.untrusted.visible_text import visible_text
 
-MARKDOWN_SPECIAL_CHARACTERS = re.compile(r"([\\`*_{}\[\]<>#|!&])")
-BLOCK_START = re.compile(r"\A(\d{0,9})([-+.)](?= |\Z)|-(?=-)|[~=])")
-"""The beginning of a line that makes it a list item, a rule, a heading or a code block."""
+MARKDOWN_SPECIAL_CHARACTERS = re.compile(r"([\\`*{}>#|!]|\](?=[(\[:])|(?<![^\W_])_|_(?![^\W_]))")
+"""The characters that can begin or end markup.
+
+A bracket does so only before "(", "[" or ":", and no underscore between letters or digits does, so that intervals and
+names stay legible.
+"""
+HTML_SPECIAL_CHARACTERS = {"<": "&lt;", "&": "&amp;"}
+"""Characters of HTML, before which not every reader of Markdown accepts a backslash."""
+BLOCK_START = re.compile(r"\A(\d{0,9})([-+.)](?= |\Z)|-(?=-)|[~=]|\[(?=.*\]:))")
+"""The beginning of a line that makes it a list item, a rule, a heading, a code block or the target of a link."""
 
 
 def markdown_table(head: Sequence[object], rows: Iterable[Sequence[object]], *, pipe: str = "/") -> list[str]:
@@ -38,4 +45,5 @@ def escape_markdown(text: str) -> str:
     line = " ".join(text.split())
     if text and not line:
         return "(blank)"
-    return BLOCK_START.sub(r"\1\\\2", MARKDOWN_SPECIAL_CHARACTERS.sub(r"\\\1", visible_text(line)))
+    escaped = MARKDOWN_SPECIAL_CHARACTERS.sub(r"\\\1", visible_text(line))
+    return BLOCK_START.sub(r"\1\\\2", escaped.translate(str.maketrans(HTML_SPECIAL_CHARACTERS)))

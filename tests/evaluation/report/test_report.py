@@ -419,7 +419,7 @@ def test_the_markdown_page_shows_images_of_its_folder_and_escapes_its_texts(rows
         "## Provenance",
     ):
         assert part in page
-    assert r"\<img src=x\> \[a\](b) \`c\`" in page
+    assert r"&lt;img src=x\> [a\](b) \`c\`" in page
     shown = re.findall(r"!\[.*?\]\(([a-z_0-9.]+)\)", page)
     assert shown == ["summary.svg", "curves.svg", "traces.svg", "latencies.svg", "failure_1.jpg"]
     for name in shown:

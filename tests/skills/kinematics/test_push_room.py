@@ -84,5 +84,5 @@ def test_a_push_over_the_edge_fails_before_the_arm_moves():
         begin_push(0.15)
     result = ended.value.value
     assert (result.status, result.cause) == (SkillStatus.FAILED, FailureCause.PRECONDITION)
-    assert result.reason == "red_cube can be pushed by at most 8.0 cm toward aisle: to the edge of bench"
+    assert result.reason == "the longest push of red_cube toward aisle is 8.0 cm: to the edge of bench"
     begin_push(0.05)  # begins with the search for a pose of the hand

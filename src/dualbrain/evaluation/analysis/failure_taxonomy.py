@@ -42,9 +42,10 @@ REASON_PARTS: dict[FailureCause, tuple[str, ...]] = {
         "nothing is held",
         "already holding",
         "than the push is long",
+        "the longest push",
         "is no place on the map",
     ),
-    FailureCause.GOAL_MISSED: ("after letting go", "after the drive", " cm toward "),
+    FailureCause.GOAL_MISSED: ("after letting go", "after the drive", " cm toward ", "did not open"),
 }
 """Parts of the reason of a failed skill by its cause, for rows without a cause: those of earlier versions, and those of
 a contract that ended at the time limit."""

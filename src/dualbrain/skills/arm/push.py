@@ -92,7 +92,7 @@ def routine(
     if room.distance < distance:
         return SkillResult(
             SkillStatus.FAILED,
-            f"{object} can be pushed by at most {100.0 * room.distance:.1f} cm toward {destination}: to {room.limit}",
+            f"the longest push of {object} toward {destination} is {100.0 * room.distance:.1f} cm: to {room.limit}",
             FailureCause.PRECONDITION,
         )
     low, _ = yield from first_clear(
