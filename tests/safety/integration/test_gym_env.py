@@ -232,6 +232,12 @@ def test_settings_that_break_the_guarantee_are_rejected():
     assert derate(PANDA) is PANDA
 
 
+def test_a_wrapper_that_clips_actions_does_not_hide_their_bounds():
+    with pytest.raises(ConfigurationError, match="must not be clipped") as narrow:
+        FilteredEnv(gymnasium.wrappers.ClipAction(ReachEnv()), SafetyFilter(DERATED_PANDA))
+    assert "ClipAction" in narrow.value.fix
+
+
 def test_without_gymnasium_the_extra_is_named():
     code = "import sys; sys.modules['gymnasium'] = None; import dualbrain.safety.integration.gym_env"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

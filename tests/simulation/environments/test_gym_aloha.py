@@ -8,6 +8,7 @@ from dualbrain.errors import ConfigurationError, DualbrainError
 from dualbrain.robots.model import TrackingErrorModel
 from dualbrain.safety.cbf.config import FilterConfig
 from dualbrain.simulation.environments import guard_aloha
+from dualbrain.simulation.environments.guarded_arms import ArmPlace, GuardedArms
 from tests.simulation.environments.two_arm_env import (
     ENTRIES,
     GRIPPERS,
@@ -193,6 +194,40 @@ def test_an_unknown_word_of_what_may_be_touched_is_refused(words):
 def test_an_environment_without_the_arms_is_refused():
     with pytest.raises(DualbrainError, match="CartPoleEnv"):
         guard_aloha(gymnasium.make("CartPole-v1"))
+
+
+def test_a_wrapper_that_clips_joint_positions_is_refused():
+    """gym-aloha states ±1 and passes positions on; with `ClipAction` the elbow would jump from 1.16 to 1 rad."""
+    with pytest.raises(ConfigurationError, match="must not be clipped") as found:
+        guard_aloha(gymnasium.wrappers.TimeLimit(gymnasium.wrappers.ClipAction(TwoArmEnv()), 9), config=EXACT)
+    assert "ClipAction" in found.value.fix
+
+
+def test_other_arms_whose_action_space_is_too_narrow_are_refused():
+    places = [
+        ArmPlace(
+            name=side,
+            joints=tuple(f"vx300s_{side}/{joint.name}" for joint in VX300S.joints),
+            base=f"vx300s_{side}",
+            entries=tuple(range(13))[ENTRIES[side]],
+        )
+        for side in SIDES
+    ]
+    with pytest.raises(ConfigurationError, match="must not be clipped"):
+        GuardedArms(TwoArmEnv(), VX300S, places, config=EXACT)
+    wide = TwoArmEnv()
+    wide.action_space = gymnasium.spaces.Box(-3.2, 3.2, (14,), np.float64)
+    GuardedArms(wide, VX300S, places, config=EXACT)
+
+
+@pytest.mark.parametrize(("servo_range", "fits"), [((-1.0, 1.0), False), ((-1.76278, 1.6057), True)])
+def test_servos_that_mujoco_clips_to_less_than_the_joint_limits_are_refused(servo_range, fits):
+    env = TwoArmEnv(servo_range=servo_range)
+    if fits:
+        guard_aloha(env, config=EXACT)
+        return
+    with pytest.raises(ConfigurationError, match="vx300s_left/elbow"):
+        guard_aloha(env, config=EXACT)
 
 
 @pytest.mark.slow

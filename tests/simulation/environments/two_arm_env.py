@@ -23,10 +23,11 @@ class TwoArmEnv(gymnasium.Env):
 
     metadata = {"render_modes": []}  # noqa: RUF012  # gymnasium's own form
 
-    def __init__(self):
+    def __init__(self, *, servo_range=None):
+        """With `servo_range` [rad] the elbows have position servos, which MuJoCo would clip to it."""
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (14,), np.float32)
         self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float64)
-        self.model = build_model()
+        self.model = build_model(servo_range)
         self.data = mujoco.MjData(self.model)
         physics = SimpleNamespace(model=SimpleNamespace(ptr=self.model), data=SimpleNamespace(ptr=self.data))
         self._env = SimpleNamespace(physics=physics, control_timestep=lambda: STEP_TIME)
@@ -86,7 +87,7 @@ def home_action():
     return np.concatenate([HOME, [0.5], HOME, [0.5]])
 
 
-def build_model():
+def build_model(servo_range=None):
     spec, kinds = mujoco.MjSpec(), mujoco.mjtGeom
     world = spec.worldbody
     table = world.add_body(name="table")
@@ -111,4 +112,8 @@ def build_model():
                         size=[sphere.radius, 0.0, 0.0],
                         pos=list(sphere.centre),
                     )
+        if servo_range is not None:
+            servo = spec.add_actuator(name=f"{side}/elbow", target=f"vx300s_{side}/elbow")
+            servo.trntype, servo.ctrlrange = mujoco.mjtTrn.mjTRN_JOINT, servo_range
+            servo.set_to_position(kp=800.0)
     return spec.compile()

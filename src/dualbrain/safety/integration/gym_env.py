@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from math import inf, isclose, nan
-from typing import Any, SupportsFloat
+from typing import Any, SupportsFloat, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.core.geometry.validation import as_real_array
 from dualbrain.errors import ConfigurationError, MissingDependencyError
+from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.obstacles import Obstacle
 from dualbrain.safety.integration.policy_guard.action_layout import FunctionLayout
@@ -35,6 +36,7 @@ except ImportError as error:
 
 Array = NDArray[np.float64]
 JointState = tuple[Array, Array]
+WITHOUT_CLIP = "Leave out the wrapper `ClipAction`, or give the environment in it a wider action space."
 
 
 class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
@@ -118,7 +120,7 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         self.guard = PolicyGuard(
             safety, action_space or given, period=step if action_space else None, deviation=deviation
         )
-        check_action_range(env.action_space, self.guard.space, self.safety.robot_model, step)
+        check_action_bounds(env, self.guard.space, self.safety.robot_model, step)
         self._reports_tracking = isinstance(self.guard.space, JointTorque) and self.shadow is None
         self._now = 0.0
         self._joint_state: JointState = (np.array(self.safety.robot_model.home), np.zeros(self._n))
@@ -191,6 +193,28 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
                 allowed=f"the period of the robot model, {period:g}",
                 fix="Build the filter for `derate(robot_model, period=...)` (dualbrain.safety.integration.derating).",
             )
+
+
+def check_action_bounds(
+    env: Any, space: ActionSpace, robot_model: RobotModel, step_time: float, *, clips: bool = True
+) -> None:
+    """Refuse `env` if it clips safe actions of `space`; `step_time` [s] is the time of one action.
+
+    The bounds are those of its action space, if it `clips` to them, and those to which a `ClipAction` in it clips: that
+    wrapper states an unbounded action space. Inside of any other wrapper of actions, the actions have other units.
+
+    Raises:
+        ConfigurationError: bounds are narrower than the safe actions, or `space` cannot read them.
+    """
+    if clips:
+        check_action_range(env.action_space, space, robot_model, step_time)
+    while isinstance(env, gymnasium.Wrapper):
+        wrapped = cast("Any", env).env
+        if isinstance(env, gymnasium.wrappers.ClipAction):
+            check_action_range(wrapped.action_space, space, robot_model, step_time, fix=WITHOUT_CLIP)
+        elif isinstance(env, gymnasium.ActionWrapper):
+            return
+        env = wrapped
 
 
 def find_step_time(env: Any) -> float:

@@ -19,7 +19,7 @@ from dualbrain.safety.cbf.config import FilterConfig
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.obstacles import Obstacle
 from dualbrain.safety.cbf.result import FilterStatus
-from dualbrain.safety.integration.gym_env import find_step_time
+from dualbrain.safety.integration.gym_env import check_action_bounds, find_step_time
 from dualbrain.safety.integration.policy_guard.action_layout import ActionLayout
 from dualbrain.safety.integration.policy_guard.guard import Deviation, PolicyGuard
 from dualbrain.safety.integration.policy_guard.joint_actions import JointPosition
@@ -71,6 +71,7 @@ class GuardedArms(gymnasium.Wrapper[Any, Any, Any, Any]):
         margin: float = 0.0,
         config: FilterConfig | None = None,
         deviation: Deviation = "nearest",
+        clips: bool = True,
     ) -> None:
         """Guard the arms at `places` of `env`, which is reset once; all of them are of `robot_model`.
 
@@ -78,10 +79,12 @@ class GuardedArms(gymnasium.Wrapper[Any, Any, Any, Any]):
         - `obstacle_parts`: parts of an arm (groups, links) that keep away from an obstacle "body/geom", by its name;
           `arm_parts`: parts that keep away from a group of links of another arm. Without an entry, all parts keep away.
         - `margin` [m] enlarges obstacles other than arms.
+        - `clips`: whether `env` clips actions to its action space. A `ClipAction` in `env` is recognised in any case.
 
         Raises:
-            ConfigurationError: the environment has no MuJoCo simulation, an arm is not that of `robot_model`, or the
-                time of one step is unknown or no multiple of the period of `robot_model`.
+            ConfigurationError: the environment has no MuJoCo simulation, an arm is not that of `robot_model`, the time
+                of one step is unknown or no multiple of the period of `robot_model`, or actions or servos of an arm
+                are clipped to less than the joint limits of `robot_model`.
             UnknownNameError: the MuJoCo model has no joint or body of a name.
         """
         super().__init__(env)
@@ -101,6 +104,8 @@ class GuardedArms(gymnasium.Wrapper[Any, Any, Any, Any]):
             )
             for place in self._places
         }
+        for guard in self.guards.values():
+            check_action_bounds(env, guard.space, robot_model, self._step_time, clips=clips)
         env.reset()
         self._now = 0.0
         self._find_arms()
@@ -154,6 +159,8 @@ class GuardedArms(gymnasium.Wrapper[Any, Any, Any, Any]):
         self._arms = {
             place.name: MujocoArm(model, data, self._robot_model, place.joints, place.base) for place in self._places
         }
+        for arm in self._arms.values():
+            arm.check_servo_ranges()
         bodies = {model.body(body).name for arm in self._arms.values() for body in arm.bodies}
         ignored = bodies | set(self._ignored(model))
         self._obstacles = {

@@ -18,6 +18,7 @@ from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.integration.gym_env import FilteredEnv
 from dualbrain.safety.integration.policy_guard.action_space import ActionSpace
 from dualbrain.safety.integration.policy_guard.guard import Deviation
+from dualbrain.safety.integration.policy_guard.joint_actions import JointPosition
 from dualbrain.simulation.environments.mujoco_arm import MujocoArm
 from dualbrain.simulation.environments.mujoco_obstacles import MujocoObstacles
 
@@ -48,12 +49,15 @@ def guard_mujoco_env(
     Raises:
         ConfigurationError: the environment has no MuJoCo simulation, its arm is not that of `robot_model`, the time of
             one step is unknown or does not fit, or its actions are narrower than the velocity limits of `robot_model`
-            (for joint positions: than its joint limits).
+            (for joint positions: its actions or the control ranges of its position servos are narrower than the joint
+            limits).
         UnknownNameError: its model has no joint or body of a name.
     """
     env.reset()
     arm_joints = tuple(joint.name for joint in robot_model.joints) if joints is None else tuple(joints)
     adapter = _Adapter(env, robot_model, arm_joints, base, ignored, margin)
+    if isinstance(action_space, JointPosition):
+        adapter.arm.check_servo_ranges()
     return FilteredEnv(
         env,
         SafetyFilter(robot_model, config),

@@ -56,7 +56,8 @@ def guard_aloha(
     whose tracking error was identified on the servos of gym-aloha.
 
     Raises:
-        ConfigurationError: the environment is not that of gym-aloha, or `may_touch` has another word.
+        ConfigurationError: the environment is not that of gym-aloha, `may_touch` has another word, or a `ClipAction`
+            or the servos clip joint positions to less than the joint limits of `robot_model`.
         UnknownNameError: its MuJoCo model has no joint or body of a name.
     """
     if isinstance(may_touch, str) or not set(may_touch) <= set(TOUCHABLE):
@@ -72,6 +73,7 @@ def guard_aloha(
         margin=margin,
         config=config,
         deviation=deviation,
+        clips=False,  # gym-aloha states ±1, and passes joint positions [rad] to the servos
     )
 
 

@@ -21,6 +21,9 @@ Array = NDArray[np.float64]
 MAX_AXIS_ERROR, MAX_LEVER_ERROR = 1e-3, 2e-3
 """Largest difference of a joint axis (of a unit vector) and of its lever arm to the tool [m] from the robot model."""
 
+CLIP_TOLERANCE = 1e-4
+"""Largest part of the range of a joint that its servo may lack [rad or m], for rounding."""
+
 
 class MujocoArm:
     """The joints of one arm in a MuJoCo model, in the order of the robot model."""
@@ -92,6 +95,29 @@ class MujocoArm:
         turn = self.data.xmat[self.base].reshape(3, 3).T
         return turn @ (position - self.data.xpos[self.base]), turn @ rotation
 
+    def check_servo_ranges(self) -> None:
+        """Refuse position servos that MuJoCo clips to less than the joint limits of the robot model.
+
+        A clipped position is not the safe one. Actuators that exert torques or follow velocities are not checked.
+
+        Raises:
+            ConfigurationError: the control range of a servo is narrower than the range of its joint.
+        """
+        for actuator in range(self.model.nu):
+            found = _servo_range(self.model, actuator)
+            if found is None or found[0] not in self._joints:
+                continue
+            joint, low, high = found
+            own = self.robot_model.joints[int(np.flatnonzero(self._joints == joint)[0])]
+            if low > own.lower.value + CLIP_TOLERANCE or high < own.upper.value - CLIP_TOLERANCE:
+                raise ConfigurationError(
+                    f"control range of the servo of the joint {self.model.joint(joint).name!r}",
+                    got=[low, high],
+                    allowed=f"{own.lower.value:g} to {own.upper.value:g} {own.lower.unit} or more, because a safe "
+                    "action must not be clipped",
+                    fix=f"Narrow the limits of {own.name!r} in the robot model, or widen the `ctrlrange` of the servo.",
+                )
+
     def _check_kinds(self, names: Sequence[str]) -> None:
         kinds = {"revolute": mujoco.mjtJoint.mjJNT_HINGE, "prismatic": mujoco.mjtJoint.mjJNT_SLIDE}
         for joint, name, own in zip(self._joints, names, self.robot_model.joints, strict=True):
@@ -120,6 +146,29 @@ class MujocoArm:
                     fix="Check the names and their order, and the base; or import the robot of the environment with "
                     "`dualbrain robot init`.",
                 )
+
+
+def _servo_range(model: Any, actuator: int) -> tuple[int, float, float] | None:
+    """Joint number, lowest and highest position of a position servo with a control range; None for other actuators.
+
+    Its force is g c + b₀ + b₁ l + b₂ l̇ with the control c and the length l = gear · q, so that it rests at
+    q = −(g c + b₀) / (b₁ gear).
+    """
+    transmissions = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+    unclamped = int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
+    gear, (offset, stiffness) = float(model.actuator_gear[actuator, 0]), model.actuator_biasprm[actuator, :2]
+    if (
+        unclamped
+        or not model.actuator_ctrllimited[actuator]
+        or int(model.actuator_trntype[actuator]) not in transmissions
+        or int(model.actuator_biastype[actuator]) != int(mujoco.mjtBias.mjBIAS_AFFINE)
+        or int(model.actuator_dyntype[actuator]) == int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
+        or stiffness * gear == 0.0
+    ):
+        return None
+    controls = model.actuator_gainprm[actuator, 0] * model.actuator_ctrlrange[actuator]
+    low, high = sorted((-(controls + offset) / (stiffness * gear)).tolist())
+    return int(model.actuator_trnid[actuator, 0]), low, high
 
 
 def carried_bodies(model: Any, first: int) -> frozenset[int]:

@@ -36,11 +36,14 @@ class _RequiredRange:
     fix: str
 
 
-def check_action_range(bounds: Any, space: ActionSpace, robot_model: RobotModel, step_time: float) -> None:
+def check_action_range(
+    bounds: Any, space: ActionSpace, robot_model: RobotModel, step_time: float, *, fix: str = ""
+) -> None:
     """Refuse `bounds`, the action space of an environment, if they are narrower than the safe actions of `space`.
 
     Joint velocities need ±v_max, joint positions the range of every joint, and relative ones ±v_max times `step_time`
     [s], the time of one action. Bounds without `low` and `high`, and the actions of all other spaces, are not checked.
+    `fix` replaces the remedy of the error.
 
     Raises:
         ConfigurationError: the bounds are narrower, or `space` cannot read them.
@@ -57,7 +60,7 @@ def check_action_range(bounds: Any, space: ActionSpace, robot_model: RobotModel,
             got=[low.tolist(), high.tolist()],
             allowed=f"{required.low.tolist()} to {required.high.tolist()} or more, because a safe action must not be "
             "clipped",
-            fix=required.fix,
+            fix=fix or required.fix,
         )
 
 
