@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from contextlib import contextmanager
 from pathlib import Path
+from threading import Event
 
 from dualbrain.agent_api import robot as robot_module
 from dualbrain.agent_api.connection import Connection
@@ -29,6 +30,7 @@ class StubClient:
         self.motion, self.reports = 0.1, True
         self.executed: list[str] = []
         self.sent: list[str] = []
+        self.disconnected = Event()
         self._last = self._present_status()
 
     @property
@@ -74,7 +76,7 @@ class StubClient:
         self._aborted = self._aborted or self.reports
 
     def close(self):
-        pass
+        self.disconnected.set()
 
 
 @contextmanager

@@ -94,3 +94,13 @@ def test_an_emergency_stop_that_only_its_own_connection_reports_has_no_status(ro
     client.reports = False
     assert robot.stop(emergency=True) is None
     assert robot.call("stop", {"emergency": True}) == {"sent": True, "action": "", "reason": ""}
+
+
+def test_a_scene_that_comes_too_late_ends_no_contract(robot, client, monkeypatch):
+    with monkeypatch.context() as patched:
+        lose_scenes(client, patched)
+        assert robot.outcome("c-0001", timeout=0.3).state == "running"
+    assert client.status.busy
+    robot.stop()
+    report = robot.outcome("c-0001", timeout=5.0)
+    assert (report.state, report.outcome.kind) == ("finished", "aborted")

@@ -81,7 +81,9 @@ class RemoteExecutor:
     def execute(self, contract: Contract) -> Outcome:
         """Wait for the outcome of the contract that the gatekeeper has accepted; a person may interrupt it.
 
-        A gatekeeper that ends after the contract, or because of it, may have sent the outcome before.
+        A scene that does not arrive in time ends nothing: as long as the connection exists, the contract may run, and
+        its outcome follows. A gatekeeper that ends after the contract, or because of it, may have sent the outcome
+        before.
         """
         del contract
         try:
@@ -106,7 +108,11 @@ class RemoteExecutor:
                 abort_sent = True
             if (ended := self.client.poll_outcome(SCENE_REQUEST_PERIOD)) is not None:
                 return ended
-            self.refresh()
+            try:
+                self.refresh()
+            except ConnectionLostError:
+                if self.client.disconnected.is_set():
+                    raise
 
     def _last_outcome(self) -> OutcomeReport | None:
         """The outcome that arrived before the connection ended, None without one."""
