@@ -9,6 +9,7 @@ from starlette.testclient import TestClient
 from dualbrain.agent_api.retries import RETRY_WINDOW
 from dualbrain.agent_server.console.routes import console_routes
 from dualbrain.control.gatekeeper.protocol.client import ConnectionLostError
+from dualbrain.errors import ConfigurationError
 from tests.agent_api.stub_client import StubClient, open_robot
 
 
@@ -69,6 +70,14 @@ def test_an_instruction_to_stop_ends_the_running_contract_and_reports_it(words, 
     report = robot.do(words, timeout=5.0)
     assert client.sent[0] == "abort"
     assert (report.id, report.state, report.outcome.kind) == ("c-0001", "finished", "aborted")
+
+
+def test_an_instruction_to_stop_ends_a_contract_whose_submission_is_lost(robot, client):
+    robot._executions._submissions["c-0001"].lose("a mistake in the program")
+    with pytest.raises(ConfigurationError, match="no planner"):
+        robot.do("stop")
+    assert client.sent == ["abort"]
+    assert not client.status.busy
 
 
 def test_a_jump_of_the_system_time_releases_no_id(robot, client, monkeypatch):

@@ -264,12 +264,14 @@ class Robot:
         """Plan an instruction with the robot's own planner and memory, execute the contract, and wait for the outcome.
 
         After `timeout` [s] the report shows how far it is, and the robot goes on. While a contract runs, the
-        instruction is rejected; a stop command stops the robot, as `stop`, and the report is that of the contract that
-        it ended. Raises `ConfigurationError` if there is no planner, and for a stop command `ConnectionLostError`.
+        instruction is rejected; a stop command stops the robot in any case, as `stop`, and the report is that of the
+        contract that it ended. Raises `ConfigurationError` if there is no planner, and for a stop command
+        `ConnectionLostError`.
         """
-        if is_stop_command(instruction) and (running := self._executions.in_progress):
-            self.stop()
-            if ended := self._executions.wait(running, timeout):
+        if is_stop_command(instruction):
+            running = self._executions.in_progress
+            self.stop()  # also without a submission in progress: one that was lost may still move the robot
+            if running and (ended := self._executions.wait(running, timeout)):
                 return ended
         report = self._executions.plan_and_run(instruction)
         return self._executions.wait(report.id, timeout) or report
