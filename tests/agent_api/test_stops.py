@@ -1,6 +1,8 @@
 """A stop counts as confirmed only if the gatekeeper reports it after it was sent."""
 
 import time
+from concurrent.futures import ThreadPoolExecutor
+from threading import Event
 
 import pytest
 from starlette.applications import Starlette
@@ -10,6 +12,7 @@ from dualbrain.agent_api.retries import RETRY_WINDOW
 from dualbrain.agent_server.console.routes import console_routes
 from dualbrain.control.gatekeeper.protocol.client import ConnectionLostError
 from dualbrain.errors import ConfigurationError
+from dualbrain.runtime.planning import proposing
 from tests.agent_api.stub_client import StubClient, open_robot
 
 
@@ -113,3 +116,27 @@ def test_a_scene_that_comes_too_late_ends_no_contract(robot, client, monkeypatch
     robot.stop()
     report = robot.outcome("c-0001", timeout=5.0)
     assert (report.state, report.outcome.kind) == ("finished", "aborted")
+
+
+def test_a_contract_on_its_way_to_the_gate_does_not_begin_after_a_stop(robot, client, monkeypatch):
+    """The stop is confirmed, because nothing moves yet; the contract must not move the robot afterwards."""
+    robot.stop()
+    robot.outcome(timeout=5.0)
+    under_way, stopped = Event(), Event()
+    check = proposing.reject_before_gate
+
+    def check_slowly(*parts):
+        under_way.set()
+        stopped.wait(5.0)
+        return check(*parts)
+
+    monkeypatch.setattr(proposing, "reject_before_gate", check_slowly)
+    contract = robot.contract([{"skill": "hold", "params": {"duration": 9.0}}], "c-0002")
+    with ThreadPoolExecutor(1) as pool:
+        running = pool.submit(robot.run, contract)
+        assert under_way.wait(5.0)
+        assert not robot.stop().busy
+        stopped.set()
+        report = running.result(5.0)
+    assert (report.state, report.outcome.kind, report.accepted) == ("finished", "aborted", False)
+    assert client.executed == ["c-0001"]

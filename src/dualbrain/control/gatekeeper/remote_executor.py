@@ -27,6 +27,8 @@ from dualbrain.robots.model import RobotModel
 SCENE_REQUEST_PERIOD = 0.1
 """Time [s] between two requests of the scene while an episode waits."""
 
+INTERRUPTED = "the robot was stopped while the contract was on its way to the gate"
+"""Reason of the rejection of a contract after an interruption."""
 STOPS = ("aborted", "stopped")
 """Outcomes that an interruption can cause."""
 
@@ -69,7 +71,7 @@ class RemoteExecutor:
     def gate(self, grants: Grants) -> RemoteGate:
         """The gatekeeper's own gate, which applies its own grants; `grants` is ignored."""
         del grants
-        return RemoteGate(self.client)
+        return RemoteGate(self.client, self.interrupted)
 
     def hold(self, duration: float, phase: str = "hold") -> None:
         """Wait for `duration` [s]; the gatekeeper holds the arm by itself."""
@@ -130,22 +132,29 @@ class RemoteExecutor:
 
 @dataclass(frozen=True, slots=True)
 class RemoteGate:
-    """A gate that forwards contracts to a gatekeeper."""
+    """A gate that forwards contracts to a gatekeeper, and none after an interruption."""
 
     client: GatekeeperClient
+    interrupted: Callable[[], bool]
 
     def check(self, data: bytes, *, names: SceneNames, principal: str, now: float, header: ContractHeader) -> Verdict:
         """The gatekeeper's verdict on `data`; the arm starts to move as soon as it accepts."""
         del names, principal, now
+        if self.interrupted():
+            return _not_considered(INTERRUPTED)
         reply = self.client.propose(data, header.scene_version)
         if isinstance(reply, RequestRefused):
-            return Rejected(
-                stage="authorization",
-                pointer="",
-                got=reply.reason,
-                allowed="a contract that is fit to be judged",
-                hint="not considered",
-            )
+            return _not_considered(reply.reason)
         if reply.rejected is not None:
             return reply.rejected
         return Accepted(msgspec.json.decode(data, type=Contract))
+
+
+def _not_considered(reason: str) -> Rejected:
+    return Rejected(
+        stage="authorization",
+        pointer="",
+        got=reason,
+        allowed="a contract that is fit to be judged",
+        hint="not considered",
+    )

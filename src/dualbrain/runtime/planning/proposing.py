@@ -109,7 +109,7 @@ def propose(
     instruction that contracts can express at the first one.
 
     A planner that declines, or whose proposals are all rejected, while the hand holds the object of the contract before
-    is followed by the remaining actions of that contract. No attempt is added if a person interrupts the first shot.
+    is followed by the remaining actions of that contract. A person who interrupts ends the shots.
     """
     executor = checker.executor
     can_continue = bool(request.continuation) and executor.held_object is not None
@@ -125,7 +125,7 @@ def propose(
         verdict = attempts[-1].verdict
         if can_continue and _is_accepted_decline(verdict):
             break
-        if isinstance(verdict, Accepted) or not has_answer(proposal):
+        if isinstance(verdict, Accepted) or not has_answer(proposal) or executor.interrupted():
             return tuple(attempts)
         plan_request = msgspec.structs.replace(plan_request, rejection=verdict)
     if can_continue:
