@@ -224,6 +224,7 @@ class Executions:
     def _begin(self, name: str, state: State, digest: str) -> Submission:
         """A new submission, which is the newest; the oldest one is forgotten."""
         submission = Submission(SubmissionReport(id=name, state=state), digest, self._now())
+        self._submissions.pop(name, None)  # an id that was rejected before moves to the end
         self._submissions[name], self._newest = submission, name
         while len(self._submissions) > KEPT_SUBMISSIONS:
             del self._submissions[next(iter(self._submissions))]
