@@ -171,6 +171,15 @@ def test_the_stream_continues_after_an_event_and_restarts_on_another_server(afte
     assert states[0] == {"state": "NONE", "reason": "", "busy": False, "reporting": True}
 
 
+def test_the_first_events_of_another_server_follow_those_of_an_earlier_one(tmp_path) -> None:
+    """A page that was open before connects before the new server has an event."""
+    with serve_console(tmp_path) as console:
+        threading.Timer(0.3, lambda: console.robot.feed.add(0.5, "phase", "the first")).start()
+        with httpx.Client(base_url=console.url, headers={"Authorization": f"Bearer {TOKEN}"}) as client:
+            found = stream(client, "999", 3)
+    assert [data["text"] for kind, data in found if kind == "event"] == ["the first"]
+
+
 def test_a_stream_ends_with_the_server(tmp_path) -> None:
     with serve_console(tmp_path) as console:
         console.ended.set()

@@ -45,8 +45,9 @@ def event_response(robot: ConsoleRobot, after: int, has_ended: Callable[[], bool
 
 
 async def _messages(robot: ConsoleRobot, after: int, has_ended: Callable[[], bool]) -> AsyncIterator[bytes]:
-    if not robot.events(after) and (kept := robot.events()) and kept[-1]["number"] < after:
-        after = 0  # the numbers of an earlier server
+    kept = robot.events()
+    if (kept[-1]["number"] if kept else 0) < after:
+        after = 0  # the numbers of an earlier server; this one may have no event yet
     age, shown, shown_at = StatusAge(), None, 0.0
     while not has_ended():
         for event in robot.events(after):
