@@ -2,7 +2,10 @@
 
 import time
 from concurrent.futures import ThreadPoolExecutor
+from threading import Event
 
+from dualbrain.planner.protocol import STOP
+from dualbrain.records import Proposal
 from tests.agent_api.stub_client import StubClient, open_robot
 
 
@@ -31,3 +34,41 @@ def test_a_corrected_contract_with_the_same_id_is_the_newest(cell, monkeypatch):
         ]
         assert states == ["rejected", "finished", "finished"]
         assert [one["id"] for one in robot.recent()] == ["c-0001", "c-0002"]
+
+
+class WaitingPlanner:
+    """Declines every instruction when `may_answer` is set; counts the requests that it answers at the same time."""
+
+    name = "waiting"
+
+    def __init__(self):
+        self.may_answer, self.begun, self.requests, self.at_once = Event(), Event(), 0, 0
+        self._open = 0
+
+    def propose(self, request):
+        self.requests, self._open = self.requests + 1, self._open + 1
+        self.at_once = max(self.at_once, self._open)
+        self.begun.set()
+        self.may_answer.wait(5.0)
+        self._open -= 1
+        return Proposal(text="", finish_reason=STOP, planner=self.name, timings={"total": 0.0})
+
+    def close(self):
+        pass
+
+
+def test_a_planner_that_still_answers_a_stopped_request_gets_the_next_one_afterwards(cell, monkeypatch):
+    planner = WaitingPlanner()
+    with open_robot(StubClient(cell), cell, monkeypatch, planner=planner) as robot, ThreadPoolExecutor(1) as pool:
+        for _ in range(3):
+            instruction = pool.submit(robot.do, "go home")
+            assert planner.begun.wait(5.0)
+            time.sleep(0.1)
+            robot.stop()
+            assert instruction.result(5.0).outcome.kind == "aborted"
+        contract = robot.contract([{"skill": "hold", "params": {"duration": 1.0}}])
+        assert robot.run(contract).state == "finished", "a contract waits for no planner"
+        assert (planner.requests, planner.at_once) == (1, 1)
+        planner.may_answer.set()
+        assert robot.do("go home", timeout=5.0).outcome.kind == "rejected"
+        assert (planner.requests, planner.at_once) == (3, 1), "the last instruction has two shots"

@@ -6,6 +6,7 @@ import dataclasses
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from datetime import UTC, datetime
 from pathlib import Path
 from secrets import token_hex
@@ -69,6 +70,7 @@ class Executions:
         self._connection, self._feed, self._retries = connection, feed, retries
         self._lock, self._submissions, self._newest = Lock(), dict[str, Submission](), ""
         self._closing = False
+        self._asking = Lock()  # the planner may still answer a request that was stopped
         self._now = _steady_clock()
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="episode")
         try:
@@ -263,7 +265,8 @@ class Executions:
                 lambda: submission.interrupted,
                 interruption=lambda: submission.interruption,
             )
-            clock = PlanningClock(time.monotonic, measured=True)
+            own = agent.planner is self._resources.planner
+            clock = PlanningClock(time.monotonic, measured=True, exclusive=self._asking if own else nullcontext())
             episode, stored = run_episode(request, dataclasses.replace(agent, memory=memory), executor, clock, truth)
             log_weight_changes(log, executor.state.stamp, stored)
             unsaved = self._save_report(episode, before, executor.state.stamp)

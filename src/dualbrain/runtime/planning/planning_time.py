@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, wait
-from dataclasses import dataclass
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field
 from threading import Thread
 from typing import Protocol, TypeVar
 
@@ -31,19 +32,29 @@ class Clock(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class PlanningClock:
-    """Runs the planner in parallel with the control loop; with `measured` False (lockstep), `clock` only measures."""
+    """Runs the planner in parallel with the control loop; with `measured` False (lockstep), `clock` only measures.
+
+    The planner is called while `exclusive` is held, and in real time only if the request was not interrupted before:
+    a lock is for a planner that may still answer an interrupted request.
+    """
 
     clock: Clock
     measured: bool = False
     planning_time: float = PLANNING_TIME
+    exclusive: AbstractContextManager[object] = field(default_factory=nullcontext[None])
 
     def wait_for(self, executor: Executor, propose: Callable[[], T]) -> T | None:
         """The result of `propose`, called on a separate thread while the arm holds position.
 
         None if a person interrupts. After an interruption the thread is not joined; it ends with the process.
         """
-        future: Future[T] = Future()
-        Thread(target=_set_future, args=(future, propose), name="planner", daemon=True).start()
+        future: Future[T | None] = Future()
+
+        def ask() -> T | None:
+            with self.exclusive:
+                return None if self.measured and executor.interrupted() else propose()
+
+        Thread(target=_set_future, args=(future, ask), name="planner", daemon=True).start()
         if not self.measured:
             executor.hold(self.planning_time, "planning")
         while not (future.done() or executor.interrupted()):
@@ -59,7 +70,7 @@ class PlanningClock:
         return function(), self.clock() - start
 
 
-def _set_future(future: Future[T], propose: Callable[[], T]) -> None:
+def _set_future(future: Future[T | None], propose: Callable[[], T | None]) -> None:
     """Set `future` to the result or the exception of `propose`."""
     try:
         future.set_result(propose())
