@@ -71,7 +71,7 @@ class DualbrainSafetyFilterStep(RobotActionProcessorStep):
         if self._servos is None:
             calibration = {name: ServoCalibration(**entry) for name, entry in self.calibration.items()}
             settings = ServoSettings(**{**self.get_config(), "calibration": calibration})
-            self._servos = make_guarded_servos(settings, tuple(action))
+            self._servos = make_guarded_servos(settings, tuple(action), predicts=True)
         return self._servos
 
     def get_config(self) -> dict[str, Any]:

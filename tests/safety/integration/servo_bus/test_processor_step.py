@@ -2,6 +2,7 @@
 
 import importlib.util
 import sys
+import time
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
@@ -55,6 +56,21 @@ def test_a_safe_action_passes_without_a_mark(step):
     found = run(step, action(HOME), action(HOME))
     assert found["action"] == pytest.approx(action(HOME))
     assert not found["info"]["is_intervention"]
+
+
+@pytest.mark.parametrize(("rate", "action_rate"), [(200.0, 30.0), (100.0, 60.0), (200.0, 200.0)])
+def test_a_far_action_moves_no_joint_faster_than_its_limit(step, rate, action_rate, monkeypatch):
+    """An action of 33 ms has time for six periods of 5 ms; with seven the arm moves at 105 % of its speed."""
+    now, reading, travelled = 100.0, action(HOME), []
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    step.rate, step.action_rate = rate, action_rate
+    for _ in range(int(action_rate)):
+        written = run(step, action(HOME + np.array([1.5, 0.0, 0.0, 0.0, 0.0])), reading)["action"]
+        travelled.append(np.radians(written[KEYS[0]] - reading[KEYS[0]]))
+        reading, now = written, now + 1.0 / action_rate
+    assert step._servos.state.problem == ""
+    limit = SO101.joints[0].velocity.value
+    assert 0.5 * limit < max(travelled) * action_rate <= limit + 1e-6
 
 
 @pytest.mark.parametrize(

@@ -419,7 +419,10 @@ class PolicyGuard:
     def _check_clock(self, now: float) -> None:
         if not (isfinite(now) and now > self._now):
             text = f"The time {now:g} s is not after that of the last step, {self._now:g} s; the arm comes to rest"
-            self._refuse(f"{text}. Remedy: use one monotonic clock for states and actions")
+            self._refuse(
+                f"{text}. Remedy: use one monotonic clock for states and actions, and send no action before the period "
+                "of the last one is over"
+            )
         self._refuse(self._late_problem(now))
 
     def _late_problem(self, now: float | None) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import floor
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,8 @@ Array = NDArray[np.float64]
 
 INTERVENTION_DELTA = 1e-4
 """Change of the control above which the filter has intervened."""
+ROUNDING = 1e-6
+"""Share of a period of the filter that counts as rounding."""
 JOINT_MOTION = "joint_motion"
 """Name of the limits of speed and acceleration among the barriers."""
 
@@ -59,15 +62,17 @@ class GuardedServos:
         action_period: float,
         deviation: Deviation = "nearest",
         limits: GuardLimits | None = None,
+        predicts: bool = False,
     ) -> None:
         """Guard with `safety`, which must have no other caller.
 
         `action_period` [s] is the time between two actions; the motion of an action is spread over it, in whole periods
-        of the filter.
+        of the filter: the nearest number, or with `predicts`, for one call per action, those that it has time for.
         """
         self.safety, self.servos = safety, servos
         self.period = safety.robot_model.period
-        steps = max(1, round(action_period / self.period))
+        self._n_whole = max(1, floor(action_period / self.period + ROUNDING))
+        steps = self._n_whole if predicts else max(1, round(action_period / self.period))
         self.action_period = steps * self.period
         self.guard = PolicyGuard(
             safety,
@@ -149,7 +154,8 @@ class GuardedServos:
     def __call__(self, action: Any, reading: Any, now: float) -> dict[str, float]:
         """The safe values for one action in a loop without a bus: all periods at once, on the predicted motion.
 
-        The joints then have to follow within the tracking error until the next call. Without a usable action and a
+        The joints then have to follow within the tracking error until the next call. The motion is at most that of the
+        periods for which there is time until then, so that no speed exceeds its limit. Without a usable action and a
         usable reading so far, the mapping is empty: there is no safe value for the joints.
         """
         q = self.servos.read_positions(reading)
@@ -163,7 +169,7 @@ class GuardedServos:
             return {}
         self.guard.begin(action, now)
         self._note(self.guard.step(q, v, now))
-        for index in range(1, self.guard.steps_per_action):
+        for index in range(1, min(self.guard.steps_per_action, self._n_whole)):
             q, v = q + self.period * self.guard.control, self.guard.control
             self._note(self.guard.step(q, v, now + index * self.period))
         return self._values() if np.isfinite(self.guard.target).all() else {}

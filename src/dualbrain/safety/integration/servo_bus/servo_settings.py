@@ -45,8 +45,10 @@ class ServoSettings:
     deviation: Deviation = "nearest"
 
 
-def make_guarded_servos(settings: ServoSettings, keys: Sequence[str]) -> GuardedServos:
+def make_guarded_servos(settings: ServoSettings, keys: Sequence[str], *, predicts: bool = False) -> GuardedServos:
     """The guarded servos of an arm whose actions have the entries `keys` ("shoulder_pan.pos", …, "gripper.pos").
+
+    `predicts`: for a loop without a bus, which calls the servos once per action.
 
     Raises:
         UnknownNameError, ConfigurationError: a setting cannot be used, the robot model is another one than expected,
@@ -57,7 +59,8 @@ def make_guarded_servos(settings: ServoSettings, keys: Sequence[str]) -> Guarded
     check_digest(robot_model, settings.digest)
     safety = make_filter(derate(robot_model, period=1.0 / settings.rate), settings.site)
     servos = ServoMap.of(safety.robot_model, keys, calibration=settings.calibration)
-    return GuardedServos(safety, servos, action_period=1.0 / settings.action_rate, deviation=settings.deviation)
+    period = 1.0 / settings.action_rate
+    return GuardedServos(safety, servos, action_period=period, deviation=settings.deviation, predicts=predicts)
 
 
 def model_digest(robot_model: RobotModel) -> str:
