@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -74,7 +74,7 @@ def init(
     acceleration
         Maximum acceleration of every joint [rad/s², m/s²]; for a base along its path.
     velocity
-        Maximum velocity of every joint [rad/s, m/s].
+        Maximum velocity of every joint [rad/s, m/s]; for a base of driving, of turning and of the wheels.
     period
         Control period [s].
     tool_speed
@@ -105,6 +105,7 @@ def init(
     from dualbrain.robots.site_config import read_site
 
     started = time.monotonic()
+    _refuse_unused_options(base, {"--wheels": wheels}, {"--home": home, "--tool": tool, "--grip": grip})
     start, tip = _parse_chain(chain)
     options = ImportOptions(
         name=name,
@@ -208,6 +209,15 @@ def _print_summary(folder: Path, imported: ImportResult, written: FolderWriteRes
 
 def _print_progress(text: str) -> None:
     print_message(text)
+
+
+def _refuse_unused_options(base: str, of_base: Mapping[str, str], of_arm: Mapping[str, str]) -> None:
+    """Raise `UsageError` for an option that has no effect on the kind of robot that `base` states."""
+    unused, kind = (of_base, "an arm") if base == "fixed" else (of_arm, "a mobile base")
+    for option, got in unused.items():
+        if got:
+            fix = "For a mobile base give --base differential." if base == "fixed" else "Leave it out."
+            raise UsageError(option, got=got, allowed=f"no such option for {kind}", fix=fix)
 
 
 def _parse_chain(chain: str) -> tuple[str, str]:

@@ -52,8 +52,7 @@ class LimitPolicy:
 
     def limit_of(self, joint: str, name: str) -> StatedLimit | None:
         """The stated limit `name` of `joint`: of its own and that for all joints, the narrower one."""
-        own, common = self.by_joint.get(joint, {}).get(name), self.all_joints.get(name)
-        return own or common if own is None or common is None else _smaller(own, common)
+        return narrower_limit(self.by_joint.get(joint, {}).get(name), self.all_joints.get(name))
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,17 +108,8 @@ def joint_bounds(joint: TreeJoint, policy: LimitPolicy, missing: list[MissingLim
         "acceleration": f"{unit}/s^2",
         "jerk": f"{unit}/s^3",
     }
-    described = {
-        "lower": joint.lower,
-        "upper": joint.upper,
-        "velocity": joint.velocity,
-        "acceleration": joint.acceleration,
-        "jerk": joint.jerk,
-    }
     bounds = {
-        name: _narrower_bound(
-            name, _described_limit(joint, name, described[name]), policy.limit_of(joint.name, name), units[name]
-        )
+        name: _narrower_bound(name, described_limit(joint, name), policy.limit_of(joint.name, name), units[name])
         for name in LIMIT_NAMES
     }
     for name in LIMIT_NAMES[:4]:
@@ -141,8 +131,9 @@ def joint_bounds(joint: TreeJoint, policy: LimitPolicy, missing: list[MissingLim
     return bounds
 
 
-def _described_limit(joint: TreeJoint, name: str, value: float | None) -> StatedLimit | None:
+def described_limit(joint: TreeJoint, name: str) -> StatedLimit | None:
     """The limit `name` of the description, None if it states none; a velocity of zero counts as not stated."""
+    value: float | None = getattr(joint, name)
     if joint.kind == "continuous" and name in ("lower", "upper"):
         provenance = (
             f"{joint.source_location}: continuous, no limit; turns are counted within ±{CONTINUOUS_JOINT_RANGE:g} rad"
@@ -180,11 +171,14 @@ def robot_bound(name: str, unit: str, policy: LimitPolicy, missing: list[Missing
     return Bound(stated.value, unit, stated.provenance)
 
 
-def refuse_unused_limits(limits: Mapping[str, StatedLimit], unused: Mapping[str, str]) -> None:
-    """Raise `ConfigurationError` for a stated limit that nothing of the robot keeps; `unused`: names with reasons."""
+def refuse_unused_limits(limits: Mapping[str, StatedLimit], unused: Mapping[str, str], owner: str = "") -> None:
+    """Raise `ConfigurationError` for a stated limit that nothing of the robot keeps.
+
+    `unused` are names with reasons; `owner` follows the name in the message (" of 'elbow'").
+    """
     for name, reason in unused.items():
         if (stated := limits.get(name)) is not None:
-            where = f"{name} ({stated.provenance})"
+            where = f"{name}{owner} ({stated.provenance})"
             raise ConfigurationError(where, got=stated.value, allowed=f"no entry: {reason}", fix="Leave it out.")
 
 
@@ -224,6 +218,11 @@ def _narrowest(first: Mapping[str, StatedLimit], second: Mapping[str, StatedLimi
     """The limits of both, by name; of two for the same quantity, the smaller one."""
     common = {name: _smaller(limit, second[name]) for name, limit in first.items() if name in second}
     return {**first, **second, **common}
+
+
+def narrower_limit(one: StatedLimit | None, other: StatedLimit | None) -> StatedLimit | None:
+    """The smaller of two upper limits, as far as they are stated."""
+    return one or other if one is None or other is None else _smaller(one, other)
 
 
 def _smaller(one: StatedLimit, other: StatedLimit) -> StatedLimit:
