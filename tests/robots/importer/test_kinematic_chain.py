@@ -13,6 +13,7 @@ from dualbrain.robots.importer.build_arm import (
     MAX_SPHERES,
     ImportOptions,
     build_arm,
+    rigid_parts,
     to_identifier,
 )
 from dualbrain.robots.importer.kinematic_chain import find_chain, link_poses_at_rest
@@ -163,6 +164,30 @@ def test_the_model_moves_like_the_tree(everything):
     assert result.report.coverage == 1.0
     links = {sphere.link for sphere in result.robot_model.spheres}
     assert {"base", "hand", "fingers"} <= links
+
+
+@pytest.mark.parametrize(("position", "name"), [(0, "hand"), (1, "hand"), (1, "fingers"), (2, "hand"), (1, "held")])
+def test_a_link_with_the_name_of_a_group_keeps_its_frame_and_its_shapes(tmp_path, position, name):
+    """Its shapes are not joined with those of the hand, and a permit for the group does not hold for it."""
+    names = ["a", "b", "c"]
+    names[position] = name
+    text = urdf_xml(
+        *map(link_xml, names),
+        link_xml("tip", (0.3, 0.05, 0.05)),
+        joint_xml("one", names[0], names[1]),
+        joint_xml("two", names[1], names[2]),
+        joint_xml("weld", names[2], "tip", "fixed", inside=""),
+    )
+    tree = read_urdf(write_file(tmp_path, text))
+    links, shapes = rigid_parts(tree, find_chain(tree))
+    names[position] = f"{name}_link"
+    assert [(link.name, link.frame, link.group) for link in links] == [
+        (names[0], 0, "base"),
+        (names[1], 1, "arm"),
+        (names[2], 2, "arm"),
+        ("hand", 2, "hand"),
+    ]
+    assert {name: len(meshes) for name, meshes in shapes.items()} == dict.fromkeys([*names, "hand"], 1)
 
 
 def test_names_become_identifiers():

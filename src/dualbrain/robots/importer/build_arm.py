@@ -113,7 +113,8 @@ def build_arm(
     cover = {link.name: fits[link.name].spheres for link in links}
     if len(pairs.kept) > MAX_PAIRS:
         raise ConfigurationError("kept self-collision pairs", got=len(pairs.kept), allowed=f"at most {MAX_PAIRS}")
-    floor = min((float(mesh.vertices[:, 2].min()) for mesh in shapes.get(chain.base, ())), default=-np.inf)
+    base = next((link.name for link in links if link.frame == 0), "")
+    floor = min((float(mesh.vertices[:, 2].min()) for mesh in shapes.get(base, ())), default=-np.inf)
     home = find_home_posture(joints, links, cover, pairs, options.home, floor, rng)
     detected = detect_gripper(tree, chain, policy.robot, keep_tool=bool(options.tool))
     robot_model = RobotModel(
@@ -184,7 +185,9 @@ def _require_bound(bound: Bound | None) -> Bound:
 def rigid_parts(tree: KinematicTree, chain: KinematicChain) -> tuple[tuple[Link, ...], dict[str, list[Mesh]]]:
     """The links of the robot model (base, arm, hand, fingers), and the meshes of each link in its frame.
 
-    All links of the description that are rigidly connected form one link; all fingers together form one link.
+    All links of the description that are rigidly connected form one link; all fingers together form one link. A link
+    of the base or arm that the description calls as another group ("hand") is renamed ("hand_link"): a permit or plane
+    for the group would hold for it.
     """
     n = len(chain.joints)
     last = chain.joints[-1].child
@@ -203,6 +206,7 @@ def rigid_parts(tree: KinematicTree, chain: KinematicChain) -> tuple[tuple[Link,
         else:
             name = chain.base if segment.frame == 0 else chain.joints[segment.frame - 1].child
             group = "base" if segment.frame == 0 else "arm"
+            name = _unreserved_name(name, group, tree)
         if segment.frame == n or shapes:
             links.setdefault(name, Link(name=name, frame=segment.frame, group=group))
         for shape in shapes:
@@ -210,6 +214,15 @@ def rigid_parts(tree: KinematicTree, chain: KinematicChain) -> tuple[tuple[Link,
             meshes.setdefault(name, []).append(concatenate_meshes([apply_pose(mesh, pose) for pose in segment.poses]))
     ordered = sorted(links.values(), key=lambda link: (link.frame, list(COVER_WEIGHTS).index(link.group)))
     return tuple(ordered), {link.name: meshes[link.name] for link in ordered if link.name in meshes}
+
+
+def _unreserved_name(name: str, group: str, tree: KinematicTree) -> str:
+    """`name`, or one that is neither the name of another group nor that of a link of the description."""
+    if name == group or name not in (*COVER_WEIGHTS, "held"):
+        return name
+    while name in (*tree.links, *COVER_WEIGHTS):
+        name += "_link"
+    return name
 
 
 def _fit_with_clearance(
