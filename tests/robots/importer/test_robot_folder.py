@@ -6,8 +6,10 @@ import msgspec
 import numpy as np
 import pytest
 
+from dualbrain.core.storage.atomic_files import write_atomically
 from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.robots.importer.build_arm import ImportOptions, build_arm
+from dualbrain.robots.importer.output import robot_folder
 from dualbrain.robots.importer.output.diff import find_changes, reapply_edits, summarize_changes
 from dualbrain.robots.importer.output.robot_folder import (
     ImportRecord,
@@ -76,6 +78,47 @@ def test_a_new_import_reports_its_changes_and_keeps_edits(folder, build):
     shoulder = load_robot(str(folder)).joints[1]
     assert (shoulder.velocity.value, shoulder.acceleration.value) == (0.7, 5.0)
     assert "measured by Ada" in (folder / "README.md").read_text()
+
+
+@pytest.mark.parametrize("last", ["nothing", "made.next.json", "recipe.json", "README.md", "body.json"])
+@pytest.mark.parametrize("is_edited", [False, True])
+def test_after_an_interrupted_import_old_limits_do_not_count_as_edits(folder, build, monkeypatch, last, is_edited):
+    if is_edited:
+        edit(folder, lambda data: data["joints"][1]["velocity"].update(value=0.7))
+    second = build(acceleration=5.0)
+
+    def interrupted_write(path, data):
+        if path.name == last:
+            write_atomically(path, data)
+        if path.name == last or last == "nothing":
+            raise KeyboardInterrupt
+        write_atomically(path, data)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(robot_folder, "write_atomically", interrupted_write)
+        with pytest.raises(KeyboardInterrupt):
+            write_robot_folder(folder, second.robot_model, second.report, RECORD)
+    changes = ["joints.shoulder.velocity.value"] if is_edited else []
+    assert [change.entry for change in find_edits(folder)] == changes
+    written = write_robot_folder(folder, second.robot_model, second.report, RECORD)
+    assert [change.entry for change in written.kept_edits] == changes
+    shoulder = load_robot(str(folder)).joints[1]
+    assert (shoulder.velocity.value, shoulder.acceleration.value) == (0.7 if is_edited else 1.5, 5.0)
+    assert not (folder / "made.next.json").exists()
+
+
+def test_an_interrupted_first_import_can_be_repeated(first, tmp_path, monkeypatch):
+    def interrupted_write(path, data):
+        if path.name == "body.json":
+            raise KeyboardInterrupt
+        write_atomically(path, data)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(robot_folder, "write_atomically", interrupted_write)
+        with pytest.raises(KeyboardInterrupt):
+            write_robot_folder(tmp_path / "arm", first.robot_model, first.report, RECORD)
+    write_robot_folder(tmp_path / "arm", first.robot_model, first.report, RECORD)
+    assert load_robot(str(tmp_path / "arm")) == first.robot_model
 
 
 def test_edits_are_discarded_only_on_request(folder, first):

@@ -2,6 +2,9 @@
 
 `made.json` is the model as generated last, so the differences between it and `body.json` are the user's edits. A new
 import reports its own changes and the edits, and applies the edits again; a lost edit is always reported.
+
+The new generated model is in `made.next.json` until all files are written, and is then renamed. If an import was
+interrupted, `body.json` belongs to whichever of both models it differs from least.
 """
 
 from __future__ import annotations
@@ -11,7 +14,7 @@ from pathlib import Path
 
 import msgspec
 
-from dualbrain.core.storage.atomic_files import write_atomically
+from dualbrain.core.storage.atomic_files import fsync_folder, translated_write_errors, write_atomically
 from dualbrain.core.untrusted.bounded_file import read_bounded_file
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError
 from dualbrain.robots.importer.output.diff import ModelChange, find_changes, reapply_edits
@@ -27,6 +30,8 @@ GENERATED_FILE, IMPORT_RECORD_FILE, REPORT_FILE, README_FILE, IMAGE_FILE = (
     "README.md",
     "picture.png",
 )
+NEXT_FILE = "made.next.json"
+"""The model of an import that is being written, or was interrupted."""
 
 
 class ImportRecord(msgspec.Struct, frozen=True, kw_only=True):
@@ -73,7 +78,7 @@ def write_robot_folder(
         robot_model, kept, lost = reapply_edits(previous, edited, generated)
     folder.mkdir(parents=True, exist_ok=True)
     files = {
-        GENERATED_FILE: encode_robot(generated),
+        NEXT_FILE: encode_robot(generated),
         IMPORT_RECORD_FILE: encode_json(record),
         REPORT_FILE: encode_json(report),
         README_FILE: render_readme(robot_model, report, kept).encode(),
@@ -81,6 +86,9 @@ def write_robot_folder(
     }
     for name, data in files.items():
         write_atomically(folder / name, data)
+    with translated_write_errors(folder / GENERATED_FILE):
+        (folder / NEXT_FILE).replace(folder / GENERATED_FILE)
+        fsync_folder(folder)
     return FolderWriteResult(
         robot_model=robot_model,
         is_new=previous is None,
@@ -115,8 +123,8 @@ def read_import_files(folder: Path) -> tuple[ImportReport | None, ImportRecord |
 
 def find_edits(folder: Path) -> list[ModelChange]:
     """The changes that a user made in `folder` since the model was generated."""
-    generated = folder / GENERATED_FILE
-    return find_changes(read_robot(generated), read_robot(folder)) if generated.is_file() else []
+    generated = _read_generated(folder)
+    return find_changes(generated, read_robot(folder)) if generated is not None else []
 
 
 def encode_json(value: msgspec.Struct) -> bytes:
@@ -128,15 +136,24 @@ def _read_previous(folder: Path, robot_model: RobotModel) -> tuple[RobotModel | 
     """The model in `folder` as generated last, and with the user's edits; None if it does not exist."""
     if not folder.exists() or not any(folder.iterdir()):
         return None, None
-    if not (folder / GENERATED_FILE).is_file():
+    generated = _read_generated(folder)
+    if generated is None:
         raise ConfigurationError.stating(
             f"The folder {folder} contains files, but is not a robot folder.",
             fix="Choose a new or empty folder, or a robot folder, with --out.",
         )
-    generated = read_robot(folder / GENERATED_FILE)
     if generated.name != robot_model.name:
         raise ConfigurationError.stating(
             f"The folder {folder} contains the robot {generated.name!r}, not {robot_model.name!r}.",
             fix="Choose another folder with --out.",
         )
     return generated, read_robot(folder) if (folder / MODEL_FILE).is_file() else None
+
+
+def _read_generated(folder: Path) -> RobotModel | None:
+    """The generated model to which `body.json` belongs; None if there is none."""
+    models = [read_robot(folder / name) for name in (GENERATED_FILE, NEXT_FILE) if (folder / name).is_file()]
+    if len(models) < 2 or not (folder / MODEL_FILE).is_file():
+        return models[0] if models else None
+    edited = read_robot(folder)
+    return min(models, key=lambda generated: len(find_changes(generated, edited)))
