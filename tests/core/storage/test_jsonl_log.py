@@ -1,7 +1,9 @@
 import json
 import lzma
 import math
+import os
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -13,6 +15,34 @@ def test_a_line_is_on_disk_when_append_returns(tmp_path):
     log.append({"key": "one", "value": 1.5})
     assert json.loads(log.path.read_text()) == {"key": "one", "value": 1.5}
     assert log.finished_keys() == {"one"}
+
+
+@pytest.fixture
+def synced(monkeypatch):
+    """The inodes of the files and folders that were synced to the disk, in their order."""
+    inodes, fsync = [], os.fsync
+
+    def recording_fsync(descriptor):
+        inodes.append(os.fstat(descriptor).st_ino)
+        fsync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", recording_fsync)
+    return inodes
+
+
+def test_the_first_line_syncs_the_entries_of_the_file_and_of_new_folders(tmp_path, synced):
+    log = JsonlLog(tmp_path / "new" / "deep" / "a.jsonl")
+    log.append({"key": "one"})
+    paths = (log.path, log.path.parent, tmp_path / "new", tmp_path)
+    assert synced == [path.stat().st_ino for path in paths]
+    log.append({"key": "two"})
+    assert synced[len(paths) :] == [log.path.stat().st_ino]
+
+
+def test_a_new_file_in_an_existing_folder_syncs_its_entry(tmp_path, synced):
+    log = JsonlLog(tmp_path / "a.jsonl")
+    log.append({"key": "one"})
+    assert synced == [log.path.stat().st_ino, tmp_path.stat().st_ino]
 
 
 @given(cut=st.integers(1, 200))

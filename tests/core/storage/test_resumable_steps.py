@@ -1,5 +1,6 @@
 """Completed steps are kept, an interrupted step is repeated, and a folder has one user at a time."""
 
+import os
 import threading
 
 import pytest
@@ -28,6 +29,22 @@ def test_a_failed_step_is_repeated_from_its_beginning(tmp_path):
     with pytest.raises(RuntimeError):
         run_steps(tmp_path, 4, fail_at_two)
     assert (run_steps(tmp_path, 4, append_number) / "numbers").read_text() == "0 1 2 3 "
+
+
+def test_the_files_of_a_step_are_synced_before_it_is_completed(tmp_path, monkeypatch):
+    synced, fsync = [], os.fsync
+
+    def recording_fsync(descriptor):
+        synced.append((os.fstat(descriptor).st_ino, bool(list(tmp_path.glob("step-*")))))
+        fsync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", recording_fsync)
+    last = run_steps(tmp_path, 1, append_number)
+    assert synced == [
+        ((last / "numbers").stat().st_ino, False),
+        (last.stat().st_ino, False),
+        (tmp_path.stat().st_ino, True),
+    ]
 
 
 def test_the_initial_folder_is_copied_and_stays_unchanged(tmp_path):

@@ -12,7 +12,7 @@ import os
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from dualbrain.core.storage.atomic_files import atomic_file
+from dualbrain.core.storage.atomic_files import atomic_file, fsync_folder
 from dualbrain.core.storage.private_files import create_private_folder, open_private, private_file
 
 JsonlLine = dict[str, Any]
@@ -49,14 +49,20 @@ class JsonlLog:
         return {line["key"] for line in self.latest() if "error" not in line}
 
     def append(self, line: JsonlLine) -> None:
-        """Write `line` through to the disk."""
-        create_private_folder(self.path.parent)
+        """Write `line` through to the disk; with the first one also the entries of the file and of new folders."""
+        folder = self.path.parent
+        new_folders = [one for one in (folder, *folder.parents) if not one.exists()]
+        create_private_folder(folder)
         with open_private(self.path, "a+b") as file:
-            if file.tell() and not _ends_with_newline(file):
+            is_first = not file.tell()
+            if not is_first and not _ends_with_newline(file):
                 file.write(b"\n")
             file.write(encode_line(line))
             file.flush()
             os.fsync(file.fileno())
+        if is_first:
+            for changed in (folder, *(one.parent for one in new_folders)):
+                fsync_folder(changed)
 
     def pack_to(self, archive: Path) -> None:
         """Write the last line of each key to `archive`, compressed by xz; replaces an existing archive.

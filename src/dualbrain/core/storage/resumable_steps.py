@@ -7,6 +7,7 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
 
+from dualbrain.core.storage.atomic_files import fsync_folder, fsync_tree
 from dualbrain.core.storage.file_lock import LockedError, file_lock
 from dualbrain.core.storage.private_files import create_private_folder
 from dualbrain.errors import ConfigurationError
@@ -19,7 +20,8 @@ def run_steps(
 
     `run_step(number, here)` works in the folder `here`: a copy of the folder of the previous step, or of
     `initial_folder`, or an empty folder. A step that was killed or raised an exception is run again from its
-    beginning. Another process that runs the same steps waits until they are done.
+    beginning. The files of a step are on the disk before it counts as completed. Another process that runs the same
+    steps waits until they are done.
     """
     with exclusive_folder(folder):
         last = last_step_folder(folder)
@@ -29,7 +31,9 @@ def run_steps(
             before = last or initial_folder
             shutil.copytree(before, partial) if before else create_private_folder(partial)
             run_step(number, partial)
+            fsync_tree(partial)
             last = partial.rename(folder / f"step-{number + 1:04d}")
+            fsync_folder(folder)
         for old in folder.glob("step-*"):
             if old != last:
                 shutil.rmtree(old)
