@@ -166,6 +166,49 @@ def test_the_model_moves_like_the_tree(everything):
     assert {"base", "hand", "fingers"} <= links
 
 
+LIFT = '<limit lower="0" upper="0.5" velocity="1" effort="9"/>'
+
+
+def two_stage_lift(rule):
+    return urdf_xml(
+        *map(link_xml, ("base", "stage", "plate", "arm")),
+        joint_xml("lift", "base", "stage", "prismatic", "0 0 1", inside=LIFT),
+        joint_xml("lift2", "stage", "plate", "prismatic", "0 0 1", inside=LIFT + f'<mimic joint="lift" {rule}/>'),
+        joint_xml("j", "base", "arm"),
+    )
+
+
+@pytest.mark.parametrize(
+    ("rule", "lock", "follower"),
+    [
+        ("", {"lift": 0.3}, 0.3),
+        ('multiplier="0.5" offset="0.1"', {"lift": 0.3}, 0.25),
+        ('offset="0.1"', {}, 0.1),
+        ("", {"lift": 0.3, "lift2": 0.2}, 0.2),
+    ],
+)
+def test_a_fixed_joint_that_follows_another_one_is_where_its_leader_puts_it(tmp_path, rule, lock, follower):
+    tree = read_urdf(write_file(tmp_path, two_stage_lift(rule)))
+    assert find_chain(tree, tip="arm", lock=lock).locked["lift2"] == pytest.approx(follower)
+    poses, values = link_poses_at_rest(tree, "base", lock)
+    assert values["lift2"] == pytest.approx(follower)
+    assert poses["plate"][2, 3] == pytest.approx(0.4 + lock.get("lift", 0.0) + follower)
+
+
+def test_a_link_outside_the_chain_that_moves_with_it_is_refused_unless_it_is_locked(tmp_path):
+    """The rod of a parallelogram."""
+    text = urdf_xml(
+        *map(link_xml, ("base", "upper", "fore", "rod")),
+        joint_xml("shoulder", "base", "upper"),
+        joint_xml("elbow", "upper", "fore"),
+        joint_xml("side", "base", "rod", xyz="0.2 0 0.2", inside=LIFT + '<mimic joint="shoulder"/>'),
+    )
+    tree = read_urdf(write_file(tmp_path, text))
+    with pytest.raises(ConfigurationError, match=r"'side' .*follows 'shoulder'.*--lock side=VALUE"):
+        find_chain(tree, tip="fore")
+    assert find_chain(tree, tip="fore", lock={"side": 0.1}).locked == {"side": 0.1}
+
+
 @pytest.mark.parametrize(("position", "name"), [(0, "hand"), (1, "hand"), (1, "fingers"), (2, "hand"), (1, "held")])
 def test_a_link_with_the_name_of_a_group_keeps_its_frame_and_its_shapes(tmp_path, position, name):
     """Its shapes are not joined with those of the hand, and a permit for the group does not hold for it."""

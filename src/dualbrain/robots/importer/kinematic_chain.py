@@ -4,12 +4,13 @@ Chain frame i is the frame of the child link of joint i, rotated by A_i so that 
 the base. T_i = A_(i-1)⁻¹ (fixed joints in between) (pose of the joint) A_i, followed by the motion about or along z.
 
 Joints outside the chain: those behind the last frame (fingers) are swept over their ranges. All others are fixed at
-their value in `lock`, or at the value nearest to zero, and are reported in `KinematicChain.locked`.
+their value in `lock`, at that which a fixed leader gives them by their mimic rule, or at the value nearest to zero, and
+are reported in `KinematicChain.locked`. A joint that follows a joint of the chain is refused unless it is in `lock`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from itertools import product
 
@@ -69,7 +70,8 @@ def find_chain(
     Raises:
         UnknownNameError: A link or joint does not exist.
         ConfigurationError: There are several arms and no tip is given, the chain has no moving joint or a joint that a
-            single control cannot drive, or the tool link is not fixed to the link of the last joint.
+            single control cannot drive, a joint outside the chain follows one of the chain, or the tool link is not
+            fixed to the link of the last joint.
     """
     lock = dict(lock or {})
     for name in lock:
@@ -219,11 +221,11 @@ def link_poses_at_rest(
 ) -> tuple[dict[str, Array], dict[str, float]]:
     """Pose (4, 4) of every link in the frame of `base` with all joints fixed, and the values of the joints.
 
-    A joint has its value in `lock`, or the value nearest to zero.
+    A joint has its value in `lock`, that which its leader gives it, or the value nearest to zero.
     """
     for name in lock:
         tree.joint(name)
-    values = {joint.name: _rest_value(joint, lock) or 0.0 for joint in tree.joints if joint.kind != "fixed"}
+    values = {joint.name: 0.0 for joint in tree.joints if joint.kind != "fixed"} | _rest_values(tree, (), lock)
     segments, _ = _segments(tree, base, (), np.empty((0, 4, 4)), values)
     return {segment.link: segment.poses[0] for segment in segments}, values
 
@@ -237,9 +239,7 @@ def _segments(
         joints_of[joint.parent].append(joint)
         joints_of[joint.child].append(joint)
     frames = {joint.name: i for i, joint in enumerate(moving, start=1)}
-    values = {
-        joint.name: q for joint in tree.joints if joint.kind != "fixed" and (q := _rest_value(joint, lock)) is not None
-    }
+    values = _rest_values(tree, moving, lock)
     segments: list[RigidSegment] = []
     locked: dict[str, float] = {}
     seen: set[str] = set()
@@ -270,6 +270,8 @@ def _segments(
                 walk(other, frame, pose, (*fingers, (joint, None)), past)
                 continue
             if joint.kind != "fixed":
+                if joint.name not in lock:
+                    _refuse_follower(joint, frames)
                 locked[joint.name] = values.get(joint.name, 0.0)
             step = joint.child_pose(values.get(joint.name, 0.0))
             if fingers:
@@ -306,12 +308,37 @@ def _sweep_values(joint: TreeJoint, n_samples: int) -> Array:
     return np.linspace(joint.lower, joint.upper, n_samples)
 
 
-def _rest_value(joint: TreeJoint, lock: Mapping[str, float]) -> float | None:
-    """The value of a joint outside the chain: its value in `lock`, or the value nearest to zero."""
-    if joint.name in lock:
-        return float(lock[joint.name])
-    if joint.kind not in MOVABLE_JOINT_KINDS:
-        return None
+def _refuse_follower(joint: TreeJoint, chain_joints: Collection[str]) -> None:
+    """Raise for a joint outside the chain that moves with a joint of the chain, so that its links are never fixed."""
+    if joint.mimic is not None and joint.mimic.leader in chain_joints:
+        raise ConfigurationError.stating(
+            f"Joint {joint.name!r} ({joint.source_location}) outside the chain follows {joint.mimic.leader!r} of the "
+            "chain, so the links behind it move, which the model cannot state.",
+            fix=f"If these links may be modelled at rest, state where: --lock {joint.name}=VALUE.",
+        )
+
+
+def _rest_values(tree: KinematicTree, moving: tuple[TreeJoint, ...], lock: Mapping[str, float]) -> dict[str, float]:
+    """The values of all joints of the tree outside the chain: those in `lock`, and those that follow without it."""
+    joints = {joint.name: joint for joint in tree.joints}
+    chain_joints = {joint.name for joint in moving}
+
+    def rest_value(joint: TreeJoint, followers: frozenset[str]) -> float:
+        leader = None if joint.mimic is None else joints.get(joint.mimic.leader)
+        if joint.name in lock:
+            return float(lock[joint.name])
+        if joint.mimic is None or leader is None or leader.name in chain_joints | followers:
+            return _nearest_to_zero(joint)
+        return joint.mimic.multiplier * rest_value(leader, followers | {joint.name}) + joint.mimic.offset
+
+    return {
+        joint.name: rest_value(joint, frozenset({joint.name}))
+        for joint in tree.joints
+        if joint.name in lock or joint.kind in MOVABLE_JOINT_KINDS
+    }
+
+
+def _nearest_to_zero(joint: TreeJoint) -> float:
     lower = -np.inf if joint.lower is None else joint.lower
     upper = np.inf if joint.upper is None else joint.upper
     return float(np.clip(0.0, lower, upper))
