@@ -17,6 +17,7 @@ from dualbrain.robots.collision_model.coverage import SphereSet
 from dualbrain.robots.collision_model.polytope import sample_surface
 from dualbrain.robots.collision_model.self_collision_sampling import SampledPairs, sample_pairs
 from dualbrain.robots.collision_model.sphere_budget import FULL, QUICK, LinkFit, fit_links
+from dualbrain.robots.collision_model.swept_volume import swept_mesh
 from dualbrain.robots.importer.cbf_gain import curvature_limited_gain
 from dualbrain.robots.importer.gripper import DetectedGripper, detect_gripper
 from dualbrain.robots.importer.home_posture import find_home_posture
@@ -211,7 +212,8 @@ def rigid_parts(tree: KinematicTree, chain: KinematicChain) -> tuple[tuple[Link,
             links.setdefault(name, Link(name=name, frame=segment.frame, group=group))
         for shape in shapes:
             mesh = shape.load_mesh()
-            meshes.setdefault(name, []).append(concatenate_meshes([apply_pose(mesh, pose) for pose in segment.poses]))
+            moved = swept_mesh(mesh, segment.sweep) if segment.is_swept else apply_pose(mesh, segment.poses[0])
+            meshes.setdefault(name, []).append(moved)
     ordered = sorted(links.values(), key=lambda link: (link.frame, list(COVER_WEIGHTS).index(link.group)))
     return tuple(ordered), {link.name: meshes[link.name] for link in ordered if link.name in meshes}
 

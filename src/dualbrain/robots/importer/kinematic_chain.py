@@ -10,14 +10,16 @@ are reported in `KinematicChain.locked`. A joint that follows a joint of the cha
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import pairwise, product
+from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.errors import ConfigurationError
+from dualbrain.robots.collision_model.swept_volume import arc_enlargement
 from dualbrain.robots.importer.kinematic_tree import MOVABLE_JOINT_KINDS, KinematicTree, TreeJoint
 
 Array = NDArray[np.float64]
@@ -26,8 +28,10 @@ MAX_FINGER_JOINTS = 3
 """A branch with at most this many joints in a row is a gripper or a sensor, not an arm."""
 FingerJoints = tuple[tuple[TreeJoint, Array | None], ...]
 """Joints between the chain and a link behind it, with their transform (4, 4), or None if they are swept."""
-SWEEP_SAMPLES = {0: 1, 1: 7, 2: 5, 3: 4}
-"""Number of values of each swept joint, by the number of swept joints between a link and the chain."""
+SWEEP_CELLS = {1: 6, 2: 4, 3: 3}
+"""Least number of cells of the range of a swept joint, by the number of swept joints between a link and the chain."""
+MAX_SWEEP_ANGLE = {1: 0.3, 2: 0.5, 3: 0.8}
+"""Largest cell of a turning swept joint [rad], by the same number; a large one enlarges the swept volume."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,12 +39,14 @@ class RigidSegment:
     """A link of the tree, attached to chain frame `frame` (0 = base) at each of `poses` (k, 4, 4) in that frame.
 
     `is_past_last_joint` is True for links behind the child link of the last joint, `is_swept` for links that finger
-    joints move, which have one pose for each sampled value.
+    joints move, which have one pose for each sampled value. `sweep` (cells, corners, 4, 4) are the transforms for
+    `swept_mesh`, one cell with one corner for a link that is not swept.
     """
 
     link: str
     frame: int
     poses: Array
+    sweep: Array
     is_past_last_joint: bool = False
     is_swept: bool = False
 
@@ -252,6 +258,7 @@ def _segments(
                 link=link,
                 frame=frame,
                 poses=_swept_poses(pose, fingers),
+                sweep=_sweep_cells(pose, fingers),
                 is_past_last_joint=past_last_joint,
                 is_swept=bool(fingers),
             )
@@ -284,28 +291,69 @@ def _segments(
 
 
 def _is_finger(joint: TreeJoint, lock: Mapping[str, float], previous: FingerJoints) -> bool:
-    n_swept = sum(step is None for _, step in previous)
-    return joint.kind in MOVABLE_JOINT_KINDS and joint.name not in lock and n_swept < MAX_FINGER_JOINTS
+    return joint.kind in MOVABLE_JOINT_KINDS and joint.name not in lock and _n_swept(previous) < MAX_FINGER_JOINTS
 
 
 def _swept_poses(pose: Array, fingers: FingerJoints) -> Array:
-    """Poses (k, 4, 4) of a link over the ranges of the finger joints before it."""
-    swept = [joint for joint, step in fingers if step is None]
-    grids = [_sweep_values(joint, SWEEP_SAMPLES[len(swept)]) for joint in swept]
-    poses: list[Array] = []
-    for combination in product(*grids):
-        values = {joint.name: float(q) for joint, q in zip(swept, combination, strict=True)}
-        swept_pose = pose
-        for joint, step in fingers:
-            swept_pose = swept_pose @ (joint.child_pose(values[joint.name]) if step is None else step)
-        poses.append(swept_pose)
-    return np.array(poses)
+    """Poses (k, 4, 4) of a link at all ends of the cells of the finger joints before it."""
+    grids = [_sweep_values(joint, _n_swept(fingers)) for joint, step in fingers if step is None]
+    joints = [joint for joint, step in fingers if step is None]
+    return np.array(
+        [
+            _finger_pose(pose, fingers, [joint.child_pose(q) for joint, q in zip(joints, values, strict=True)])
+            for values in product(*grids)
+        ]
+    )
 
 
-def _sweep_values(joint: TreeJoint, n_samples: int) -> Array:
-    if joint.kind == "continuous" or joint.lower is None or joint.upper is None:
-        return np.linspace(-np.pi, np.pi, 3 * n_samples)
-    return np.linspace(joint.lower, joint.upper, n_samples)
+def _sweep_cells(pose: Array, fingers: FingerJoints) -> Array:
+    """Transforms (cells, corners, 4, 4) of a link for `swept_mesh`, over the ranges of the finger joints before it."""
+    joints = [joint for joint, step in fingers if step is None]
+    by_joint = [
+        [_cell_corners(joint, low, high) for low, high in pairwise(_sweep_values(joint, len(joints)))]
+        for joint in joints
+    ]
+    return np.array([[_finger_pose(pose, fingers, corner) for corner in product(*cell)] for cell in product(*by_joint)])
+
+
+def _cell_corners(joint: TreeJoint, low: float, high: float) -> list[Array]:
+    """Transforms (4, 4) of the child of `joint` whose hull contains it at every value from `low` to `high`."""
+    ends = [joint.child_pose(low), joint.child_pose(high)]
+    if joint.kind == "prismatic":
+        return ends
+    return [*ends, joint.child_pose(0.5 * (low + high)) @ arc_enlargement(joint.axis, high - low)]
+
+
+def _finger_pose(pose: Array, fingers: FingerJoints, moved: Sequence[Array]) -> Array:
+    """Transform (4, 4) of a link behind `fingers`, of which the swept ones have the transforms `moved`."""
+    remaining = iter(moved)
+    for _, step in fingers:
+        pose = pose @ (next(remaining) if step is None else step)
+    return pose
+
+
+def _n_swept(fingers: FingerJoints) -> int:
+    return sum(step is None for _, step in fingers)
+
+
+def _sweep_values(joint: TreeJoint, n_swept: int) -> Array:
+    """The ends of the cells of a joint, one of `n_swept` in a row [rad or m]; of a joint without range one turn.
+
+    Raises `ConfigurationError` for a prismatic joint without a range.
+    """
+    lower, upper = joint.lower, joint.upper
+    if joint.kind == "prismatic" and (lower is None or upper is None):
+        raise ConfigurationError.stating(
+            f"Joint {joint.name!r} ({joint.source_location}) behind the chain has no range, so it cannot be covered.",
+            fix=f"State it in the description, or lock the joint: --lock {joint.name}=VALUE.",
+        )
+    if joint.kind == "continuous" or lower is None or upper is None:
+        lower, upper = -np.pi, np.pi
+    cells = SWEEP_CELLS[n_swept]
+    if joint.kind != "prismatic":
+        lower, upper = (lower, upper) if upper - lower < 2.0 * np.pi else (-np.pi, np.pi)
+        cells = max(cells, ceil((upper - lower) / MAX_SWEEP_ANGLE[n_swept]))
+    return np.linspace(lower, upper, cells + 1)
 
 
 def _refuse_follower(joint: TreeJoint, chain_joints: Collection[str]) -> None:
