@@ -149,6 +149,9 @@ def find_model_faults(robot_model: RobotModel) -> Iterator[ModelFault]:
     """The wrong entries of `robot_model`."""
     if not robot_model.joints:
         yield "joints", 0, "at least one"
+    names = [joint.name for joint in robot_model.joints]
+    if len(set(names)) != len(names):
+        yield "joints", names, "each name once"
     for joint in robot_model.joints:
         yield from _joint_faults(joint)
     yield from _link_faults(robot_model)
@@ -158,6 +161,9 @@ def find_model_faults(robot_model: RobotModel) -> Iterator[ModelFault]:
     yield from _force_sensing_faults(robot_model)
     if not 0.0 < robot_model.period <= 1.0:
         yield "period", robot_model.period, "above 0, at most 1 s"
+    if not robot_model.tool_speed.value > 0.0:
+        yield "tool_speed", robot_model.tool_speed.value, "above 0 m/s"
+    yield from _quaternion_faults("the tool", robot_model.tool.quaternion)
     if robot_model.gain is not None and not robot_model.gain.value > 0.0:
         yield "gain", robot_model.gain.value, "above 0"
     if len(robot_model.home) != robot_model.nq:
@@ -243,6 +249,8 @@ def _joint_faults(joint: Joint) -> Iterator[ModelFault]:
         value = getattr(joint, limit).value
         if not (isfinite(value) and value > 0.0):
             yield f"{limit} of {where}", value, "above 0"
+    if joint.jerk is not None and not joint.jerk.value > 0.0:
+        yield f"jerk of {where}", joint.jerk.value, "above 0"
     yield from _quaternion_faults(where, joint.quaternion)
 
 

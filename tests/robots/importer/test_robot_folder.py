@@ -160,6 +160,11 @@ def test_folders_of_other_robots_and_of_other_files_are_not_changed(folder, firs
         (lambda data: data.update(period=0), "period"),
         (lambda data: data.update(tool="hand"), r"\$\.tool"),
         (lambda data: data["tool"].update(link="hnad"), "link of the tool"),
+        (lambda data: data["tool"].update(quaternion=[0, 0, 0, 0]), "quaternion of the tool"),
+        (lambda data: data["tool"].update(quaternion=[2, 0, 0, 0]), "quaternion of the tool"),
+        (lambda data: data["tool_speed"].update(value=-0.1), "tool_speed"),
+        (lambda data: data["joints"][0].update(jerk=data["joints"][0]["velocity"] | {"value": 0.0}), "jerk of joint"),
+        (lambda data: data["joints"][1].update(name=data["joints"][0]["name"]), "each name once"),
     ],
 )
 def test_an_invalid_edit_is_reported_with_its_entry(folder, change, message):
