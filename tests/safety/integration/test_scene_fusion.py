@@ -6,8 +6,9 @@ import msgspec
 import numpy as np
 import pytest
 
+from dualbrain.core.geometry.distance import signed_distance
 from dualbrain.core.geometry.rotations import quaternion_to_matrix
-from dualbrain.core.geometry.shapes import Box, Pose, Sphere
+from dualbrain.core.geometry.shapes import Box, Capsule, Pose, Sphere
 from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import FilterStatus, SafetyFilter
@@ -47,8 +48,23 @@ def test_a_shape_is_transformed_through_its_frames_with_all_their_errors():
     assert np.allclose(ball.pose.position, place)
     assert np.allclose(ball.velocity, turned @ [0.1, 0.0, 0.0])
     lever = math.hypot(0.3, 0.2)
-    assert ball.margin == pytest.approx(0.003 + 0.004 + 0.002 + 0.001 + 0.01 * lever + 0.05 * 0.1)
+    assert ball.margin == pytest.approx(0.003 + 0.004 + 0.002 + 0.001 + 0.01 * lever + (0.05 + 0.01 * 0.1) * 0.1)
     assert not ball.static
+
+
+@pytest.mark.parametrize("shape", [Box((1.0, 0.1, 0.2)), Capsule(0.1, 1.0)], ids=["box", "capsule"])
+def test_the_margin_covers_every_point_of_a_long_shape_in_a_frame_with_an_error_of_the_angle(shape):
+    """The frame is turned by its error: the ends of the shape move, although its centre is at the axis."""
+    angle = 0.05
+    scene = SceneFusion({"camera": SceneSource(0.0, 1.0)}, {"mast": FrameMount(angle_error=angle)})
+    scene.update("camera", "mast", 0.0, [PerceivedShape(name="beam", shape=shape, pose=Pose((0.0, 0.0, 0.0)))], now=0.0)
+    (beam,) = scene.obstacles(0.0)
+    turned = Pose((0.0, 0.0, 0.0), (math.cos(angle / 2), 0.0, math.sin(angle / 2), 0.0))
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-1.3, 1.3, (60_000, 3))
+    inside = points[signed_distance(shape, turned, points) <= 0.0]
+    assert len(inside) > 100
+    assert signed_distance(beam.shape, beam.pose, inside).max() <= beam.margin
 
 
 def test_each_source_replaces_only_its_own_shapes():

@@ -1,8 +1,9 @@
 """Fusion of objects from several sources, each with its own frame, age and error, into the obstacles of a filter.
 
 Reports become obstacles in the world, extrapolated to the current time. The margin is the sum of the errors of shape
-and source, error + angle × distance for each frame, and velocity error × age. An implausible report is rejected with
-its reason and changes nothing. If a required source is silent beyond its limit, the robot stops.
+and source, error + angle × distance for each frame, and velocity error × age. The distance is that of the farthest
+point of the shape, of a half-space that of its point. The angle also adds to the velocity error. An implausible report
+is rejected with its reason and changes nothing. If a required source is silent beyond its limit, the robot stops.
 """
 
 from __future__ import annotations
@@ -15,9 +16,9 @@ import msgspec
 import numpy as np
 
 from dualbrain.core.geometry import validation
-from dualbrain.core.geometry.distance import bounding_solid
+from dualbrain.core.geometry.distance import Solid, bounding_solid
 from dualbrain.core.geometry.rotations import matrix_to_quaternion, quaternion_to_matrix
-from dualbrain.core.geometry.shapes import Pose, Quaternion, Shape, Sphere, Vector
+from dualbrain.core.geometry.shapes import Box, Capsule, Pose, Quaternion, Shape, Sphere, Vector
 from dualbrain.errors import ConfigurationError, GeometryError, UnknownNameError
 from dualbrain.records import ZERO_VECTOR
 from dualbrain.safety.cbf.filter import SafetyFilter
@@ -254,11 +255,12 @@ class SceneFusion:
 
     def _obstacle(self, source: str, frame: str, perceived: PerceivedShape) -> Obstacle:
         shape, pose = bounding_solid(perceived.shape, perceived.pose)
-        margin = perceived.error + self._sources[source].error
-        velocity = np.array(perceived.velocity)
+        margin, velocity_error = perceived.error + self._sources[source].error, perceived.velocity_error
+        velocity, extent = np.array(perceived.velocity), _extent(shape)
         for name in self._frame_chain(frame):
             mount = self._frames[name]
-            margin += mount.error + mount.angle_error * float(np.linalg.norm(pose.position))
+            margin += mount.error + mount.angle_error * (float(np.linalg.norm(pose.position)) + extent)
+            velocity_error += mount.angle_error * float(np.linalg.norm(velocity))
             velocity = quaternion_to_matrix(mount.pose.quaternion) @ velocity
             pose = _compose(mount.pose, pose)
         x, y, z = (float(part) for part in velocity)
@@ -269,10 +271,21 @@ class SceneFusion:
             pose=pose,
             velocity=(x, y, z),
             margin=margin,
-            velocity_error=perceived.velocity_error,
+            velocity_error=velocity_error,
             static=not moves,
             rank=Rank.BODY if perceived.person else Rank.OBSTACLE,
         )
+
+
+def _extent(shape: Solid) -> float:
+    """Largest distance [m] from the centre of `shape` of a point that a rotation moves; 0 for sphere and half-space."""
+    match shape:
+        case Capsule():
+            return shape.half_length
+        case Box():
+            return float(np.linalg.norm(shape.half_extents))
+        case _:
+            return 0.0
 
 
 def _extrapolate(obstacle: Obstacle, age: float) -> Obstacle:
