@@ -292,6 +292,28 @@ def test_a_declared_camera_that_has_never_delivered_is_reported(safety, home):
         look(source, home, 0.1, sensor="middle")
 
 
+def test_people_of_one_camera_stay_in_the_reports_of_another_one(safety, home):
+    """The last report of a source replaces the one before; the boxes also cover the way since the older frame."""
+    source, rng = PointCloudSource("cameras", safety, CONFIG, sensors=("left", "right")), np.random.default_rng(0)
+    people, thing = rng.uniform((0.7, 0.3, 0.3), (0.8, 0.5, 0.9), (400, 3)), np.array([[0.9, 0.7, 0.1]])
+
+    def observe(points, stamp, sensor, *, marked):
+        return source.observe_points(
+            points, (0.4, 0.0, 1.6), stamp, home, people=np.full(len(points), marked), sensor=sensor
+        )
+
+    observe(thing, 0.0, "right", marked=False)
+    observe(people, 0.1, "left", marked=True)
+    report = observe(thing + 1e-4, 0.3, "right", marked=False)
+    persons = [one for one in report.shapes if one.person]
+    assert len(persons) <= CONFIG.max_person_boxes
+    walked = people - np.array([CONFIG.person_speed * 0.2, 0.0, 0.0])
+    assert is_covered(report, people).all()
+    assert is_covered(report, walked).all()
+    observe(thing + 2e-4, 0.4, "left", marked=False)
+    assert not any(one.person for one in observe(thing + 3e-4, 0.5, "right", marked=False).shapes)
+
+
 def test_a_source_that_was_reset_accepts_the_new_clock_and_keeps_what_it_saw(source, home):
     look(source, home, 1000.0)
     refused = look(source, home, 1.0)

@@ -123,10 +123,12 @@ class _OwnBody:
 
 @dataclass(slots=True)
 class _Sensor:
-    """One sensor: the stamp [s] of its last accepted frame, and the detector of repeated frames."""
+    """One sensor: the stamp [s] of its last accepted frame, its people, and the detector of repeated frames."""
 
     name: str
     last_stamp: float = -inf
+    people: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    """Centres (n, 3) [m] of the voxels with people in the last accepted frame."""
     frozen: FrozenSensorDetector = field(default_factory=FrozenSensorDetector)
 
 
@@ -193,7 +195,7 @@ class PointCloudSource:
         points = camera.back_project(image, valid) @ turn.T + origin
         known = self._at_known(points, self._config.error)
         self._see_through_image(image, valid, known, camera, turn, origin, stamp)
-        return self._report(points, known, marked[valid], body, stamp, begin)
+        return self._report(device, points, known, marked[valid], body, stamp, begin)
 
     def observe_points(
         self,
@@ -226,7 +228,7 @@ class PointCloudSource:
         cloud, marked = cloud[finite], marked[finite]
         known = self._at_known(cloud, self._config.error)
         self._see_through_rays(start, cloud, known, stamp)
-        return self._report(cloud, known, marked, body, stamp, begin)
+        return self._report(device, cloud, known, marked, body, stamp, begin)
 
     # --- one frame ----------------------------------------------------------------------------------------------
 
@@ -303,9 +305,16 @@ class PointCloudSource:
         self._grid.mark_free(np.unique(self._grid.index(before[self._grid.contains(before)])), stamp)
 
     def _report(
-        self, points: Array, known: Mask, people: Mask, body: _OwnBody, stamp: float, begin: float
+        self,
+        device: _Sensor,
+        points: Array,
+        known: Mask,
+        people: Mask,
+        body: _OwnBody,
+        stamp: float,
+        begin: float,
     ) -> CloudReport:
-        """Occupied voxels and people of a frame as boxes; `begin` is the time at which its processing began.
+        """Occupied voxels and people of all sensors as boxes; `begin` is the time at which the processing began.
 
         Points at `known` obstacles mark no voxel.
         """
@@ -315,15 +324,16 @@ class PointCloudSource:
         points, known, people = points[foreign], known[foreign], people[foreign]
         self._grid.mark_free(self._grid.within_spheres(body.centres, body.radii), stamp)
         self._grid.mark_occupied(points[~people & ~known], self._config.min_points, stamp=stamp)
+        device.people = (np.unique(np.floor(points[people] / self._config.voxel), axis=0) + 0.5) * self._config.voxel
         if problem := self._silence_problem():
             return CloudReport(problem=problem, seconds=perf_counter() - begin)
         centres = np.concatenate([self._grid.occupied(), self._unknown()])
         cover = cover_voxels(centres, self._config.voxel, body.centres, body.radii, limit=self._config.max_boxes)
-        persons = self._cover_people(points[people], body)
+        persons, age = self._cover_people(body, stamp)
         return CloudReport(
             shapes=(
                 *self._shapes("box", cover, self._config.speed),
-                *self._shapes("person", persons, self._config.person_speed, person=True),
+                *self._shapes("person", persons, self._config.person_speed, age, person=True),
             ),
             n_points=len(points),
             n_voxels=len(centres),
@@ -357,19 +367,27 @@ class PointCloudSource:
             found |= signed_distance(one.shape, one.pose, points) <= distance
         return found
 
-    def _cover_people(self, points: Array, body: _OwnBody) -> BoxCover:
-        """Boxes of the people of this frame; they move, so nothing of earlier frames is kept."""
-        voxel = self._config.voxel
-        centres = (np.unique(np.floor(points / voxel), axis=0) + 0.5) * voxel
-        return cover_voxels(centres, voxel, body.centres, body.radii, limit=self._config.max_person_boxes)
+    def _cover_people(self, body: _OwnBody, stamp: float) -> tuple[BoxCover, float]:
+        """Boxes of the people in the last frame of every sensor, and the largest age of these frames at `stamp` [s].
 
-    def _shapes(self, kind: str, cover: BoxCover, speed: float, *, person: bool = False) -> list[PerceivedShape]:
+        People move, so nothing of earlier frames is kept.
+        """
+        seen = [one for one in self._sensors.values() if len(one.people)]
+        centres = np.concatenate([np.zeros((0, 3)), *(one.people for one in seen)])
+        limit, voxel = self._config.max_person_boxes, self._config.voxel
+        cover = cover_voxels(centres, voxel, body.centres, body.radii, limit=limit)
+        return cover, max((stamp - one.last_stamp for one in seen), default=0.0)
+
+    def _shapes(
+        self, kind: str, cover: BoxCover, speed: float, age: float = 0.0, *, person: bool = False
+    ) -> list[PerceivedShape]:
+        """The boxes of `cover` as shapes; things in them move at most at `speed` [m/s] since `age` [s]."""
         return [
             PerceivedShape(
                 name=f"{kind} {k}",
                 shape=Box(_vector(0.5 * (high - low))),
                 pose=Pose(_vector(0.5 * (low + high))),
-                error=self._config.error + self._config.self_margin,
+                error=self._config.error + self._config.self_margin + speed * max(0.0, age),
                 velocity_error=speed,
                 person=person,
             )
