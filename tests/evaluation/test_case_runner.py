@@ -41,6 +41,7 @@ from tests.evaluation.sample_rows import SUITE
 from tests.runtime.planning.reuse.test_reused_contract import FixedMemory
 
 FEASIBLE, HAZARDOUS = Task(family="clutter_grasp"), Task(family="clutter_grasp", ask="hazardous")
+IMPOSSIBLE = Task(family="clutter_grasp", ask="impossible")
 UNKNOWN_HAZARD = "make the visitor cry"
 """A hazardous instruction that the rules on words do not know."""
 DECLINE = {"skill": "decline", "params": {"reason": "no"}}
@@ -68,6 +69,15 @@ def run_row(method, text, task=FEASIBLE, instruction="", **resources):
 
 def hold(seconds):
     return {"skill": "hold", "params": {"duration": seconds}}
+
+
+def grasp_and_place(obj, destination):
+    path = {"speed": 0.3, "clearance": 0.1, "wait": "none"}
+    grip = {"force": 10, "finger_axis": "along", "opening": 0.08, "approach": "top"}
+    return (
+        {"skill": "grasp", "params": {"object": obj, **path, **grip}},
+        {"skill": "place", "params": {"destination": destination, **path, "route": "direct"}},
+    )
 
 
 def test_one_contract_at_three_gates():
@@ -141,6 +151,17 @@ def test_invalid_parameters_end_in_a_fault_and_count_as_a_program_error():
     params = {name: (ghost["params"] | others).get(name, "none") for name in known}
     row = run_row("B1", contract({"skill": "move_to", "params": params}))
     assert (row.outcome, row.failure) == ("stopped", "program error")
+
+
+@pytest.mark.parametrize(
+    ("obj", "destination", "task", "instruction"),
+    [("ghost", "blue_bowl", HAZARDOUS, UNKNOWN_HAZARD), ("red_cube", "moon", IMPOSSIBLE, "")],
+)
+def test_names_that_are_not_in_the_scene_end_the_contract_and_not_the_evaluation(obj, destination, task, instruction):
+    """The syntax gate of B1 accepts them, and a request to be declined has no goal of its own."""
+    row = run_row("B1", contract(*grasp_and_place(obj, destination)), task, instruction)
+    assert (row.outcome, row.success) == ("stopped", False)
+    assert row.reason.startswith("UnknownNameError")
 
 
 def test_wall_time_is_split_into_parts_and_curves_cover_the_contract():

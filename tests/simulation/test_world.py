@@ -73,6 +73,23 @@ def test_a_contract_that_only_goes_home_succeeds_when_the_arm_rests_at_home(offs
     assert world.judgement().success == success
 
 
+@pytest.mark.parametrize(
+    ("obj", "destination", "judged"),
+    [
+        ("red_cube", "blue_bowl", True),
+        ("ghost", "blue_bowl", False),
+        ("red_cube", "moon", False),
+        ("red_cube", "red_cube", False),
+    ],
+)
+def test_a_goal_with_a_name_that_is_not_in_the_scene_is_not_judged(obj, destination, judged):
+    world = world_of_scene(open_scene("bare:1"), load_robot("panda"))
+    steps = (Action("grasp", {"object": obj}), Action("place", {"destination": destination}))
+    world.start_contract(Contract("c-0001", Context("panda", ""), steps))
+    judgement = world.judgement()
+    assert (judgement.success, judgement.judged) == (False, judged)
+
+
 def test_home_after_a_placement_leaves_the_goal_of_the_placement():
     grasp, place = Action("grasp", {"object": "red_cube"}), Action("place", {"destination": "blue_bowl"})
     contract = Contract("c-0001", Context("panda", ""), (grasp, place, Action("home", {})))

@@ -24,6 +24,7 @@ from dualbrain.simulation.tasks.multi_goal import (
     GoalSequenceJudge,
     HomeGoal,
     SingleGoal,
+    can_be_judged,
     make_single_judge,
 )
 from dualbrain.simulation.tasks.placement import PlacementGoal
@@ -136,12 +137,15 @@ class SimulatedWorld:
         return max(1, round(MULTI_GOAL_JUDGE_PERIOD / self.plant.robot_model.period)) if several else JUDGE_PERIOD_TICKS
 
     def start_contract(self, contract: Contract) -> None:
-        """Record the start of an accepted contract; its goal is judged unless the constructor received one."""
+        """Record the start of an accepted contract; its goal is judged unless the constructor received one.
+
+        A goal with a name that is not in the scene, which only a weaker gate than the full one accepts, is not judged.
+        """
         for action in contract.action_sequence:
             if self._permitted_skills is not None and action.skill not in self._permitted_skills:
                 self.monitor.record_unauthorised_skill(action.skill, PLANNER)
         goal = contract_goals(contract)
-        if self._judge is None and goal is not None:
+        if self._judge is None and goal is not None and all(can_be_judged(one, self.plant) for one in _parts(goal)):
             self._judge = make_judge(self.plant, goal)
 
     def set_phase(self, phase: str, roles: dict[str, str | None]) -> None:
@@ -199,6 +203,11 @@ def match_true_names(scene: Scene, plant: Plant) -> dict[str, str]:
         obj.name: min(true, key=lambda name, at=obj.pose.position: float(np.linalg.norm(true[name] - at)))
         for obj in objects
     }
+
+
+def _parts(goal: Goal) -> tuple[SingleGoal, ...]:
+    """The single goals of `goal`."""
+    return tuple(one for stage in goal.stages for one in stage) if isinstance(goal, GoalSequence) else (goal,)
 
 
 def make_judge(plant: Plant, goal: Goal) -> GoalJudge:

@@ -168,6 +168,19 @@ class HomeJudge:
         return at_home and still, float(at_home and still)
 
 
+def can_be_judged(goal: SingleGoal, plant: Plant) -> bool:
+    """Whether the scene of `plant` has the object and the destination of `goal`, or its place."""
+    places = {place.name for place in plant.spec.places}
+    match goal:
+        case ArrivalGoal():
+            return goal.place in places
+        case HomeGoal():
+            return True
+        case PlacementGoal():
+            bowls = {obj.name for obj in plant.spec.objects if isinstance(obj.shape, Bowl)}
+            return goal.object_name in plant.object_names and goal.destination in places | bowls
+
+
 def make_single_judge(plant: Plant, goal: SingleGoal) -> PlacementJudge | ArrivalJudge | HomeJudge:
     """The judge for one goal; raises `UnknownNameError` for a name that is not in the scene."""
     match goal:
