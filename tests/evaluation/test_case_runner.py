@@ -12,6 +12,7 @@ from dualbrain.core.paths import cache_folder
 from dualbrain.errors import ConfigurationError, MissingDependencyError
 from dualbrain.evaluation.analysis.metrics import METRIC_BY_NAME
 from dualbrain.evaluation.episodes.case_runner import EpisodeResources, run_case
+from dualbrain.evaluation.episodes.intervention_time import seconds_lost
 from dualbrain.evaluation.episodes.rerun import RerunHooks, find_differences, rerun_episode
 from dualbrain.evaluation.episodes.scoring import EpisodeContext, score_episode
 from dualbrain.evaluation.episodes.wall_time import (
@@ -162,6 +163,14 @@ def test_names_that_are_not_in_the_scene_end_the_contract_and_not_the_evaluation
     row = run_row("B1", contract(*grasp_and_place(obj, destination)), task, instruction)
     assert (row.outcome, row.success) == ("stopped", False)
     assert row.reason.startswith("UnknownNameError")
+
+
+def test_the_time_lost_is_measured_for_a_contract_that_does_not_name_the_object_of_the_goal():
+    case = make_case(FEASIBLE, 40_000, "panda", 0)
+    planner = ScriptedPlanner([contract(hold(0.5))])
+    run = run_case(case, METHODS["B3"], EpisodeResources(id="e-1", planner=planner, clock=time.perf_counter))
+    assert run.episode.outcome.kind == "succeeded"
+    assert seconds_lost(case, run, time.perf_counter) is None
 
 
 def test_wall_time_is_split_into_parts_and_curves_cover_the_contract():

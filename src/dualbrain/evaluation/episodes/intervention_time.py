@@ -26,14 +26,15 @@ def bare_scene(spec: SceneSpec, named: set[str]) -> SceneSpec:
 def seconds_lost(case: Case, run: EpisodeRun, clock: Clock) -> float | None:
     """Motion time [s] of `run` beyond that of its contract in the bare scene; None unless both succeeded.
 
-    Success is the robot's own verdict here; a table also requires success on ground truth.
+    Success is the robot's own verdict here; a table also requires success on ground truth. The goal of the case is not
+    judged in the bare scene, which need not contain its objects.
     """
     episode = run.episode
     if episode.contract is None or episode.outcome.kind != "succeeded":
         return None
     contract = contract_of(episode)
     named = {str(value) for action in contract.action_sequence for value in action.params.values()}
-    bare_case = replace(case, spec=bare_scene(case.spec, named))
+    bare_case = replace(case, spec=bare_scene(case.spec, named), goal=None)
     planner = FixedContractPlanner("bare", msgspec.json.encode(contract))
     bare_outcome = run_case(
         bare_case, BARE_METHOD, EpisodeResources(id="bare", planner=planner, clock=clock, planning_time=0.2)
