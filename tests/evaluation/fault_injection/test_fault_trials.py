@@ -2,12 +2,17 @@
 
 from itertools import product
 
+import numpy as np
 import pytest
 
 from dualbrain.errors import UnknownNameError
 from dualbrain.evaluation.fault_injection.faults import EXPECTED_ACTIONS, KINDS, MOMENTS, SOURCES, Fault, draw_moment
-from dualbrain.evaluation.fault_injection.trial import run_fault_trial
+from dualbrain.evaluation.fault_injection.trial import MotionRecorder, run_fault_trial
+from dualbrain.robots.interface import Command
+from dualbrain.robots.loader import load_robot
 from dualbrain.safety.supervisor.actions import SafetyAction
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
+from dualbrain.simulation.world import make_world
 
 SAMPLE = [
     ("state", "off", "closing"),
@@ -79,6 +84,20 @@ def test_a_base_at_full_speed_is_stopped_as_declared(source, kind, scene):
     assert report.safe, report
     assert report.other == ()
     assert "program_error" not in report.checks
+
+
+def test_a_base_that_drives_below_a_resting_arm_moves():
+    """A collision of a robot that rests is not counted as unsafe."""
+    robot, recorder = load_robot("mobile_panda"), MotionRecorder()
+    world = make_world(open_scene("boxes:1", robot.name), robot, pace=recorder)
+    recorder.observe(world.plant)
+    world.plant.enable()
+    for _ in range(50):
+        world.plant.write(Command(u=np.array([0.3, *np.zeros(robot.n - 1)]), opening=0.0, force=10.0))
+        world.advance()
+    assert np.abs(world.plant.robot_velocity()[2:]).max() < 0.001
+    assert recorder.was_moving_at(world.plant.now)
+    assert recorder.time_to_rest(0.0) is None
 
 
 @pytest.mark.parametrize(

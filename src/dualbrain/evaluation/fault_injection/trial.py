@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import msgspec
@@ -57,7 +57,7 @@ UNSAFE_VIOLATIONS = (
 )
 """Kinds of violation that a fault must not lead to; others (such as a dropped object) are only listed."""
 REST_SPEED = 0.02
-"""Joint speed [rad/s] below which the arm is at rest; a contact at rest is not caused by the arm."""
+"""Speed of joints and base [rad/s, m/s] below which the robot is at rest; a contact at rest is not caused by it."""
 COMMANDER_SOURCES = ("planner", "socket")
 """Sources on the commander's side of the gatekeeper's server."""
 SETTLE_TIME, AFTERMATH_TIME = 1.0, 0.5
@@ -69,8 +69,8 @@ class FaultReport(msgspec.Struct, frozen=True, kw_only=True):
 
     `struck`: time of the fault, None if its moment did not occur. `expected`, `reached`: the declared action of the
     supervisor, and the strongest one that followed. `reaction`: time from the fault to the first action that is at
-    least the expected one. `rest`: time from the fault until the arm was at rest. `unsafe`: the violations of
-    `UNSAFE_VIOLATIONS` while the arm moved; `other`: all others. `target`: how the trial ran on a target, if it did.
+    least the expected one. `rest`: time from the fault until the robot was at rest. `unsafe`: the violations of
+    `UNSAFE_VIOLATIONS` while the robot moved; `other`: all others. `target`: how the trial ran on a target, if it did.
     """
 
     fault: str
@@ -132,7 +132,7 @@ def _require_target(fault: Fault, target: str) -> None:
 def _trial_in_lockstep(
     fault: Fault, robot_model: RobotModel, spec: SceneSpec, scene: str, seed: int, target: str
 ) -> FaultReport:
-    motion = _MotionRecorder()
+    motion = MotionRecorder()
     world = make_world(spec, robot_model, seed=seed, pace=motion)
     plant = world.plant
     motion.observe(plant)
@@ -184,7 +184,7 @@ def _trial_through_gatekeeper(
 ) -> FaultReport:
     """The same trial through a gatekeeper; the stamps are true, because the robot has no fault."""
     actions = [{"skill": skill, "params": params} for skill, params in trial_actions(robot_model)]
-    motion = _MotionRecorder()
+    motion = MotionRecorder()
     result = run_gatekeeper_trial(fault, robot_model, spec, actions, seed, AFTERMATH_TIME, motion)
     return _fault_report(
         fault,
@@ -213,7 +213,7 @@ def _fault_report(
     trace: Trace,
     outcome: Outcome,
     violations: Sequence[Violation],
-    motion: _MotionRecorder,
+    motion: MotionRecorder,
 ) -> FaultReport:
     """The report of a trial; `orders` are the supervisor's decisions with their true times [s]."""
     expected = fault.expected_action(scene_moves=spec.mover is not None)
@@ -237,33 +237,40 @@ def _fault_report(
     )
 
 
-class _MotionRecorder:
-    """Records the true time [s] and the largest joint speed [rad/s] of every period."""
+class MotionRecorder:
+    """Records the true time [s] and the largest speed of joints and base [rad/s, m/s] of every period."""
 
     def __init__(self) -> None:
         self.times: list[float] = []
         self._speeds: list[float] = []
-        self._v: NDArray[np.float64] = np.zeros(0)
+        self._speed: Callable[[], float] = lambda: 0.0
 
     def observe(self, plant: Plant) -> None:
         """Record the motion of `plant`, before its first period."""
-        self._v = plant.data.qvel[plant.arm_slices[1]]  # pyright: ignore[reportUnknownMemberType]
+        self._speed = lambda: _largest_speed(plant)
 
     def __call__(self, now: float) -> None:
         """Record the true state at `now` [s], the end of a period."""
         self.times.append(now)
-        self._speeds.append(float(np.abs(self._v).max()))
+        self._speeds.append(self._speed())
 
     def was_moving_at(self, when: float) -> bool:
-        """Whether the arm moved within the tenth of a second before `when`."""
+        """Whether the robot moved within the tenth of a second before `when`."""
         t, speed = np.array(self.times), np.array(self._speeds)
         near = (t > when - 0.1) & (t <= when + 1e-9)
         return bool(near.any() and speed[near].max() > REST_SPEED)
 
     def time_to_rest(self, struck: float | None) -> float | None:
-        """Time [s] from `struck` until the arm was finally at rest; None if it was not."""
+        """Time [s] from `struck` until the robot was finally at rest; None if it was not."""
         if struck is None or not self.times or self._speeds[-1] > REST_SPEED:
             return None
         t, speed = np.array(self.times), np.array(self._speeds)
         moving = t[speed > REST_SPEED]
         return max(0.0, float(moving[-1]) - struck) if len(moving) else 0.0
+
+
+def _largest_speed(plant: Plant) -> float:
+    """The largest speed [rad/s, m/s] of a joint of the arm, or of the base; the base of an arm has (v, ω)."""
+    joints: NDArray[np.float64] = plant.data.qvel[plant.arm_slices[1]]  # pyright: ignore[reportUnknownMemberType]
+    base = plant.robot_velocity()[: max(0, plant.robot_model.n - len(joints))]
+    return float(np.abs(np.concatenate([joints, base])).max())
