@@ -17,11 +17,15 @@ from dualbrain.contracts.gate.gate import Gate
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.verdict import Accepted
 from dualbrain.errors import ConfigurationError
-from dualbrain.memory.ledger.ledger import LedgerReader
+from dualbrain.memory.embedding.hashing_encoder import HashingEncoder
+from dualbrain.memory.embedding.posture_features import Posture
+from dualbrain.memory.ledger.ledger import Ledger, LedgerReader
 from dualbrain.memory.maintenance.compaction import compact_in_place
 from dualbrain.memory.maintenance.edits import forget, quarantine, release
+from dualbrain.memory.memory import Memory
 from dualbrain.memory.plasticity.plan_similarity import same_plan
 from tests.adaptation.sample_episodes import (
+    CONFIG,
     NOW,
     REGISTRY,
     distinct_episodes,
@@ -68,6 +72,22 @@ def test_each_reason_alone_excludes(tmp_path, reason, change):
         found = curate(ledger, REGISTRY, ALL)
     assert found.left_out == {reason: ("bad",)}
     assert {row.memory for row in found.train} == {GOOD, "also good"}
+
+
+def test_of_a_shared_ledger_only_episodes_of_usable_robots_are_selected(tmp_path, monkeypatch):
+    path, episodes = tmp_path / "ledger.sqlite", distinct_episodes(2)
+    with Ledger(path, holder="a test", now=NOW) as ledger:
+        memory = Memory(ledger, HashingEncoder(32), CONFIG)
+        for writer, one in zip(("one", "two"), episodes, strict=True):
+            ledger.start_run(f"{writer}/run", {}, now=NOW)
+            memory.store(one, Posture((0.0,), 0.04), now=NOW)
+            ledger.end_run({}, now=NOW)
+    with LedgerReader(path) as ledger:
+        assert {row.memory for row in curate(ledger, REGISTRY, ALL).train} == {"e0", "e1"}
+        monkeypatch.setattr(LedgerReader, "usable_writers", ("two",))
+        found = curate(ledger, REGISTRY, ALL)
+    assert {row.memory for row in found.train} == {"e1"}
+    assert found.left_out == {"of a robot that use_memories_of does not name": ("e0",)}
 
 
 def narrowed(most):

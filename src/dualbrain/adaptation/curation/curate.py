@@ -71,7 +71,8 @@ def curate(
     A declined instruction is no evidence: a planner that declines everything would train itself to do so. Only the
     declines in `declines` (ids of memories) are selected; the caller knows that their instructions are impossible.
     `site` is the narrower vocabulary of a site file: episodes at the site are selected too and written in the robot's
-    own vocabulary.
+    own vocabulary. Of a shared ledger, only the episodes of the robots in `use_memories_of` are selected, if it names
+    any.
 
     Promise: no scene is on both sides of the split (see `group_scenes`), the present gate accepts every completion
     (`select` states which checks it makes), and every sample names its events. A rollback, a quarantine or a forgotten
@@ -83,7 +84,7 @@ def curate(
             "vocabulary of the site", got=site.hash, allowed=f"one that only narrows {registry.hash}"
         )
     found = list(read_candidates(ledger))
-    clean, left_out = select(found, registry, config.rules, declines, site)
+    clean, left_out = select(found, registry, config.rules, declines, site, ledger.usable_writers)
     if not clean:
         problem = f"The ledger has no clean episode: {_describe_exclusions(len(found), left_out)} can be used."
         raise ConfigurationError.stating(problem, fix=_NO_SAMPLES_HINT)

@@ -48,6 +48,7 @@ def select(
     rules: CleanRules,
     declines: Collection[str] = (),
     site: SkillRegistry | None = None,
+    writers: Collection[str] = (),
 ) -> tuple[list[Candidate], dict[str, list[str]]]:
     """The episodes of D_clean in their order, and the ids of all others by the reason that excludes them.
 
@@ -55,7 +56,8 @@ def select(
     geometry and robot (`grounding/envelope/scene_rules.py`) are not checked again: the complete gate accepted the
     contract before its execution, and r is the robot's own measurement. Simulator ground truth is not in the ledger. A
     decline has no r: those in `declines` are selected on the caller's authority. With `site`, which only narrows
-    `registry`, episodes of either vocabulary are selected if the site's gate accepts them.
+    `registry`, episodes of either vocabulary are selected if the site's gate accepts them. With `writers`, the episodes
+    of a shared ledger are selected that one of these robots wrote.
     """
     here = site or registry
     gate, known = Gate(here, {PRINCIPAL: frozenset(here.by_name)}), (registry.hash, here.hash)
@@ -63,8 +65,10 @@ def select(
     good: list[Candidate] = []
     for one in candidates:
         waived = not rules.physical or (one.memory.kind == "declined" and one.memory.id in declines)
-        if reason := _exclusion_reason(one, registry.robot, known, rules, outcome_waived=waived) or _gate_rejection(
-            one, here, gate
+        if reason := (
+            _writer_reason(one, writers)
+            or _exclusion_reason(one, registry.robot, known, rules, outcome_waived=waived)
+            or _gate_rejection(one, here, gate)
         ):
             left_out[reason].append(one.memory.id)
         else:
@@ -76,6 +80,11 @@ def select(
         if one.duration > limits[one.skill_sequence]:
             left_out[f"slower than {rules.slowest:g} times the median of its family"].append(one.memory.id)
     return [one for one in good if one.duration <= limits[one.skill_sequence]], dict(left_out)
+
+
+def _writer_reason(one: Candidate, writers: Collection[str]) -> str:
+    """Why the robot that wrote `one` into a shared ledger excludes it; "" if it is one of `writers`, or all are."""
+    return "" if not writers or one.memory.writer in writers else "of a robot that use_memories_of does not name"
 
 
 def _exclusion_reason(

@@ -52,7 +52,7 @@ def connect(
     namespace
         Schema with the tables of the ledger.
     use_memories_of
-        Only memories of these robots are retrieved. Default: of all robots.
+        Only memories of these robots are retrieved and trained on. Default: of all robots.
     index
         Where the vectors are searched: `scan` in RAM, `pgvector` on the server, or `milvus:ADDRESS`.
     create

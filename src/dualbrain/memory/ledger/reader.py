@@ -63,7 +63,7 @@ class LedgerReader:
 
     @property
     def usable_writers(self) -> tuple[str, ...]:
-        """The robots whose memories may be retrieved from a shared ledger; empty: all."""
+        """The robots of a shared ledger whose memories may be retrieved and trained on; empty: all."""
         return self._store.config.use_memories_of if isinstance(self._store, ReplicatedStore) else ()
 
     @property

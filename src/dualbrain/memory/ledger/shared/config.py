@@ -25,8 +25,8 @@ class SharedLedgerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
 
     `url` is a connection URI without a password. `name` is the name under which this robot writes. `namespace` is the
     schema with the tables, so that one database may contain several ledgers. Only memories of the robots in
-    `use_memories_of` are retrieved (empty: of all robots of the ledger). `index` is "scan" for an index in RAM,
-    "pgvector", or "milvus:ADDRESS" (see `memory.index.engines`).
+    `use_memories_of` are retrieved and trained on (empty: of all robots of the ledger). `index` is "scan" for an index
+    in RAM, "pgvector", or "milvus:ADDRESS" (see `memory.index.engines`).
     """
 
     url: str
