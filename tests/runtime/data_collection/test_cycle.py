@@ -1,5 +1,7 @@
 """One cycle of exploration: stages, their order, and continuation after an interruption at any point."""
 
+from contextlib import nullcontext
+
 import msgspec
 import pytest
 
@@ -175,6 +177,12 @@ def test_a_folder_belongs_to_one_set_of_settings(tmp_path):
         require_same_settings(msgspec.structs.replace(CONFIG, explored=3), tmp_path)
     with pytest.raises(ConfigurationError, match="wordings"):
         require_same_settings(msgspec.structs.replace(CONFIG, training_set=TrainingSetConfig()), tmp_path)
+    stored = msgspec.json.decode((tmp_path / SETTINGS_FILE).read_bytes())
+    for part, refused in (("teach", ""), ("test", "part")):  # an earlier version stored the part of the split
+        stored["training_set"]["part"] = part
+        (tmp_path / SETTINGS_FILE).write_bytes(msgspec.json.encode(stored))
+        with pytest.raises(ConfigurationError, match=refused) if refused else nullcontext():
+            require_same_settings(CONFIG, tmp_path)
     (tmp_path / SETTINGS_FILE).write_bytes(b"{")
     with pytest.raises(ConfigurationError, match="cannot be read"):
         require_same_settings(CONFIG, tmp_path)

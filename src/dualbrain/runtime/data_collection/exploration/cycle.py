@@ -13,13 +13,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from itertools import count
 from pathlib import Path
+from typing import Any, cast
 
 import msgspec
 
 from dualbrain.adaptation.config import MAX_FILE_BYTES, AdaptConfig, FitConfig, read_settings
 from dualbrain.adaptation.curation.dataset import SAMPLE_FORMAT, Dataset, DatasetCard, card_differences
 from dualbrain.adaptation.curation.sample import Sample
-from dualbrain.adaptation.synthetic.split import Split
+from dualbrain.adaptation.synthetic.split import TRAINING_PART, Split
 from dualbrain.adaptation.value_model.value_model import (
     VALUE_MODEL_FILE,
     ValueModel,
@@ -55,6 +56,8 @@ REHEARSED_CHECKS = 3
 """Every third held-out sample is a rehearsal example."""
 SETTINGS_FILE = "cycle.json"
 """File with the settings that determine the data of a folder."""
+FORMER_PART = "part"
+"""Former setting of the training set in the stored settings: the part of the split from which it was drawn."""
 
 
 class CycleConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -103,13 +106,23 @@ def require_same_settings(config: CycleConfig, folder: Path) -> None:
         write_atomically(path, msgspec.json.format(data, indent=2))
         return
     try:
-        stored = msgspec.json.decode(read_bounded_file(path, MAX_FILE_BYTES), type=dict[str, object])
+        stored = _without_former_part(msgspec.json.decode(read_bounded_file(path, MAX_FILE_BYTES), type=dict[str, Any]))
     except DECODE_ERRORS as error:
         problem = f"The stored settings of the cycle cannot be read: {error}."
         raise ConfigurationError.stating(problem, fix=f"Name another --out. {path}") from error
     if differences := describe_differences(stored, msgspec.json.decode(data)):
         problem = f"The folder {folder} contains a cycle with other settings: {differences}."
         raise ConfigurationError.stating(problem, fix="Name another --out, or use the former settings.")
+
+
+def _without_former_part(stored: dict[str, Any]) -> dict[str, Any]:
+    """Stored settings without the part of the split that earlier versions stored, if it is the one for training."""
+    if not isinstance(stored.get("training_set"), dict):
+        return stored
+    found = cast("dict[str, Any]", stored["training_set"])
+    if found.get(FORMER_PART) != TRAINING_PART:
+        return stored
+    return stored | {"training_set": {name: value for name, value in found.items() if name != FORMER_PART}}
 
 
 def explore_places(

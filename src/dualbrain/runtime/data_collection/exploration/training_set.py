@@ -19,7 +19,7 @@ import numpy as np
 from dualbrain.adaptation.curation.curate import CONTRACT_ID, CurationConfig, content_id, curate
 from dualbrain.adaptation.curation.dataset import SAMPLE_FORMAT, Dataset, DatasetCard, dataset_hash
 from dualbrain.adaptation.curation.sample import Sample, encode_samples
-from dualbrain.adaptation.synthetic.split import Split
+from dualbrain.adaptation.synthetic.split import TRAINING_PART
 from dualbrain.adaptation.value_model.value_model import ValueModel
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.errors import ConfigurationError
@@ -69,7 +69,8 @@ class TrainingSetConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
 
     `wordings` is the number of sentences for each clean contract, `rehearsal` the share of rehearsal examples in all
     samples, `exemplars` the share of placements with exemplars in the prompt, `corrupted` the share of those without
-    exemplars whose prompt is corrupted (`corruption.py`); `seed` determines all draws.
+    exemplars whose prompt is corrupted (`corruption.py`); `seed` determines all draws. Sentences and scenes are those
+    of the part of the split for training.
     """
 
     wordings: int = 5
@@ -77,7 +78,6 @@ class TrainingSetConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     exemplars: float = 0.3
     corrupted: float = 0.1
     seed: int = 0
-    part: Split = "teach"
 
     def __post_init__(self) -> None:
         """Raise `ConfigurationError` for a number of wordings below 1 and for shares outside their ranges."""
@@ -167,7 +167,7 @@ def build_training_set(
         on_sample(len(samples))
     n_rehearsal = round(len(samples) * config.rehearsal / (1.0 - config.rehearsal))
     for index in range(n_rehearsal):
-        samples.append(draw_rehearsal(robot, config.part, config.seed, index))
+        samples.append(draw_rehearsal(robot, TRAINING_PART, config.seed, index))
         on_sample(len(samples))
     unique = list({one.id: one for one in samples}.values())
     order = np.random.default_rng([config.seed, 3]).permutation(len(unique))
@@ -213,7 +213,7 @@ def _placement_samples(
     rng, place = np.random.default_rng([config.seed, index, 4]), one.place
     sentences: list[str] = []
     for _ in range(4 * config.wordings):
-        sentence = draw_sentence(place, config.part, rng)
+        sentence = draw_sentence(place, TRAINING_PART, rng)
         if sentence not in sentences and len(sentences) < config.wordings:
             sentences.append(sentence)
     found: list[Sample] = []
