@@ -49,6 +49,11 @@ def test_a_verdict_needs_the_whole_interval_on_one_side(low, high, side, verdict
     assert claim_verdict(found(low, high), 0.2, side) == verdict
 
 
+@pytest.mark.parametrize(("clusters", "verdict"), [(2, "undecided"), (5, "undecided"), (6, "supported")])
+def test_few_clusters_decide_nothing(clusters, verdict):
+    assert claim_verdict(found(0.0, 0.1, clusters=clusters), 0.2, AT_MOST) == verdict
+
+
 def test_without_measurements_there_is_no_verdict():
     assert claim_verdict(found(0.0, 0.1, clusters=0), 0.2, AT_MOST) == "not measured"
     assert [result.verdict for result in evaluate_hypotheses([episode_row("B3")])] == ["not measured"] * 3
