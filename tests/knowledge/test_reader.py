@@ -90,6 +90,26 @@ HIDDEN_IN_MARKDOWN = (
     f"<span a=1><span>x</span>{EVIL}</span>",
     f"<? {EVIL} ?>",
     f"<div hidden>{EVIL}",
+    f'[x](/a ") {EVIL}")',
+    f'[x](/a "one\n{EVIL}")',
+    f'> [x](/a\n> "one\n> {EVIL}")',
+    f"[x](<a)> '{EVIL}')",
+    f'# Top [x](/a ") {EVIL}")',
+    f"![a [b](/c) {EVIL}](/d)",
+    f"![{EVIL}][x]\n\n[x]: /a",
+    f"[text][{EVIL}]\n\n[{EVIL}]: /a",
+    f'[x]: /a "one\n{EVIL}\nthree"',
+    f'[x]:\n/a\n"{EVIL}"',
+    f'> [x]: /a "{EVIL}"',
+    f'- [x]: /a "{EVIL}"',
+    f'[x]: /a\n\n- [x]: /a "{EVIL}"',
+    f'[x\\]y]: /a "{EVIL}"',
+    f"```text {EVIL}\ncode\n```",
+    f"> ~~~ {EVIL}\n> code\n> ~~~",
+    f"| a | b |\n|--|--|\n| 1 | 2 | {EVIL} |",
+    f"> a | b\n> --|--\n> 1 \\| x | 2 | {EVIL}",
+    f'| a | b |\n|--|--|\n| [x](/a ") {EVIL}") | [x](/a ") {EVIL}") |',
+    f'| a | b |\n|--|--|\n| 1 \\| 2 [x](/a ") {EVIL}") | 3 |',
 )
 
 
@@ -104,9 +124,11 @@ def test_text_hidden_in_markdown_is_removed_and_reported(hiding: str) -> None:
 
 def test_text_shown_by_markdown_is_kept() -> None:
     source = f"# T\n\n{FILLING} *stress* <b>bold</b> 3 < 4 > 2\n\n```\n<!-- shown -->\n```\n\n"
-    source += "- one\n- two\n\n| a | b |\n|--|--|\n"
+    source += "- one\n- two\n\n| a | b |\n|--|--|\n| 1 | last cell |\n\n[text](/a) [other][text]\n"
+    source += '```\n[x](/a ") code")\n```\n'
     found = text_of(source, "a.md")
-    for words in (FILLING, "*stress*", "bold", "3 < 4 > 2", "<!-- shown -->", "- two", "| a | b |"):
+    shown = ("[text]", "[other][text]", "last cell |", '[x](/a ") code")')
+    for words in (FILLING, "*stress*", "bold", "3 < 4 > 2", "<!-- shown -->", "- two", "| a | b |", *shown):
         assert words in found
 
 
