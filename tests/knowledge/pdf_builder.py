@@ -6,10 +6,12 @@ from typing import Any
 from pypdf import PdfWriter
 from pypdf.generic import (
     ArrayObject,
+    ByteStringObject,
     DecodedStreamObject,
     DictionaryObject,
     FloatObject,
     NameObject,
+    NumberObject,
     PdfObject,
     TextStringObject,
 )
@@ -27,9 +29,10 @@ def pdf_dictionary(**entries: PdfObject) -> DictionaryObject:
 def make_pdf(*contents: str, off: str = "", password: str = "", compress: bool = False, form: str = "") -> bytes:
     """A PDF with one page for each content stream.
 
-    Resources: font /F1, graphics states (/Ghost is transparent, /Faint for strokes, /Masked by a soft mask, /Plain),
-    /MC0 (a layer with the name `off` that is switched off),
-    /Form (a form that draws `form`).
+    Resources: font /F1, graphics states (/Ghost is transparent, /Faint for strokes, /Masked by a soft mask, /Plain,
+    /Speck with a tiny font), /MC0 (a layer with the name `off` that is switched off),
+    /Form (a form that draws `form`, in which /MC0 is a layer that is on), and
+    colour spaces (/Ink is black with full tint, /Bleach white, /Unclear of an unknown function, /Table white at 1).
     """
     writer: Any = PdfWriter()
     font = pdf_dictionary(Type=NameObject("/Font"), Subtype=NameObject("/Type1"), BaseFont=NameObject("/Helvetica"))
@@ -40,6 +43,15 @@ def make_pdf(*contents: str, off: str = "", password: str = "", compress: bool =
             Faint=pdf_dictionary(CA=FloatObject(0.02)),
             Masked=pdf_dictionary(SMask=pdf_dictionary(S=NameObject("/Alpha"))),
             Plain=pdf_dictionary(ca=FloatObject(1.0), CA=FloatObject(1.0), SMask=NameObject("/None")),
+            Speck=pdf_dictionary(Font=ArrayObject([font, FloatObject(0.5)])),
+        ),
+        ColorSpace=pdf_dictionary(
+            Ink=_tint(1.0, 0.0),
+            Bleach=_tint(0.0, 1.0),
+            Unclear=_tint(1.0, 0.0, kind=4),
+            Table=ArrayObject(
+                [NameObject("/Indexed"), NameObject("/DeviceGray"), NumberObject(1), ByteStringObject(b"\x00\xff")]
+            ),
         ),
     )
     if off:
@@ -52,7 +64,10 @@ def make_pdf(*contents: str, off: str = "", password: str = "", compress: bool =
         drawn.set_data(form.encode("latin-1"))
         box = ArrayObject([FloatObject(edge) for edge in (0, 0, 612, 792)])
         drawn.update(pdf_dictionary(Type=NameObject("/XObject"), Subtype=NameObject("/Form"), BBox=box))
-        drawn[NameObject("/Resources")] = pdf_dictionary(Font=pdf_dictionary(F1=font))
+        shown = writer._add_object(pdf_dictionary(Type=NameObject("/OCG"), Name=TextStringObject("shown")))
+        drawn[NameObject("/Resources")] = pdf_dictionary(
+            Font=pdf_dictionary(F1=font), Properties=pdf_dictionary(MC0=shown)
+        )
         resources[NameObject("/XObject")] = pdf_dictionary(Form=writer._add_object(drawn))
     for content in contents:
         page = writer.add_blank_page(width=612, height=792)
@@ -65,3 +80,15 @@ def make_pdf(*contents: str, off: str = "", password: str = "", compress: bool =
     out = BytesIO()
     writer.write(out)
     return out.getvalue()
+
+
+def _tint(none: float, full: float, kind: int = 2) -> ArrayObject:
+    """A colour space of one ink: the grey value without it and with all of it, by a function of the type `kind`."""
+    function = pdf_dictionary(
+        FunctionType=NumberObject(kind),
+        Domain=ArrayObject([NumberObject(0), NumberObject(1)]),
+        C0=ArrayObject([FloatObject(none)]),
+        C1=ArrayObject([FloatObject(full)]),
+        N=NumberObject(1),
+    )
+    return ArrayObject([NameObject("/Separation"), NameObject("/Spot"), NameObject("/DeviceGray"), function])

@@ -226,6 +226,13 @@ HIDING_OPERATORS = [
     "0.001 0 0 1 0 0 Tm",
     "0.01 0 0 0.01 72 700 Tm",
     "1 0 0 1 9999 0 Tm",
+    "/Speck gs",
+    "/Ink cs 0 scn",
+    "/Bleach cs",
+    "/Bleach cs 1 scn",
+    "/Unclear cs 0 scn",
+    "/Table cs 1 sc",
+    "1 Tr /Ink CS 0 SCN",
 ]
 SHOWING_OPERATORS = [
     "100 Tz",
@@ -241,6 +248,12 @@ SHOWING_OPERATORS = [
     "-0.2 Tc",
     "4 Ts",
     "1 g 0 g",
+    "/Ink cs",
+    "/Ink cs 1 scn",
+    "/Bleach cs 0 scn",
+    "/Unclear cs 0.5 scn",
+    "/Table cs 0 sc",
+    "1 g /DeviceGray cs",
 ]
 
 
@@ -278,6 +291,32 @@ def test_a_form_inherits_a_hiding_state_and_does_not_change_the_page() -> None:
     assert "IGNORE" not in found.text
     assert FILLING in found.text
     assert "IGNORE" in text_of(make_pdf("/Form Do " + show_text(FILLING, y=600), form=show_text(EVIL)), "a.pdf")
+
+
+@pytest.mark.parametrize(
+    ("content", "form"),
+    [
+        ("q 0.01 0 0 0.01 0 0 cm /Form Do Q", show_text(EVIL)),
+        ("q 1 0 0 1 5000 0 cm /Form Do Q", show_text(EVIL)),
+        ("3 Tr /Form Do " + show_text(EVIL), "0 Tr q"),
+        ("3 Tr /Form Do " + show_text(EVIL), "Q 0 Tr"),
+        ("/OC /MC0 BDC /Form Do " + show_text(EVIL) + " EMC", "EMC"),
+        ("/OC /MC0 BDC " + show_text(EVIL) + " EMC", show_text("words of the form")),
+        ("q /OC /MC0 BDC Q " + show_text(EVIL) + " EMC", ""),
+        (f'BT /F1 12 Tf 72 600 Td 0 -12 ({EVIL}) " ET', ""),
+    ],
+)
+def test_no_form_and_no_nesting_shows_hidden_text_of_a_pdf(content: str, form: str) -> None:
+    found = read_document(make_pdf(show_text(FILLING) + content, off="layer", form=form), "a.pdf")
+    assert isinstance(found, DocumentText)
+    assert FILLING in found.text
+    assert "IGNORE" not in found.text
+    assert any("IGNORE" in one.sample for one in found.hidden)
+
+
+def test_a_form_is_read_at_its_place_on_the_page() -> None:
+    form = show_text(FILLING, x=3000, y=7000, size=120)
+    assert text_of(make_pdf("q 0.1 0 0 0.1 0 0 cm /Form Do Q", form=form), "a.pdf") == FILLING
 
 
 def test_pages_of_a_pdf_are_located() -> None:

@@ -20,9 +20,11 @@ WHITE_THRESHOLD = 0.97
 """Text whose colour components are all at least this value counts as white."""
 FILLING_MODES, STROKING_MODES = (0, 2, 4, 6), (1, 2, 5, 6)
 """Text rendering modes that fill and that stroke; the others (3, 7) show nothing (ISO 32000-1, 9.3.6)."""
-MAX_FORM_DEPTH = 6
-"""Largest nesting of forms whose resources are read."""
 TEXT_OPERATORS = (b"Tj", b"TJ", b"'", b'"')
+
+Matrix = tuple[float, ...]
+"""An affine map (a, b, c, d, e, f) of row vectors (ISO 32000-1, 8.3.4)."""
+_IDENTITY: Matrix = (1.0, 0.0, 0.0, 1.0, 0.0, 0.0)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -34,28 +36,41 @@ class _GraphicsState:
     width: float = 1.0
     spacing: float = 0.0
     rise: float = 0.0
-    white_fill: bool = False
-    white_stroke: bool = False
-    clear_fill: bool = False
-    clear_stroke: bool = False
-    layer: bool = False
-    content: list[bool] = field(default_factory=list)
+    spaces: dict[str, Any] = field(default_factory=dict[str, Any])
+    white: frozenset[str] = frozenset()
+    clear: frozenset[str] = frozenset()
 
     def hidden_reason(self) -> str:
         """The reason why text is invisible in this state; "" if it is visible."""
-        paints = (
-            (self.mode in FILLING_MODES, self.white_fill, self.clear_fill),
-            (self.mode in STROKING_MODES, self.white_stroke, self.clear_stroke),
-        )
-        used = [(white, clear) for used, white, clear in paints if used]
+        used = ["fill"] * (self.mode in FILLING_MODES) + ["stroke"] * (self.mode in STROKING_MODES)
         reasons = {
-            "a layer that is off": self.layer or any(self.content),
             "invisible text": not used,
             "text without width": abs(self.width) < MIN_WIDTH_SHARE or self.spacing <= -MAX_OVERLAP * abs(self.size),
-            "white text": all(white for white, _ in used),
-            "transparent text": all(white or clear for white, clear in used),
+            "white text": self.white.issuperset(used),
+            "transparent text": (self.white | self.clear).issuperset(used),
         }
         return next((reason for reason, holds in reasons.items() if holds), "")
+
+
+@dataclass(slots=True, kw_only=True)
+class _Stream:
+    """The content of the page or of a form, with the resources that its names refer to.
+
+    `placement` maps its space to that of the page, and `state` is the graphics state at its beginning. `content` states
+    for each open marked content whether its layer is off, `is_off` whether the whole stream is in such a layer.
+    """
+
+    resources: Any
+    state: _GraphicsState
+    placement: Matrix = _IDENTITY
+    is_off: bool = False
+    stack: list[_GraphicsState] = field(default_factory=list[_GraphicsState])
+    content: list[bool] = field(default_factory=list[bool])
+
+    @property
+    def is_hidden(self) -> bool:
+        """Whether text at the present place of the stream is in a layer that is off."""
+        return self.is_off or any(self.content)
 
 
 class VisibleTextFilter:
@@ -64,37 +79,44 @@ class VisibleTextFilter:
     def __init__(self, page: Any, disabled: frozenset[int], hidden: dict[str, list[str]]) -> None:
         """Create a filter for `page`; `disabled` are the object numbers of the layers that are switched off."""
         self._hidden, self._disabled = hidden, disabled
-        self._state, self._stack = _GraphicsState(), list[_GraphicsState]()
         self._box = [float(value) for value in page.cropbox]
-        self._layers, self._states, self._forms = dict[str, Any](), dict[str, _Opacity](), dict[str, Any]()
-        _collect_resources(_resolve(page, "/Resources"), self._layers, self._states, self._forms, MAX_FORM_DEPTH)
+        self._state = _GraphicsState()
+        self._streams = [_Stream(resources=_resolve(page, "/Resources"), state=self._state)]
 
-    def visit_before(self, operator: bytes, operands: list[Any], cm: list[float], tm: list[float]) -> None:
+    def visit_before(self, operator: bytes, operands: list[Any], cm: Sequence[float], tm: Sequence[float]) -> None:
         """Apply `operator` to the state; clear the operands of an operator that shows invisible text."""
+        stream = self._streams[-1]
         match operator:
             case b"q":
-                self._stack.append(_copy_state(self._state))
-            case b"Q" if self._stack:
-                self._state = self._stack.pop()
+                stream.stack.append(copy(self._state))
+            case b"Q" if stream.stack:
+                self._state = stream.stack.pop()
             case b"Do" if operands:
-                self._stack.append(_copy_state(self._state))
-                form = self._forms.get(str(operands[0]), _EmptyDictionary())
-                self._state.layer |= "/OC" in form and self._is_disabled(form.raw_get("/OC"))
+                self._streams.append(self._form(stream, str(operands[0]), cm))
             case b"BDC" | b"BMC":
-                self._state.content.append(self._in_hidden_layer(operands))
-            case b"EMC" if self._state.content:
-                self._state.content.pop()
+                stream.content.append(self._in_hidden_layer(stream, operands))
+            case b"EMC" if stream.content:
+                stream.content.pop()
             case _ if operator in TEXT_OPERATORS and operands:
-                self._filter_text(operands, cm, tm)
+                self._filter_text(operator, operands, _multiply(tm, _multiply(cm, stream.placement)))
             case _:
-                self._update_state(operator, operands)
+                self._update_state(stream, operator, operands)
 
-    def visit_after(self, operator: bytes, operands: list[Any], cm: list[float], tm: list[float]) -> None:
+    def visit_after(self, operator: bytes, operands: list[Any], cm: Sequence[float], tm: Sequence[float]) -> None:
         """Restore the state after a form."""
-        if operator == b"Do" and operands and self._stack:
-            self._state = self._stack.pop()
+        if operator == b"Do" and operands and len(self._streams) > 1:
+            self._state = self._streams.pop().state
 
-    def _update_state(self, operator: bytes, operands: list[Any]) -> None:
+    def _form(self, outer: _Stream, name: str, cm: Sequence[float]) -> _Stream:
+        """The stream of the form that `outer` calls `name`; an image has no operators."""
+        form = _resolve(_resolve(outer.resources, "/XObject"), name)
+        is_off = outer.is_hidden or ("/OC" in form and self._is_disabled(form.raw_get("/OC")))
+        matrix = [_number(value) for value in _resolve(form, "/Matrix")] or _IDENTITY
+        placement = _multiply(matrix, _multiply(cm, outer.placement))
+        resources = _resolve(form, "/Resources")
+        return _Stream(resources=resources, state=copy(self._state), placement=placement, is_off=is_off)
+
+    def _update_state(self, stream: _Stream, operator: bytes, operands: list[Any]) -> None:
         """Apply an operator that sets the state; operands that are not numbers are ignored."""
         numbers = [float(value) for value in operands if isinstance(value, (int, float))]
         if operator == b"Tr" and numbers:
@@ -104,38 +126,55 @@ class VisibleTextFilter:
         elif operator in _TEXT_STATE and numbers:
             name, unit = _TEXT_STATE[operator]
             setattr(self._state, name, numbers[0] * unit)
-        elif operator in _FILL_OPERATORS:
-            self._state.white_fill = _is_white(_FILL_OPERATORS[operator], numbers)
-        elif operator in _STROKE_OPERATORS:
-            self._state.white_stroke = _is_white(_STROKE_OPERATORS[operator], numbers)
+        elif operator in _COLOUR_OPERATORS:
+            self._set_colour(stream, operator, operands, numbers)
         elif operator == b"gs" and operands:
-            opacity = self._states.get(str(operands[0]), _Opacity())
-            fill, stroke = opacity.fill, opacity.stroke
-            self._state.clear_fill = self._state.clear_fill if fill is None else fill < MIN_OPACITY
-            self._state.clear_stroke = self._state.clear_stroke if stroke is None else stroke < MIN_OPACITY
+            self._set_opacity(_resolve(_resolve(stream.resources, "/ExtGState"), str(operands[0])))
 
-    def _filter_text(self, operands: list[Any], cm: list[float], tm: list[float]) -> None:
-        a, b, c, d, e, f = _multiply((1.0, 0.0, 0.0, 1.0, 0.0, self._state.rise), _multiply(tm, cm))
+    def _set_colour(self, stream: _Stream, operator: bytes, operands: list[Any], numbers: list[float]) -> None:
+        paint, space = _COLOUR_OPERATORS[operator]
+        if space == "chosen":
+            space = operands[0] if operands else ""
+            named = _resolve(stream.resources, "/ColorSpace")
+            space = named[space].get_object() if space in named else space
+            numbers = _initial_colour(space)
+        self._state.spaces = self._state.spaces | ({paint: space} if space else {})
+        is_white = _is_white(self._state.spaces.get(paint, "/DeviceGray"), numbers)
+        self._state.white = self._state.white - {paint} | ({paint} if is_white else set())
+
+    def _set_opacity(self, settings: Any) -> None:
+        """Apply a graphics state parameter dictionary."""
+        opacities = {"fill": "/ca", "stroke": "/CA"}
+        # a mask other than /None: what it leaves is not known
+        is_masked = "/SMask" in settings and not isinstance(settings["/SMask"], str)
+        for paint in (paint for paint, key in opacities.items() if is_masked or key in settings):
+            is_clear = is_masked or _number(settings[opacities[paint]]) < MIN_OPACITY
+            self._state.clear = self._state.clear - {paint} | ({paint} if is_clear else set())
+        if "/Font" in settings:
+            self._state.size = _number(settings["/Font"][1])
+
+    def _filter_text(self, operator: bytes, operands: list[Any], matrix: Matrix) -> None:
+        if operator == b'"' and len(operands) > 2:
+            self._state.spacing = _number(operands[1])
+        a, b, c, d, e, f = _multiply((1.0, 0.0, 0.0, 1.0, 0.0, self._state.rise), matrix)
         scale = sqrt(abs(a * d - b * c))
         left, bottom, right, top = self._box
         on_page = left - 1.0 <= e <= right + 1.0 and bottom - 1.0 <= f <= top + 1.0
-        reason = self._state.hidden_reason() or (
-            "tiny text" if abs(self._state.size) * scale < MIN_TEXT_HEIGHT_PT else ""
-        )
+        reason = "a layer that is off" if self._streams[-1].is_hidden else self._state.hidden_reason()
+        reason = reason or ("tiny text" if abs(self._state.size) * scale < MIN_TEXT_HEIGHT_PT else "")
         reason = reason or ("" if on_page else "text off the page")
         if reason:
             self._hidden.setdefault(reason, []).append(_operand_text(operands[-1]))
             operands[-1] = type(operands[-1])()
 
-    def _in_hidden_layer(self, operands: list[Any]) -> bool:
+    def _in_hidden_layer(self, stream: _Stream, operands: list[Any]) -> bool:
         if len(operands) < 2 or str(operands[0]) != "/OC":
             return False
-        return self._is_disabled(self._layers.get(str(operands[1])))
+        layers = _resolve(stream.resources, "/Properties")
+        return str(operands[1]) in layers and self._is_disabled(layers.raw_get(str(operands[1])))
 
     def _is_disabled(self, reference: Any) -> bool:
         """Whether a layer, or every layer of a membership dictionary, is switched off."""
-        if reference is None:
-            return False
         if getattr(reference, "idnum", None) in self._disabled:
             return True
         members: Any = _resolve(reference.get_object(), "/OCGs")
@@ -143,26 +182,87 @@ class VisibleTextFilter:
         return bool(numbers) and self._disabled.issuperset(numbers)
 
 
-@dataclass(frozen=True, slots=True)
-class _Opacity:
-    """The opacities that a graphics state sets; None if it sets none."""
-
-    fill: float | None = None
-    stroke: float | None = None
-
-
 _TEXT_STATE = {b"Tz": ("width", 0.01), b"Tc": ("spacing", 1.0), b"Ts": ("rise", 1.0)}
-_FILL_OPERATORS = {b"g": "gray", b"rg": "rgb", b"k": "cmyk", b"sc": "any", b"scn": "any", b"cs": "space"}
-_STROKE_OPERATORS = {b"G": "gray", b"RG": "rgb", b"K": "cmyk", b"SC": "any", b"SCN": "any", b"CS": "space"}
+_COLOUR_OPERATORS: dict[bytes, tuple[str, Any]] = {
+    b"g": ("fill", "/DeviceGray"),
+    b"rg": ("fill", "/DeviceRGB"),
+    b"k": ("fill", "/DeviceCMYK"),
+    b"cs": ("fill", "chosen"),
+    b"sc": ("fill", ""),
+    b"scn": ("fill", ""),
+    b"G": ("stroke", "/DeviceGray"),
+    b"RG": ("stroke", "/DeviceRGB"),
+    b"K": ("stroke", "/DeviceCMYK"),
+    b"CS": ("stroke", "chosen"),
+    b"SC": ("stroke", ""),
+    b"SCN": ("stroke", ""),
+}
+"""Operators of colours, and the colour space that each sets: that of its operand, or none."""
 
 
-def _is_white(kind: str, numbers: list[float]) -> bool:
-    """Whether the operands of a colour operator are white; in a space of four components, zero everywhere is white."""
-    if not numbers or kind == "space":
+def _initial_colour(space: Any) -> list[float]:
+    """The colour after a colour space was chosen (ISO 32000-1, 8.6.8), if it can be white."""
+    match _family(space):
+        case "/Separation":
+            return [1.0]
+        case "/DeviceN":
+            return [1.0] * len(space[1].get_object())
+        case "/ICCBased":
+            return [0.0] * int(space[1].get_object()["/N"])
+        case _:
+            return []
+
+
+def _is_white(space: Any, numbers: list[float]) -> bool:
+    """Whether the colour with these components in `space` is white, as far as it is understood.
+
+    A tint of a colour that is not understood counts as white if it is zero or full.
+    """
+    family = _family(space)
+    if not numbers:
         return False
-    if kind == "cmyk" or len(numbers) == 4:
+    if family in ("/Separation", "/DeviceN"):
+        colour = _tinted(space[3].get_object(), numbers)
+        return _is_white(space[2].get_object(), colour) if colour else _is_extreme(numbers)
+    if family == "/Indexed":
+        return _is_white(space[1].get_object(), _indexed(space, int(numbers[0])))
+    if family == "/Lab":
+        return numbers[0] >= 100.0 * WHITE_THRESHOLD
+    if family == "/DeviceCMYK" or len(numbers) == 4:
         return max(numbers) <= 1.0 - WHITE_THRESHOLD
     return len(numbers) in {1, 3} and min(numbers) >= WHITE_THRESHOLD
+
+
+def _indexed(space: Any, index: int) -> list[float]:
+    """The colour with this `index` in the table of an indexed colour space (ISO 32000-1, 8.6.6.3)."""
+    base, table = space[1].get_object(), space[3].get_object()
+    data: bytes = table.get_data() if hasattr(table, "get_data") else table.original_bytes
+    counts = {"/DeviceGray": 1, "/CalGray": 1, "/DeviceCMYK": 4}
+    count = int(base[1].get_object()["/N"]) if _family(base) == "/ICCBased" else counts.get(_family(base), 3)
+    return [value / 255.0 for value in data[index * count : (index + 1) * count]]
+
+
+def _is_extreme(numbers: list[float]) -> bool:
+    return min(numbers) >= WHITE_THRESHOLD or max(numbers) <= 1.0 - WHITE_THRESHOLD
+
+
+def _family(space: Any) -> str:
+    parts = cast("list[Any]", space) if isinstance(space, list) else [space]
+    return str(parts[0]) if parts else ""
+
+
+def _tinted(function: Any, numbers: list[float]) -> list[float]:
+    """The colour of one tint by an exponential function (ISO 32000-1, 7.10.3); empty for functions of other types."""
+    if len(numbers) != 1 or function.get("/FunctionType") != 2:
+        return []
+    none, full = _resolve(function, "/C0") or [0.0], _resolve(function, "/C1") or [1.0]
+    share = min(max(numbers[0], 0.0), 1.0) ** _number(function["/N"])
+    return [(1.0 - share) * _number(first) + share * _number(last) for first, last in zip(none, full, strict=False)]
+
+
+def _number(value: Any) -> float:
+    """The number `value`, which may be a reference to one."""
+    return float(value.get_object() if hasattr(value, "get_object") else value)
 
 
 def disabled_layers(reader: Any) -> frozenset[int]:
@@ -184,43 +284,8 @@ class _EmptyDictionary(dict[str, Any]):
     """A dictionary without entries, for a missing entry of a PDF object."""
 
 
-def _collect_resources(
-    resources: Any, layers: dict[str, Any], opacities: dict[str, _Opacity], forms: dict[str, Any], depth: int
-) -> None:
-    """Collect layers, opacities and forms by name from the page and its forms; for a name the lower opacity counts."""
-    named = _resolve(resources, "/Properties")
-    layers.update({str(name): named.raw_get(name) for name in named})
-    states = _resolve(resources, "/ExtGState")
-    for name in states:
-        known, state = opacities.get(str(name), _Opacity()), states[name].get_object()
-        fill, stroke = _lower(known.fill, state.get("/ca")), _lower(known.stroke, state.get("/CA"))
-        if not isinstance(state.get("/SMask", ""), str):  # a mask other than /None: what it leaves is not known
-            fill = stroke = 0.0
-        opacities[str(name)] = _Opacity(fill, stroke)
-    inner = _resolve(resources, "/XObject")
-    for name in inner:
-        form = inner[name].get_object()
-        forms[str(name)] = form
-        if depth:
-            _collect_resources(_resolve(form, "/Resources"), layers, opacities, forms, depth - 1)
-
-
-def _lower(known: float | None, declared: Any) -> float | None:
-    """The lower of two opacities, of which one or both may not be declared."""
-    if declared is None:
-        return known
-    value = float(declared.get_object() if hasattr(declared, "get_object") else declared)
-    return value if known is None else min(known, value)
-
-
-def _copy_state(state: _GraphicsState) -> _GraphicsState:
-    duplicate = copy(state)
-    duplicate.content = list(state.content)
-    return duplicate
-
-
-def _multiply(m: Sequence[float], n: Sequence[float]) -> tuple[float, ...]:
-    """Product m n of two affine maps (a, b, c, d, e, f), rows first (ISO 32000-1, 8.3.4)."""
+def _multiply(m: Sequence[float], n: Sequence[float]) -> Matrix:
+    """Product m n of two affine maps, rows first."""
     return (
         m[0] * n[0] + m[1] * n[2],
         m[0] * n[1] + m[1] * n[3],
@@ -233,4 +298,5 @@ def _multiply(m: Sequence[float], n: Sequence[float]) -> tuple[float, ...]:
 
 def _operand_text(shown: Any) -> str:
     parts = cast("list[Any]", shown if isinstance(shown, list) else [shown])
-    return "".join(str(part) for part in parts if isinstance(part, (str, bytes)))
+    texts = (part.decode("latin-1") if isinstance(part, bytes) else part for part in parts)
+    return "".join(text for text in texts if isinstance(text, str))
