@@ -107,6 +107,23 @@ def test_an_invalid_submission_is_rejected_and_not_stored(library: Library, chan
     assert library.documents() == ()
 
 
+@pytest.mark.parametrize(
+    ("file", "text"),
+    [
+        ("hall.toml", 'kind = "map"\ntitle = "Hall of the base"\nframe = "start"\n\n[[places]\nname = "gate"\n'),
+        ("hall.toml", 'kind = "maps"\ntitle = "Hall of the base"\nframe = "start"\n'),
+        ("hall.json", '{"kind": "map", "title": "Hall of the base", "frame": "start",}'),
+    ],
+)
+def test_a_map_with_a_mistake_does_not_become_a_manual(library: Library, file: str, text: str) -> None:
+    rejection = library.add(Submission(file=file, data=text.encode(), trust="site"), now=1.0)
+    assert isinstance(rejection, DocumentRejected)
+    assert "--kind" in rejection.fix
+    assert library.documents() == ()
+    assert put(library, text, file=file, kind="manual").document.kind == "manual"
+    assert put(library, '["a list of rules", "that declares no kind"]', file="list.json").document.kind == "manual"
+
+
 def test_a_citation_without_a_target_is_rejected(library: Library) -> None:
     version = put(library).document.version
     for citation in (

@@ -251,6 +251,8 @@ class Library:
                 "Name it with --name.",
             )
         kind = submission.kind or default_kind(document_text)
+        if isinstance(kind, DocumentRejected):
+            return kind
         if rejection := check_structure(kind, document_text):
             return rejection
         pieces = self._store.stored_chunks(name, document_text.version) or split_chunks(document_text)

@@ -9,11 +9,21 @@ from dualbrain.knowledge.structured.maps import RoomMap
 from dualbrain.knowledge.structured.parsing import declared_kind, parse_structured
 from dualbrain.knowledge.structured.templates import TaskTemplates
 
+_FIX = "Correct the file, or name its kind with --kind."
 
-def default_kind(document_text: DocumentText) -> DocumentKind:
-    """The kind that a document declares; "manual" if it declares none."""
+
+def default_kind(document_text: DocumentText) -> DocumentKind | DocumentRejected:
+    """The kind that a document declares; "manual" if it declares none.
+
+    A TOML or JSON document that cannot be parsed, or that declares an unknown kind, is rejected: it may be a map or a
+    template with a mistake.
+    """
     declared = declared_kind(document_text)
-    return declared if declared in DOCUMENT_KINDS else "manual"
+    if isinstance(declared, DocumentRejected):
+        return DocumentRejected(declared.what, declared.got, declared.allowed, _FIX)
+    if declared and declared not in DOCUMENT_KINDS:
+        return DocumentRejected("kind", ascii(declared[:60])[1:-1], ", ".join(DOCUMENT_KINDS), _FIX)
+    return declared or "manual"
 
 
 def check_structure(kind: DocumentKind, document_text: DocumentText) -> DocumentRejected | None:

@@ -14,6 +14,7 @@ from dualbrain.knowledge.rejection import DocumentRejected
 T = TypeVar("T")
 MAX_NESTING = 16
 """Largest nesting of brackets."""
+_WITHOUT_FIELDS = "a document"
 
 
 def parse_structured(document_text: DocumentText, structure: type[T]) -> T | DocumentRejected:
@@ -46,7 +47,7 @@ def parse_fields(document_text: DocumentText) -> dict[str, Any] | DocumentReject
         return DocumentRejected(f"broken {document_text.media}", found[:200], f"valid {document_text.media}")
     if isinstance(found, dict):
         return cast("dict[str, Any]", found)
-    return DocumentRejected("a document", type(found).__name__, "fields with names")
+    return DocumentRejected(_WITHOUT_FIELDS, type(found).__name__, "fields with names")
 
 
 def _parse_json(text: str) -> Any:
@@ -58,7 +59,11 @@ def _parse_json(text: str) -> Any:
     return [found] if isinstance(found, str) else found
 
 
-def declared_kind(document_text: DocumentText) -> str:
-    """The `kind` that a TOML or JSON document declares; "" if it declares none."""
-    found = parse_fields(document_text) if document_text.media in {"toml", "json"} else {}
-    return "" if isinstance(found, DocumentRejected) else str(found.get("kind", ""))
+def declared_kind(document_text: DocumentText) -> str | DocumentRejected:
+    """The `kind` that a TOML or JSON document declares, "" if it declares none; a rejection if it cannot be parsed."""
+    if document_text.media not in {"toml", "json"}:
+        return ""
+    found = parse_fields(document_text)
+    if isinstance(found, DocumentRejected):
+        return "" if found.what == _WITHOUT_FIELDS else found
+    return str(found.get("kind", ""))
