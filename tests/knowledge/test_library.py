@@ -172,6 +172,25 @@ def test_rebuilt_projections_are_the_same(library: Library) -> None:
     assert {by: library.search("cups and plates", 9, mode=by) for by in ("both", "words", "meaning")} == before
 
 
+def test_a_new_title_is_found_instead_of_the_old_one(library: Library) -> None:
+    put(library, title="Crockery")
+    assert library.search("crockery", mode="words")
+    assert put(library, title="Tableware").change == "relabelled"
+    found = {word: library.search(word, mode="words") for word in ("crockery", "tableware", "fingers")}
+    assert [len(hits) for hits in found.values()] == [0, 1, 1]
+    library.rebuild()
+    assert {word: library.search(word, mode="words") for word in found} == found
+
+
+def test_a_file_name_that_is_not_utf8_is_stored_readably(library: Library) -> None:
+    done = put(library, file=os.fsdecode(b"Regeln f\xfcr Tassen.md"), title=os.fsdecode(b"f\xfcr"))
+    assert (done.document.name, done.document.file) == ("regeln-f-r-tassen", "Regeln f\ufffdr Tassen.md")
+    assert done.document.title == "f\ufffdr"
+    assert (
+        put(library, file=os.fsdecode(b"Regeln f\xfcr Tassen.md"), title=os.fsdecode(b"f\xfcr")).change == "unchanged"
+    )
+
+
 def test_history_cannot_be_changed(library: Library, tmp_path: Path) -> None:
     put(library)
     other = sqlite3.connect(tmp_path / "knowledge.sqlite")

@@ -13,6 +13,7 @@ from typing import Literal, Self
 import numpy as np
 
 from dualbrain.core.encoder import Encoder, Float32Array
+from dualbrain.core.text import storable_text
 from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.knowledge.chunking import Chunk, split_chunks
 from dualbrain.knowledge.document import (
@@ -261,9 +262,9 @@ class Library:
             version=document_text.version,
             kind=kind,
             trust=submission.trust,
-            title=submission.title or _default_title(document_text, name),
+            title=storable_text(submission.title) or _default_title(document_text, name),
             media=document_text.media,
-            file=Path(submission.file).name,
+            file=storable_text(Path(submission.file).name),
             added=now,
             source=document_text.source,
             characters=len(document_text.text),

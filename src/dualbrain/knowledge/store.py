@@ -220,13 +220,17 @@ class DocumentStore:
         return tuple(number for (number,) in rows)
 
     def update_projections(self, embedder: str, vectors: Mapping[int, NDArray[np.float32]]) -> None:
-        """Update words and vectors to the published documents; `vectors` are those of the new chunks, by number."""
+        """Update words and vectors to the published documents.
+
+        `vectors` are those of the chunks that are new or have a new title, by number.
+        """
         published = {one.id: one for one in self.chunks()}
         indexed = {number for (number,) in self._fetch_rows("SELECT rowid FROM words")}
-        removed = [(number,) for number in indexed - published.keys()]
+        outdated = indexed - (published.keys() - vectors.keys())
+        removed = [(number,) for number in outdated]
         self._database.executemany("DELETE FROM words WHERE rowid = ?", removed)
         self._database.executemany("DELETE FROM vector WHERE chunk = ?", removed)
-        added = [published[number] for number in sorted(published.keys() - indexed)]
+        added = [published[number] for number in sorted(published.keys() - (indexed - outdated))]
         rows = [(one.id, " ".join((one.document.title, *one.chunk.path)), one.text) for one in added]
         self._database.executemany("INSERT INTO words (rowid, path, text) VALUES (?, ?, ?)", rows)
         stored = [(number, row.astype("<f4").tobytes()) for number, row in vectors.items()]
