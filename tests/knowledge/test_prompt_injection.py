@@ -149,6 +149,28 @@ def test_the_budget_is_kept_and_irrelevant_passages_are_not_shown(builtin_librar
     )
 
 
+def test_a_passage_is_in_the_prompt_as_a_whole_or_not_at_all(library: Library) -> None:
+    rule = "A cup is lifted with care, and the speed is < 0.2 m/s, or < 0.1 m/s with a person near. " * 5
+    library.add(Submission(file="cups.md", data=f"{rule}Its force is < 8 N.".encode(), trust="site"), now=1.0)
+    library.add(Submission(file="many.md", data=b"lift the cup " + b"-> " * 150, trust="site"), now=1.0)
+    (shown,) = retrieve_passages(library, "lift the cup", SCENE, PANDA, ANY)
+    assert len(shown.text) > 440
+    prompt = render(plan_request(recall=RetrievedContext(passages=(shown,))))[-1]["content"]
+    assert "Its force is under 8 N.\n</knowledge>" in prompt
+
+
+def test_a_template_that_is_too_long_for_the_prompt_is_not_shown_in_part(library: Library) -> None:
+    data = (DATA_FOLDER / "panda-templates.toml").read_bytes()
+    library.add(Submission(file="panda-templates.toml", data=data, trust="site"), now=1.0)
+    two_things = "two things, one after the other"
+    assert library.search(two_things, 1, kinds=("template",))[0].path[-1] == "take_two_things"
+    shown = retrieve_passages(library, two_things, SCENE, PANDA, ANY)
+    assert shown
+    prompt = render(plan_request(recall=RetrievedContext(passages=shown)))[-1]["content"]
+    lines = prompt.partition("<knowledge>\n")[2].partition("\n</knowledge>")[0].splitlines()
+    assert all(line.endswith("}})") for line in lines)
+
+
 def test_the_query_contains_features_of_the_scene() -> None:
     assert "crossing" in build_query("put it away", SCENE)
     assert build_query("put it away", "person: none") == "put it away"

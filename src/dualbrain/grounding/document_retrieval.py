@@ -17,6 +17,7 @@ from dualbrain.knowledge.rejection import DocumentRejected
 from dualbrain.knowledge.structured.kinds import default_kind
 from dualbrain.knowledge.structured.parsing import parse_structured
 from dualbrain.knowledge.structured.templates import TaskTemplates, check_template
+from dualbrain.planner.prompt.full_prompt import PASSAGE_LIMIT, passage_length
 from dualbrain.records import Passage
 from dualbrain.robots.loader import BUILTIN_ROBOTS
 
@@ -60,8 +61,8 @@ def retrieve_passages(
 
     Those that name an object of the instruction come first, each group in the order of the search.
 
-    Maps are not quoted, because the scene contains their places by name. A passage that exceeds the remaining budget is
-    skipped in favour of a shorter one; no passage is truncated.
+    Maps are not quoted, because the scene contains their places by name. A passage that exceeds the remaining budget,
+    or the length of a passage in the prompt, is skipped in favour of a shorter one; no passage is truncated.
     """
     hits = library.search(
         build_query(instruction, summary),
@@ -76,10 +77,12 @@ def retrieve_passages(
     left = budget.max_tokens
     for hit in sorted(hits, key=lambda one: not _mentions(one.text, names)):
         text = _quoted_text(library, hit, registry)
-        cost = -(-(len(text) + len(str(hit.citation))) // CHARACTERS_PER_TOKEN)
+        length = passage_length(text)
+        cost = -(-(length + len(str(hit.citation))) // CHARACTERS_PER_TOKEN)
         is_similar = hit.likeness is not None and hit.likeness >= budget.min_relevance
         relevant = is_similar or _mentions(hit.text, names)
-        if text and relevant and cost <= left and len(chosen) < budget.max_passages:
+        fits = length <= PASSAGE_LIMIT and cost <= left and len(chosen) < budget.max_passages
+        if text and relevant and fits:
             chosen.append(_make_passage(hit, text, rank=len(chosen) + 1))
             left -= cost
     return tuple(chosen)

@@ -48,7 +48,8 @@ MAX_RECALLED = 2
 MAX_WARNINGS = 2
 MAX_PASSAGES = 3
 CITATION_LIMIT = 100
-PASSAGE_LIMIT = 480
+PASSAGE_LIMIT = 580
+"""Largest length of a passage: that of a chunk of a document, 480, and of signs such as < that are shown as words."""
 
 
 class ChatMessage(TypedDict):
@@ -254,6 +255,11 @@ def _last_question(request: PlanRequest, form: AnswerForm) -> str:
     if request.rejection is not None:
         parts.insert(-1, format_rejection(request.rejection))
     return "\n".join(parts)
+
+
+def passage_length(text: str) -> int:
+    """Length of `text` as a passage of the prompt; one above `PASSAGE_LIMIT` would be cut."""
+    return len(sanitize(text, limit=8 * (len(text) + 1)))
 
 
 def _knowledge(request: PlanRequest) -> str:
