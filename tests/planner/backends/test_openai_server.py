@@ -311,6 +311,14 @@ def test_the_time_limit_covers_the_whole_response(behaviour: Behaviour) -> None:
     assert time.monotonic() - start < 3.0
 
 
+@pytest.mark.parametrize(("dialect", "path"), [("openai", "/v1/chat/completions"), ("ollama", "/api/chat")])
+def test_the_query_of_an_address_follows_the_path(dialect: str, path: str) -> None:
+    with serve(respond_with(chat_completion(CONTRACT))) as server:
+        for url in (f"{server.url}?version=1", f"{server.url}/?version=1"):
+            ServerPlanner(ServerConfig(url=url, dialect=dialect)).propose(plan_request())
+    assert [requested for requested, _ in server.requests] == [f"{path}?version=1"] * 2
+
+
 def test_an_address_without_a_server_is_an_error() -> None:
     with serve(silence) as server:
         url = server.url

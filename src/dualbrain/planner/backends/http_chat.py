@@ -14,6 +14,7 @@ from collections.abc import Callable, Coroutine, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
+from urllib.parse import urlsplit, urlunsplit
 
 from dualbrain.core.lazy_exports import missing_dependency
 from dualbrain.planner import protocol
@@ -41,6 +42,12 @@ class ChatResponse:
     detail: str = ""
     metrics: dict[str, float] = field(default_factory=dict)
     server_build: str = ""
+
+
+def append_path(url: str, path: str, *, replaces: str = "") -> str:
+    """`url` with `path` after its own path, in place of `replaces` at the end of that; a query stays behind it."""
+    address = urlsplit(url)
+    return urlunsplit(address._replace(path=address.path.rstrip("/").removesuffix(replaces) + path))
 
 
 def request_completion(

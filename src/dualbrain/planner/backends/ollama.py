@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from dualbrain.planner import protocol
-from dualbrain.planner.backends.http_chat import ChatResponse, excerpt_value, parse_count
+from dualbrain.planner.backends.http_chat import ChatResponse, append_path, excerpt_value, parse_count
 
 N_CTX = 8192
 """Size of the context [tokens], enough for the full prompt with exemplars and the longest answer."""
@@ -20,7 +20,7 @@ SECONDS_PER_NANOSECOND = 1e-9
 
 def chat_url(url: str) -> str:
     """Address of the native API, which is beside `/v1` of the OpenAI-compatible API."""
-    return url.rstrip("/").removesuffix("/v1") + "/api/chat"
+    return append_path(url, "/api/chat", replaces="/v1")
 
 
 def chat_body(

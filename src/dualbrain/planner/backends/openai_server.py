@@ -15,7 +15,13 @@ from urllib.parse import urlsplit
 from dualbrain.core.untrusted.loopback import is_loopback
 from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.planner import protocol
-from dualbrain.planner.backends.http_chat import ChatResponse, parse_completion, request_completion, strip_fence
+from dualbrain.planner.backends.http_chat import (
+    ChatResponse,
+    append_path,
+    parse_completion,
+    request_completion,
+    strip_fence,
+)
 from dualbrain.planner.backends.image_message import (
     IMAGE_REMEDY,
     IMAGE_STATUSES,
@@ -146,7 +152,7 @@ class ServerPlanner:
         """
         start = self._clock()
         is_ollama = self._config.dialect == OLLAMA
-        url = chat_url(self._config.url) if is_ollama else f"{self._config.url.rstrip('/')}/chat/completions"
+        url = chat_url(self._config.url) if is_ollama else append_path(self._config.url, "/chat/completions")
         response = request_completion(
             url,
             self._body(request),
