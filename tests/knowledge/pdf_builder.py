@@ -32,7 +32,7 @@ def make_pdf(*contents: str, off: str = "", password: str = "", compress: bool =
     Resources: font /F1, graphics states (/Ghost is transparent, /Faint for strokes, /Masked by a soft mask, /Plain,
     /Speck with a tiny font), /MC0 (a layer with the name `off` that is switched off),
     /Form (a form that draws `form`, in which /MC0 is a layer that is on), and
-    colour spaces (/Ink is black with full tint, /Bleach white, /Unclear of an unknown function, /Table white at 1).
+    colour spaces (/Dark is black with full tint, /Bleach white, /Unclear of an unknown function, /Table white at 1).
     """
     writer: Any = PdfWriter()
     font = pdf_dictionary(Type=NameObject("/Font"), Subtype=NameObject("/Type1"), BaseFont=NameObject("/Helvetica"))
@@ -46,7 +46,7 @@ def make_pdf(*contents: str, off: str = "", password: str = "", compress: bool =
             Speck=pdf_dictionary(Font=ArrayObject([font, FloatObject(0.5)])),
         ),
         ColorSpace=pdf_dictionary(
-            Ink=_tint(1.0, 0.0),
+            Dark=_tint(1.0, 0.0),
             Bleach=_tint(0.0, 1.0),
             Unclear=_tint(1.0, 0.0, kind=4),
             Table=ArrayObject(
@@ -83,7 +83,7 @@ def make_pdf(*contents: str, off: str = "", password: str = "", compress: bool =
 
 
 def _tint(none: float, full: float, kind: int = 2) -> ArrayObject:
-    """A colour space of one ink: the grey value without it and with all of it, by a function of the type `kind`."""
+    """A colour space of one colorant: the grey value without it and with all of it, by a function of the type `kind`."""
     function = pdf_dictionary(
         FunctionType=NumberObject(kind),
         Domain=ArrayObject([NumberObject(0), NumberObject(1)]),

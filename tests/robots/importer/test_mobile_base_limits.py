@@ -21,11 +21,11 @@ def rover_xml(limit=f'<limit velocity="{RATE}" effort="1"/>'):
     shape = f'<geometry><cylinder radius="{RADIUS}" length="0.04"/></geometry><origin rpy="1.5707963 0 0"/>'
     wheels = [f'<link name="wheel_{side}"><collision>{shape}</collision></link>' for side in WHEELS]
     joints = [
-        joint_xml(side, "chassis", f"wheel_{side}", "continuous", "0 1 0", f"0 {y} 0", inside=limit)
+        joint_xml(side, "body", f"wheel_{side}", "continuous", "0 1 0", f"0 {y} 0", inside=limit)
         for side, y in (("left", 0.5 * TRACK), ("right", -0.5 * TRACK))
     ]
-    lift = joint_xml("lift", "chassis", "mast", "prismatic", "0 0 1", "0 0 0.1")
-    return urdf_xml(link_xml("chassis", (0.4, 0.3, 0.1), (0, 0, 0.05)), link_xml("mast"), *wheels, *joints, lift)
+    lift = joint_xml("lift", "body", "mast", "prismatic", "0 0 1", "0 0 0.1")
+    return urdf_xml(link_xml("body", (0.4, 0.3, 0.1), (0, 0, 0.05)), link_xml("mast"), *wheels, *joints, lift)
 
 
 @pytest.fixture(scope="module")
