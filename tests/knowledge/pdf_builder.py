@@ -83,7 +83,7 @@ def make_pdf(*contents: str, off: str = "", password: str = "", compress: bool =
 
 
 def _tint(none: float, full: float, kind: int = 2) -> ArrayObject:
-    """A colour space of one colorant: the grey value without it and with all of it, by a function of the type `kind`."""
+    """A colour space of one colorant: the grey values without and with all of it, by a function of the type `kind`."""
     function = pdf_dictionary(
         FunctionType=NumberObject(kind),
         Domain=ArrayObject([NumberObject(0), NumberObject(1)]),
