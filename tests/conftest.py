@@ -22,7 +22,7 @@ settings.load_profile("patient")
 def pytest_collection_modifyitems(items):
     for item in items:
         if item.get_closest_marker("realtime"):
-            item.add_marker(pytest.mark.flaky(reruns=2))
+            item.add_marker(pytest.mark.flaky(reruns=2, reruns_delay=5))
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
