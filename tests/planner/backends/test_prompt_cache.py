@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from dualbrain.core.storage.verification_stamp import write_stamp
-from dualbrain.planner.backends.llama_process import LoadedAdapter
+from dualbrain.planner.backends.llama_process import LoadedAdapter, read_file_state
 from dualbrain.planner.backends.prompt_cache import MAX_CACHED_STATES, PromptCache
 from dualbrain.planner.prompt.prompt_format import FULL_PROMPT, LOCAL_FULL_PROMPT, SHORT_PROMPT
 from dualbrain.records import RetrievedContext
@@ -45,7 +45,16 @@ def write_state(path, state=b"state"):
 
 
 def cache(model, address="", *, n_ctx=2048, adapters=(A,), prompt_format=FULL_PROMPT):
-    return PromptCache(model.parent, model, n_ctx, address, "key", prompt_format=prompt_format, adapters=adapters)
+    return PromptCache(
+        model.parent,
+        model,
+        n_ctx,
+        address,
+        "key",
+        prompt_format=prompt_format,
+        loaded_file=read_file_state(model),
+        adapters=adapters,
+    )
 
 
 def test_every_part_of_the_key_changes_the_file(model):
@@ -89,6 +98,35 @@ def test_a_verified_model_is_identified_by_its_hash_and_others_by_name_size_and_
     model.with_name(f".{model.name}.verified").write_text("torn")
     os.utime(model, (2, 2))
     assert cache(model).state_path(plan_request()) not in {first, named}
+
+
+def replace_file(path):
+    """Put another file in the place of the one at `path`, with the same name, size and date."""
+    dates = (path.stat().st_atime_ns, path.stat().st_mtime_ns)
+    other = path.with_name("other.gguf")
+    other.write_bytes(path.read_bytes()[::-1])
+    os.utime(other, ns=dates)
+    other.replace(path)
+
+
+def verify_another(path):
+    """Put another file in the place of the one at `path`, with a verified hash."""
+    replace_file(path)
+    mark_verified(path, "c" * 64)
+
+
+@pytest.mark.parametrize("change", [Path.unlink, replace_file, verify_another])
+def test_a_model_file_that_is_no_longer_the_loaded_one_has_no_state(model, change):
+    """The server still has the weights of the former file."""
+    with serve(saving_server(model.parent)) as server:
+        one = cache(model, server.url.removesuffix("/v1"))
+        assert one.save(plan_request())
+        change(model)
+        server.requests.clear()
+        assert one.state_path(plan_request()) is None
+        assert not one.restore(plan_request())
+        assert not one.save(plan_request(robot="base"))
+    assert server.requests == []
 
 
 def test_a_state_with_the_same_rules_is_valid_for_other_exemplars(model):

@@ -15,7 +15,7 @@ from dualbrain.planner.backends import llama_cpp, llama_process
 from dualbrain.planner.backends.http_chat import ChatResponse
 from dualbrain.planner.backends.llama_cpp import LlamaConfig, LlamaPlanner
 from dualbrain.planner.backends.stderr_tail import MAX_REPORTED_CHARACTERS, describe_exit
-from dualbrain.planner.prompt.prompt_format import UNCONSTRAINED_SHORT_PROMPT
+from dualbrain.planner.prompt.prompt_format import FULL_PROMPT, UNCONSTRAINED_SHORT_PROMPT, without_constraints
 from dualbrain.planner.prompt.short_prompt import short_template_hash
 from tests.planner.backends.fake_chat_server import chat_completion
 from tests.planner.sample_requests import REGISTRY, plan_request
@@ -120,6 +120,17 @@ def test_a_worker_that_is_lost_in_any_request_is_discarded(planner: LlamaPlanner
     first = planner.pid
     assert failure(planner) == ""
     assert planner.pid == first is not None  # a worker that answers is kept
+
+
+def test_a_model_file_that_is_deleted_during_a_run_leaves_a_finish_reason(model: Path, tmp_path: Path) -> None:
+    config = LlamaConfig(timeout_s=2.0, prompt_cache=tmp_path, jump_forward=False)
+    planner = LlamaPlanner("m", model, config, prompt_format=without_constraints(FULL_PROMPT))
+    try:
+        assert planner.propose(plan_request()).finish_reason == protocol.STOP
+        model.unlink()
+        assert planner.propose(plan_request()).finish_reason == protocol.STOP
+    finally:
+        planner.close()
 
 
 def test_a_dead_worker_is_reported_with_its_exit_and_its_standard_error(planner: LlamaPlanner, model: Path) -> None:

@@ -225,6 +225,7 @@ class LlamaPlanner:
             address,
             worker.key,
             prompt_format=self._prompt_format,
+            loaded_file=worker.loaded_file,
             adapters=self._adapters,
         )
 

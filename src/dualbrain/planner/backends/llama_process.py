@@ -28,6 +28,25 @@ class LoadedAdapter:
     scale: float = 1.0
 
 
+@dataclass(frozen=True, slots=True)
+class FileState:
+    """Device, inode, size [bytes] and date [ns] of a file, of which one differs once it was replaced or rewritten."""
+
+    device: int
+    inode: int
+    size: int
+    modified_ns: int
+
+
+def read_file_state(path: Path) -> FileState | None:
+    """The state of the file at `path`, None if there is none."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return FileState(found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LlamaConfig:
     """Settings of the model.
@@ -60,6 +79,8 @@ class LlamaProcess:
         self.key = secrets.token_urlsafe(24)
         self.state: Path | None = None
         """File of the state that its last answer began with (`PromptCache.state_path`); None before the first one."""
+        self.loaded_file = read_file_state(model)
+        """State of the model file before it was loaded."""
         self._address = ""
         self._load_fix = (
             f"Is {model.name} a complete GGUF file of a model that llama.cpp supports? If it is a model file of "

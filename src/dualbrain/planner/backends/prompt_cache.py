@@ -3,11 +3,12 @@
 Reading the rules and examples takes a small machine a minute; restoring the state takes milliseconds (30 KB per token).
 A state is valid only for the same model, adapters, scales, runtime and text, so the file name contains a hash of all of
 them; llama.cpp itself would restore a state under any adapter. A model is identified by its SHA-256 if that was
-verified, otherwise by name, size and date. A file with the SHA-256 of the state is beside it, because llama.cpp
-silently restores damaged states. The file name has two hashes: one for the rules and one for the examples after them.
-Each selection of built-in examples has its own state. If retrieved exemplars follow them, a state with the same rules
-is valid as well, and the server reads on from the first difference. A server that cannot restore a state reads the
-whole prompt.
+verified, otherwise by name, size and date. A model file that was replaced or deleted since the server loaded it
+identifies no state: then none is restored or saved. A file with the SHA-256 of the state is beside it, because
+llama.cpp silently restores damaged states. The file name has two hashes: one for the rules and one for the examples
+after them. Each selection of built-in examples has its own state. If retrieved exemplars follow them, a state with the
+same rules is valid as well, and the server reads on from the first difference. A server that cannot restore a state
+reads the whole prompt.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from dualbrain.core.storage.checksum import file_sha256
 from dualbrain.core.storage.private_files import tighten
 from dualbrain.core.weights import verified_hash
 from dualbrain.planner.backends.http_chat import post
-from dualbrain.planner.backends.llama_process import LoadedAdapter
+from dualbrain.planner.backends.llama_process import FileState, LoadedAdapter, read_file_state
 from dualbrain.planner.prompt.prompt_format import PromptFormat
 from dualbrain.planner.request import PlanRequest
 
@@ -50,10 +51,12 @@ class PromptCache:
         key: str,
         *,
         prompt_format: PromptFormat,
+        loaded_file: FileState | None,
         adapters: tuple[LoadedAdapter, ...] = (),
     ) -> None:
+        """`loaded_file` is the state of the file at `model` when the server was started."""
         self._folder, self._model, self._n_ctx, self._address, self._key = folder, model, n_ctx, address, key
-        self._prompt_format, self._adapters = prompt_format, adapters
+        self._prompt_format, self._loaded_file, self._adapters = prompt_format, loaded_file, adapters
 
     def restore(self, request: PlanRequest, present: Path | None = None) -> bool:
         """Restore a state for `request`: one with the same prefix, otherwise the newest with the same rules.
@@ -89,11 +92,14 @@ class PromptCache:
     def state_path(self, request: PlanRequest) -> Path | None:
         """The file for all messages of `request` but the last, with this model, runtime and context size.
 
-        None without a folder.
+        None without a folder, and if the model file is no longer the one that the server has loaded.
         """
-        if self._folder is None:
+        if self._folder is None or self._loaded_file is None:
             return None
-        model = [*_model_identity(self._model), self._n_ctx, version("xllamacpp")]
+        identity = _model_identity(self._model, self._loaded_file)
+        if read_file_state(self._model) != self._loaded_file:
+            return None
+        model = [*identity, self._n_ctx, version("xllamacpp")]
         model += [[one.id, one.scale] for one in self._adapters]
         prefix = self._prompt_format.messages(request)[:-1]
         return self._folder / f"{self._model.stem}-{_digest([model, prefix[:1]])}-{_digest(prefix[1:])}.slot"
@@ -108,10 +114,9 @@ class PromptCache:
         return isinstance(reply, tuple) and reply[0] == 200
 
 
-def _model_identity(model: Path) -> list[object]:
+def _model_identity(model: Path, file: FileState) -> list[object]:
     """Identity of a model file without reading it: its verified hash, otherwise name, size and date."""
-    stat = model.stat()
-    return [digest] if (digest := verified_hash(model)) else [model.name, stat.st_size, stat.st_mtime_ns]
+    return [digest] if (digest := verified_hash(model)) else [model.name, file.size, file.modified_ns]
 
 
 def _digest(value: object) -> str:
