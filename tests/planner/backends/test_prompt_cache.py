@@ -188,6 +188,27 @@ def test_only_the_newest_states_of_a_model_are_kept(model):
         assert other.with_suffix(suffix).is_file()
 
 
+@pytest.mark.parametrize("name", ["model", "model[1]", "model-b"])
+def test_states_of_models_with_similar_names_are_kept(tmp_path, name):
+    model = tmp_path / f"{name}.gguf"
+    model.write_bytes(b"weights")
+    hashes = f"{'0' * 24}-{'1' * 24}"
+    others = [write_state(tmp_path / f"{one}-{hashes}.slot") for one in ("model-instruct", f"{name}-q8", "model1")]
+    for path in others:
+        os.utime(path, (0, 0))
+    with serve(saving_server(tmp_path)) as server:
+        one = cache(model, server.url.removesuffix("/v1"))
+        requests = [plan_request(robot=f"robot_{k}") for k in range(MAX_CACHED_STATES + 2)]
+        for k, request in enumerate(requests):
+            assert one.save(request)
+            os.utime(one.state_path(request), (k, k))
+        with_memories = plan_request(robot="robot_5", recall=RetrievedContext(exemplars=(exemplar(),)))
+        assert one.restore(with_memories), "a state with the same rules"
+    kept = [one.state_path(request).is_file() for request in requests]
+    assert kept == [False] * 2 + [True] * MAX_CACHED_STATES
+    assert all(path.is_file() for path in others)
+
+
 def flip_bit(path):
     """Flip one bit of the state."""
     data = bytearray(path.read_bytes())

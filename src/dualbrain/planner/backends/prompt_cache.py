@@ -85,7 +85,8 @@ class PromptCache:
         path = self.state_path(request)
         if path is None or _has_checksum(path) or (request.recall.exemplars and self._states_with_rules(path)):
             return False
-        for old in _newest_first(path.parent.glob(f"{self._model.stem}-*.slot"))[MAX_CACHED_STATES - 1 :]:
+        of_model = (one for one in path.parent.glob("*.slot") if _model_stem(one) == self._model.stem)
+        for old in _newest_first(of_model)[MAX_CACHED_STATES - 1 :]:
             _remove(old)
         return self._post_slot_action("save", path) and _write_checksum(path)
 
@@ -106,7 +107,8 @@ class PromptCache:
 
     def _states_with_rules(self, path: Path) -> list[Path]:
         """States with the same rules as `path`, newest first."""
-        return _newest_first(one for one in path.parent.glob(f"{_rules_key(path)}-*.slot") if _has_checksum(one))
+        same = (one for one in path.parent.glob("*.slot") if _rules_key(one) == _rules_key(path))
+        return _newest_first(one for one in same if _has_checksum(one))
 
     def _post_slot_action(self, action: str, path: Path) -> bool:
         url = f"{self._address}/slots/0?action={action}"
@@ -126,6 +128,11 @@ def _digest(value: object) -> str:
 def _rules_key(path: Path) -> str:
     """The part of a file name that identifies model and rules."""
     return path.stem.rpartition("-")[0]
+
+
+def _model_stem(path: Path) -> str:
+    """The part of a file name that is the stem of the model file; the two hashes follow it."""
+    return path.stem.rsplit("-", 2)[0]
 
 
 def _newest_first(paths: Iterable[Path]) -> list[Path]:
