@@ -2,6 +2,8 @@
 
 import json
 import re
+import socket
+import threading
 import time
 from http.server import BaseHTTPRequestHandler
 from pathlib import Path
@@ -317,6 +319,29 @@ def test_the_query_of_an_address_follows_the_path(dialect: str, path: str) -> No
         for url in (f"{server.url}?version=1", f"{server.url}/?version=1"):
             ServerPlanner(ServerConfig(url=url, dialect=dialect)).propose(plan_request())
     assert [requested for requested, _ in server.requests] == [f"{path}?version=1"] * 2
+
+
+def test_the_time_limit_covers_the_resolution_of_the_host(monkeypatch: pytest.MonkeyPatch) -> None:
+    answered = threading.Event()
+    monkeypatch.setattr(socket, "getaddrinfo", lambda *host, **options: answered.wait(10.0) and [])
+    start = time.monotonic()
+    proposal = ServerPlanner(ServerConfig(url="http://host.invalid/v1", timeout_s=0.2)).propose(plan_request())
+    took = time.monotonic() - start
+    waiting = [one for one in threading.enumerate() if one.name == "name resolution"]
+    answered.set()
+    assert proposal.finish_reason == protocol.TIMEOUT
+    assert took < 5.0
+    assert [one.daemon for one in waiting] == [True], "the end of the program does not wait for it"
+
+
+def test_a_host_that_cannot_be_resolved_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*host: object, **options: object) -> None:
+        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+    monkeypatch.setattr(socket, "getaddrinfo", refuse)
+    proposal = ServerPlanner(ServerConfig(url="http://host.invalid/v1", timeout_s=5.0)).propose(plan_request())
+    assert proposal.finish_reason.startswith("error: no connection to http://host.invalid/v1")
+    assert "Name or service not known" in proposal.finish_reason
 
 
 def test_an_address_without_a_server_is_an_error() -> None:

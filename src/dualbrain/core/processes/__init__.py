@@ -1,1 +1,1 @@
-"""Processes: end with the parent, real-time priority, pacing of loops in real time."""
+"""Processes: end with the parent, real-time priority, pacing in real time, an event loop that keeps time limits."""

@@ -17,6 +17,7 @@ from typing import Any
 from urllib.parse import urlsplit, urlunsplit
 
 from dualbrain.core.lazy_exports import missing_dependency
+from dualbrain.core.processes.event_loop import run_with_time_limits
 from dualbrain.planner import protocol
 from dualbrain.planner.backends.key_redaction import KeyRedactor, public_address
 
@@ -168,9 +169,9 @@ def _run(exchange: Coroutine[Any, Any, tuple[int, bytes] | ChatResponse]) -> tup
     try:
         asyncio.get_running_loop()
     except RuntimeError:
-        return asyncio.run(exchange)
+        return run_with_time_limits(exchange)
     with ThreadPoolExecutor(1) as pool:
-        return pool.submit(asyncio.run, exchange).result()
+        return pool.submit(run_with_time_limits, exchange).result()
 
 
 def _error(detail: str) -> ChatResponse:
