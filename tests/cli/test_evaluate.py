@@ -136,6 +136,7 @@ def test_methods_with_a_single_run_cause_a_warning(tmp_path, capsys, monkeypatch
         (("--suite", "smoke", "--planner", "foo=template"), 5, "adapted_no_kl"),
         (("--suite", "smoke", "--planner", "base="), 2, "ROLE=PLANNER"),
         (("--suite", "smoke", "--planner", "base=template,base=adversary"), 2, "each role once"),
+        (("--suite", "smoke", "--planner", "http://host/v1?key=a#m"), 5, "role base: got 'http://host/v1#m"),
         (("--suite", "paper", "--planner", "adapted=adapter:deadbeef"), 5, "deadbeef"),
         (("--suite", "smoke", "--methods", "B1,B1,B3"), 5, "B1 twice"),
         (("--suite", "smoke", "--methods", "B1,"), 2, "--methods: got 'B1,'"),

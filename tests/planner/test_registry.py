@@ -31,6 +31,12 @@ def test_an_unknown_planner_lists_the_known_ones(name: str, tmp_path: Path) -> N
         open_planner(name, tmp_path)
 
 
+def test_an_address_without_its_scheme_is_not_shown(tmp_path: Path) -> None:
+    with pytest.raises(UnknownNameError) as raised:
+        open_planner("user:pa55word@host/v1#m", tmp_path)
+    assert "pa55word" not in f"{raised.value} {vars(raised.value)}"
+
+
 def test_an_address_names_the_model_after_the_hash_sign(tmp_path: Path) -> None:
     planner = open_planner("http://localhost:8000/v1#qwen", tmp_path)
     assert isinstance(planner, ServerPlanner)

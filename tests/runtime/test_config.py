@@ -37,3 +37,8 @@ def test_the_stored_configuration_has_the_field_names_of_earlier_versions(tmp_pa
     assert tuple(stored) == STORED_FIELDS
     assert stored["eyes"] is True
     assert stored["out"] == str(tmp_path / "run")
+
+
+def test_the_stored_configuration_has_no_password_of_a_planner(tmp_path):
+    config = run_config(tmp_path, planner="vllm+https://user:pa55word@host/v1?key=pa55word#m")
+    assert json.loads(config.encode())["planner"] == "vllm+https://host/v1#m"

@@ -7,6 +7,7 @@ from urllib.parse import urldefrag
 
 from dualbrain.core.weights import MANIFEST, locate_weights
 from dualbrain.errors import ConfigurationError, UnknownNameError
+from dualbrain.planner.backends.key_redaction import HIDDEN
 from dualbrain.planner.backends.llama_cpp import LlamaConfig, LlamaPlanner
 from dualbrain.planner.backends.openai_server import ServerConfig, ServerPlanner
 from dualbrain.planner.protocol import Planner
@@ -79,9 +80,8 @@ def open_planner(
         _require_gguf(Path(name_or_url))
         return LlamaPlanner(Path(name_or_url).stem, Path(name_or_url), config)
     if name_or_url not in planner_names():
-        raise UnknownNameError(
-            UNKNOWN_NAME_KIND, name_or_url, planner_names(), owner=f"the manifest ({OTHER_FORMS_HINT})"
-        )
+        shown = HIDDEN if "@" in name_or_url else name_or_url  # an address without its http:// may contain a password
+        raise UnknownNameError(UNKNOWN_NAME_KIND, shown, planner_names(), owner=f"the manifest ({OTHER_FORMS_HINT})")
     return LlamaPlanner(name_or_url, locate_weights(name_or_url, cache), config)
 
 

@@ -16,6 +16,7 @@ from dualbrain.core.paths import cache_folder, dualbrain_home, secure_home
 from dualbrain.knowledge.document import ConsultedDocuments
 from dualbrain.memory.memory import StoreReport
 from dualbrain.memory.plasticity.hebbian_update import EPSILON
+from dualbrain.planner.backends.key_redaction import public_planner
 from dualbrain.planner.registry import DEFAULT_PLANNER
 from dualbrain.records import Attempt, Episode
 from dualbrain.runtime.planning.planning_time import Clock
@@ -75,8 +76,11 @@ class RunConfig:
     """Emulated board on which the filter runs, in lockstep with the simulation; "" runs it in this process."""
 
     def encode(self) -> bytes:
-        """The content of `config.json`, with the field names of earlier versions; newer fields only if they are set."""
-        fields = msgspec.to_builtins(self, enc_hook=str)
+        """The content of `config.json`, with the field names of earlier versions; newer fields only if they are set.
+
+        The address of a planner is stored without user name, password and query.
+        """
+        fields = msgspec.to_builtins(self, enc_hook=str) | {"planner": public_planner(self.planner)}
         if not self.unrecorded:
             del fields["unrecorded"]
         if not self.image:

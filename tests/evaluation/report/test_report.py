@@ -208,6 +208,12 @@ def test_a_report_states_its_provenance_as_far_as_it_was_recorded(suite, tmp_pat
     assert "ε" not in older
 
 
+def test_a_report_on_older_results_shows_no_password_of_a_planner(suite):
+    named = msgspec.structs.replace(suite, planners={"base": "https://user:pa55word@host/v1#m"})
+    found = provenance_facts(ReportData(rows=[episode_row("B3")], suite=named, config={}))
+    assert found["planners"] == "base: https://host/v1#m"
+
+
 def test_line_styles_differ_and_neighbours_differ_in_colour_and_dash():
     styles = [line_style(k) for k in range(MAX_GROUP)]
     assert all(a != b for k, a in enumerate(styles) for b in styles[k + 1 :])

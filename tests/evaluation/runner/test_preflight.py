@@ -77,12 +77,20 @@ def test_an_unknown_planner_or_role_is_rejected_by_name(suite, planners, message
         "transformers:adapter:ab",
         "http://host:8000/v1#model",
         "vllm+http://host/v1",
+        "https://host/v1?api-version=1#model",
         "my/model.gguf",
         "shadow:ab@base-135m",
     ],
 )
 def test_every_form_of_planner_name_is_accepted_also_for_unused_roles(suite, name):
     check_planners(msgspec.structs.replace(suite, planners={"base": name, "adapted_no_kl": name}))
+
+
+@pytest.mark.parametrize("name", ["https://user:pa55word@host/v1#m", "https://host/v1?api-version=1&key=pa55word#m"])
+def test_an_address_with_a_secret_is_refused_because_results_record_it(suite, name):
+    with pytest.raises(ConfigurationError, match=r"role base.*OPENAI_API_KEY") as raised:
+        check_planners(msgspec.structs.replace(suite, planners={"base": name}))
+    assert "pa55word" not in f"{raised.value} {vars(raised.value)}"
 
 
 def test_pilot_episodes_need_a_base_planner(suite):

@@ -9,7 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dualbrain.planner import protocol
-from dualbrain.planner.backends.key_redaction import REDACTED, KeyRedactor, public_address
+from dualbrain.planner.backends.key_redaction import (
+    HIDDEN,
+    REDACTED,
+    KeyRedactor,
+    has_secret_parts,
+    public_address,
+    public_planner,
+)
 from dualbrain.planner.backends.openai_server import ServerConfig, ServerPlanner
 from dualbrain.planner.backends.stderr_tail import StderrTail
 from dualbrain.records import Proposal
@@ -138,6 +145,55 @@ def test_a_password_in_an_address_is_not_reported() -> None:
     reason = ServerPlanner(ServerConfig(url=url, timeout_s=2.0)).propose(plan_request()).finish_reason
     assert "no connection to http://127.0.0.1:9/v1" in reason
     assert "pa55word" not in reason
+
+
+@pytest.mark.parametrize(
+    ("url", "shown"),
+    [
+        ("https://user:pa55word@host/v1?key=pa55word", "https://host/v1"),
+        ("http://[::1]:80/v1#m", "http://[::1]:80/v1"),
+        ("host:80/v1?key=pa55word", "host:80/v1"),
+        ("user:pa55word@host/v1", HIDDEN),
+        ("http://user:pa55/word@host/v1", f"http://{HIDDEN}"),
+        ("http://user:pa@55/word@host/v1", f"http://{HIDDEN}"),
+        ("http://user:pa55?word@host/v1", f"http://{HIDDEN}"),
+        ("http://user:pa55", f"http://{HIDDEN}"),  # the part before # of an address with #word@host
+        ("user:pa55://word@http://host", HIDDEN),
+    ],
+)
+def test_no_part_of_a_password_is_in_a_public_address(url: str, shown: str) -> None:
+    assert public_address(url) == shown
+
+
+@pytest.mark.parametrize(
+    ("name", "shown"),
+    [
+        ("base-135m", "base-135m"),
+        ("models/a@b.gguf", "models/a@b.gguf"),
+        ("http://host/v1#vendor@1&languages=en", "http://host/v1#vendor@1&languages=en"),
+        ("shadow:ab@vllm+http://user:pa55word@host:1/v1?key=1#m", "shadow:ab@vllm+http://host:1/v1#m"),
+        ("http://user:pa55#word@host/v1#m", f"http://{HIDDEN}"),
+    ],
+)
+def test_the_name_of_a_planner_is_recorded_without_secrets(name: str, shown: str) -> None:
+    assert public_planner(name) == shown
+
+
+@pytest.mark.parametrize(
+    ("name", "secret"),
+    [
+        ("base-135m", False),
+        ("models/a@b.gguf", False),
+        ("http://host/v1#vendor@1?x", False),
+        ("https://host/v1?api-version=2026-01-01#m", False),
+        ("https://host/v1?api-version=1&key=abc#m", True),
+        ("https://host/v1?key=abc#m", True),
+        ("shadow:ab@vllm+http://user:pa55word@host/v1#m", True),
+        ("http://user@host/v1#m", True),
+    ],
+)
+def test_an_address_with_secret_parts_is_recognised(name: str, secret: bool) -> None:
+    assert has_secret_parts(name) is secret
 
 
 @pytest.mark.parametrize("unit", ["\\u0061", "\\", "%25", "&#0", "&#", "\\u", '{"a":1,', "\u200b ", KEY[:-1], KEY])

@@ -372,6 +372,21 @@ def test_an_invalid_address_is_refused(url: str) -> None:
         ServerPlanner(ServerConfig(url=url))
 
 
+@pytest.mark.parametrize(
+    "url",
+    [
+        "ftp://user:pa55word@host/v1?key=pa55word",
+        "http://user:pa55/word@host/v1",
+        "http://user:pa55word@host:99999999/v1",
+        "http://user:pa55word@x..y/v1",
+    ],
+)
+def test_the_refusal_of_an_address_shows_no_password(url: str) -> None:
+    with pytest.raises(ConfigurationError, match="https://HOST") as raised:
+        ServerPlanner(ServerConfig(url=url))
+    assert "pa55" not in f"{raised.value!r} {vars(raised.value)} {raised.value.__context__!r}"
+
+
 def test_international_and_numeric_hosts_are_accepted() -> None:
     for url in ("http://b\xfccher.example/v1", "http://[::1]:80/v1", "https://host./v1"):
         ServerPlanner(ServerConfig(url=url))

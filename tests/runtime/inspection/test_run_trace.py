@@ -138,3 +138,9 @@ def test_a_collector_that_does_not_answer_is_an_error(run_folder, capsys, monkey
     assert run_command_line(["export", "trace", str(run_folder), "--endpoint", "http://127.0.0.1:9/v1/traces"]) == 5
     assert "was not accepted at http://127.0.0.1:9/v1/traces" in capsys.readouterr().err
     assert run_command_line(["export", "trace", str(run_folder), "--endpoint", "ftp://x"]) == 2
+
+
+def test_the_refusal_of_an_endpoint_shows_no_password(run_folder, capsys):
+    assert run_command_line(["export", "trace", str(run_folder), "--endpoint", "ftp://user:pa55word@x/v1?key=a"]) == 2
+    assert "'ftp://x/v1'" in (shown := capsys.readouterr().err)
+    assert "pa55word" not in shown

@@ -134,7 +134,7 @@ def open_planner(
             raise
         known = (*plain.planner_names(), *packaged_names(), *NAME_FORMS)
         raise UnknownNameError(
-            plain.UNKNOWN_NAME_KIND, name, known, owner=f"this installation ({plain.OTHER_FORMS_HINT})"
+            plain.UNKNOWN_NAME_KIND, error.name, known, owner=f"this installation ({plain.OTHER_FORMS_HINT})"
         ) from error
 
 

@@ -36,10 +36,13 @@ def export_trace(run: Path, /, *, endpoint: str = "") -> int:
     endpoint
         URL to which the trace is sent (OTLP over HTTP), for example that of an OpenTelemetry collector or of Jaeger.
     """
+    from dualbrain.planner.backends.key_redaction import public_address
     from dualbrain.runtime.inspection.run_trace import episode_spans, read_episode_file
 
     if endpoint and not endpoint.startswith(("http://", "https://")):
-        raise UsageError("--endpoint", got=endpoint, allowed="a URL such as http://127.0.0.1:4318/v1/traces")
+        raise UsageError(
+            "--endpoint", got=public_address(endpoint), allowed="a URL such as http://127.0.0.1:4318/v1/traces"
+        )
     spans = episode_spans(read_episode_file(run))
     if not endpoint:
         for span in spans:
@@ -49,8 +52,8 @@ def export_trace(run: Path, /, *, endpoint: str = "") -> int:
         fault = _send(spans, endpoint)
     if fault:
         fix = "Check that a collector listens there for OTLP over HTTP."
-        raise ConfigurationError.stating(f"The trace was not accepted at {endpoint}: {fault}.", fix=fix)
-    print_message(f"{len(spans)} spans sent to {endpoint}")
+        raise ConfigurationError.stating(f"The trace was not accepted at {public_address(endpoint)}: {fault}.", fix=fix)
+    print_message(f"{len(spans)} spans sent to {public_address(endpoint)}")
     return ExitCode.SUCCESS
 
 

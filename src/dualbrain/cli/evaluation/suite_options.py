@@ -96,11 +96,19 @@ def _parse_planners(planner: str) -> dict[str, str]:
     Raises:
         UsageError: a planner is missing, or a role occurs twice.
     """
-    pairs = [one.partition("=") for one in _split_names("--planner", planner)]
-    named = [(role.strip(), name.strip()) if sign else ("base", role) for role, sign, name in pairs]
+    from dualbrain.planner.backends.key_redaction import public_planner
+
+    named = [_parse_role(one) for one in _split_names("--planner", planner)]
     if not all(name for _, name in named) or len(dict(named)) < len(named):
-        raise UsageError("--planner", got=planner, allowed="each role once, as ROLE=PLANNER")
+        got = ",".join(f"{role}={public_planner(name)}" for role, name in named)
+        raise UsageError("--planner", got=got, allowed="each role once, as ROLE=PLANNER")
     return dict(named)
+
+
+def _parse_role(planner: str) -> tuple[str, str]:
+    """Role and name in ROLE=PLANNER, or the role base; the query of an address contains the sign, too."""
+    role, sign, name = planner.partition("=")
+    return (role.strip(), name.strip()) if sign and "://" not in role else ("base", planner)
 
 
 def _possible_robots(task: Task) -> tuple[str, ...]:

@@ -27,6 +27,7 @@ from dualbrain.evaluation.protocol.method import Method, PlannerRole
 from dualbrain.evaluation.protocol.suite import Suite
 from dualbrain.grounding.vocabulary import load_skill_registry
 from dualbrain.planner import registry as planner_registry
+from dualbrain.planner.backends.key_redaction import has_secret_parts, public_planner
 from dualbrain.planner.protocol import Planner
 
 RANDOM_PLANNERS = ("template", "adversary")
@@ -94,12 +95,14 @@ def check_planners(suite: Suite) -> None:
 
     Raises:
         UnknownNameError: a role or a planner is unknown.
-        ConfigurationError: a planner is missing, cannot decode unconstrained, or its name may change its meaning.
+        ConfigurationError: a planner is missing, cannot decode unconstrained, its name may change its meaning, or its
+            address contains a user name, a password or a query other than `api-version`.
     """
     for role, planner in suite.planners.items():
         if role not in PLANNER_ROLES:
             raise UnknownNameError("planner role", role, PLANNER_ROLES, owner="a suite")
         _require_known_planner(planner)
+        _require_no_secret(role, planner)
     if suite.memory.pilot and "base" not in suite.planners:
         sentence = f"Suite {suite.name} names no planner for the role base, which the pilot episodes need."
         raise ConfigurationError.stating(sentence, fix="Name one in [planners] of the suite.")
@@ -137,6 +140,17 @@ def _require_known_planner(name: str) -> None:
         elif not (without_engine and (name in RANDOM_PLANNERS or _is_file(core))):
             known = (*RANDOM_PLANNERS, *planner_registry.planner_names(), *packaged_names(), *UNLISTED_NAME_FORMS)
             raise UnknownNameError("planner", name, known, owner="the evaluation")
+
+
+def _require_no_secret(role: str, planner: str) -> None:
+    """Raise `ConfigurationError` for an address that may contain a secret: results and answers record the address."""
+    if has_secret_parts(planner):
+        raise ConfigurationError(
+            f"address of the planner for the role {role}",
+            got=f"{public_planner(planner)}, with a user name, a password or a query",
+            allowed="an address without them (except ?api-version=VERSION), because the results record it",
+            fix="Set OPENAI_API_KEY for a key.",
+        )
 
 
 def _is_file(name: str) -> bool:

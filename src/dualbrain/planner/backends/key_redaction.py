@@ -11,7 +11,6 @@ import base64
 import json
 import re
 from typing import Any, cast
-from urllib.parse import urlsplit, urlunsplit
 
 REDACTED = "[key]"
 """Replaces the key, and a whole text that has the key in an encoded form."""
@@ -19,6 +18,12 @@ MIN_KEY_CHARACTERS = 4
 """A shorter key is a placeholder for a server that needs none ("x", "sk"), and occurs in ordinary words."""
 MIN_ENCODED_CHARACTERS = 6
 """Encoded forms of a shorter key are not searched: they occur by chance."""
+
+HIDDEN = "[not shown]"
+"""Replaces the part of an address that may contain a secret."""
+_HOST_AND_PORT = re.compile(r"(?:\[[^\[\]]*\]|[^:]*)(?::[0-9]*)?")
+_SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*")
+_API_VERSION = re.compile(r"\?api-version=[0-9A-Za-z.-]*\Z")
 
 _ESCAPE = re.compile(
     r"\\{1,8}(?:[uU]0{2,6}|[uU]\{0{0,6}|[xX])([0-9a-fA-F]{2})\}?"  # JSON, JavaScript, Python
@@ -101,12 +106,40 @@ class KeyRedactor:
 
 
 def public_address(url: str) -> str:
-    """`url` without user name, password and query, which may be secrets; "" if it is not an address."""
-    try:
-        address = urlsplit(url)
-    except ValueError:
-        return ""
-    return urlunsplit((address.scheme, address.netloc.rpartition("@")[2], address.path, "", ""))
+    """`url` without user name, password and query, which may be secrets, and without a fragment.
+
+    A sign such as / in a password ends the host too early: an address with @ behind its host, or with a port that is no
+    number, shows no more than its scheme.
+    """
+    scheme, separator, rest = url.partition("://") if "://" in url else ("", "", url)
+    if separator and not _SCHEME.fullmatch(scheme):
+        return HIDDEN
+    authority = re.split("[/?#]", rest, maxsplit=1)[0]
+    host, tail = authority.rpartition("@")[2] if separator else authority, rest[len(authority) :]
+    if "@" in host + tail or not _HOST_AND_PORT.fullmatch(host):
+        return scheme + separator + HIDDEN
+    return scheme + separator + host + re.split("[?#]", tail, maxsplit=1)[0]
+
+
+def public_planner(name: str) -> str:
+    """The name of a planner as it may be printed and recorded: its address, if it has one, as `public_address`."""
+    prefix, whole = _split_address(name)
+    address, mark, fragment = whole.partition("#")
+    shown = public_address(address) if whole else ""
+    return prefix + shown + (mark + fragment if HIDDEN not in shown else "")
+
+
+def _split_address(name: str) -> tuple[str, str]:
+    """What is before the address in the name of a planner (a dialect, a candidate in shadow), and the address or ""."""
+    before, separator, _ = name.partition("://")
+    start = max(before.rfind("+"), before.rfind("@")) + 1 if separator else len(name)
+    return name[:start], name[start:]
+
+
+def has_secret_parts(name: str) -> bool:
+    """Whether the address in the name of a planner has a user name, or a query with more than a version of the API."""
+    address = _split_address(name)[1].partition("#")[0]
+    return public_address(address) != _API_VERSION.sub("", address)
 
 
 def _encoded_forms(key: str) -> tuple[str, ...]:

@@ -29,6 +29,7 @@ from dualbrain.planner.backends.image_message import (
     attach_image,
     attach_image_to_message,
 )
+from dualbrain.planner.backends.key_redaction import public_address
 from dualbrain.planner.backends.ollama import chat_body, chat_url, parse_chat
 from dualbrain.planner.camera_image import CameraImage
 from dualbrain.planner.decoding.gbnf_schema import replace_text_patterns
@@ -209,7 +210,7 @@ def _require_address(url: str) -> None:
         valid = False
     if not valid:
         allowed = "http://HOST[:PORT]/v1 or https://HOST[:PORT]/v1, the path in printable ASCII (é as %C3%A9)"
-        raise ConfigurationError("planner address", got=url, allowed=allowed)
+        raise ConfigurationError("planner address", got=public_address(url), allowed=allowed)
 
 
 def _require_https_for_key(config: ServerConfig) -> None:

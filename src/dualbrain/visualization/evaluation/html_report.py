@@ -26,6 +26,7 @@ from dualbrain.evaluation.report.not_measured import list_not_measured
 from dualbrain.evaluation.report.summary import describe_methods, summary_sentence
 from dualbrain.evaluation.report.tables import WALL_TIME_NOTE, Table
 from dualbrain.evaluation.results.episode_row import EpisodeRow
+from dualbrain.planner.backends.key_redaction import public_planner
 from dualbrain.visualization.evaluation.charts import (
     latencies_chart,
     metrics_chart,
@@ -229,7 +230,7 @@ def provenance_facts(data: ReportData) -> dict[str, str]:
     found |= {name: origin.pop(name) for name in PROVENANCE_FIELDS if name in origin}
     found |= {"machine": ", ".join(part for part in here if part) or NOT_RECORDED}
     found |= {"packages": ", ".join(f"{name} {version}" for name, version in origin.items()) or NOT_RECORDED}
-    found |= {"planners": ", ".join(f"{part}: {name}" for part, name in data.suite.planners.items())}
+    found |= {"planners": ", ".join(f"{part}: {public_planner(name)}" for part, name in data.suite.planners.items())}
     limits: dict[str, dict[str, None]] = {}
     for row in data.rows:
         if row.epsilon is not None:
