@@ -4,6 +4,7 @@ import msgspec
 import pytest
 
 from dualbrain.contracts.contract import Action, Context, Contract
+from dualbrain.core.geometry.shapes import Pose
 from dualbrain.grounding.envelope.grasp_fit import FINGER_MARGIN
 from dualbrain.grounding.envelope.scene_rules import scene_rules
 from dualbrain.grounding.offline_gate import check_contract, controller_at_home
@@ -70,7 +71,7 @@ def test_a_feasible_contract_is_accepted(perceived, arm, actions):
         ((grasp(), release, place), "/action_sequence/2/skill", "nothing is held"),
         ((grasp(opening=0.045),), "/action_sequence/0/params/opening", "wider"),
         ((grasp(object="chest", opening=0.08),), "/action_sequence/0/params/opening", "too wide for this hand"),
-        ((grasp(object="plank", opening=0.08),), "/action_sequence/0/params/opening", "too wide for this hand"),
+        ((grasp(object="plank", opening=0.08),), "/action_sequence/0/params/finger_axis", "too wide for this hand"),
         ((grasp(object="far_cube"),), "/action_sequence/0/params/object", "out of reach"),
         ((grasp(), place, grasp(object="far_cube")), "/action_sequence/2/params/object", "out of reach"),
     ],
@@ -105,6 +106,42 @@ def test_the_opening_that_a_rejection_allows_is_accepted(perceived, arm):
     rejected = verdict(perceived, arm, grasp(opening=0.045))
     assert rejected.allowed["minimum"] == pytest.approx(0.04 + FINGER_MARGIN)
     assert verdict(perceived, arm, grasp(opening=rejected.allowed["minimum"])) is None
+
+
+def turned_box(half_extents, quaternion):
+    """A box at the usual place, with this orientation."""
+    cube = box("red_cube", 0.5, -0.2, half_extents)
+    return msgspec.structs.replace(cube, pose=Pose(cube.pose.position, quaternion))
+
+
+UP = 0.5**0.5
+"""Two equal components of a quaternion: a turn by 90 degrees."""
+CUBE = (0.02, 0.02, 0.02)
+
+
+@pytest.mark.parametrize(
+    ("half_extents", "quaternion", "axis", "allowed", "hint"),
+    [
+        ((0.036, 0.02, 0.025), (1.0, 0.0, 0.0, 0.0), "along", ["across"], "too wide for this hand along this axis"),
+        ((0.02, 0.036, 0.025), (1.0, 0.0, 0.0, 0.0), "across", ["along"], "too wide for this hand along this axis"),
+        (CUBE, (UP, 0.0, UP, 0.0), "along", ["across"], "points up: no finger can close along it"),
+        ((0.02, 0.06, 0.02), (UP, 0.0, UP, 0.0), "along", None, "across it is too wide for this hand: decline"),
+    ],
+)
+def test_a_finger_axis_is_allowed_only_if_the_object_fits_along_it(half_extents, quaternion, axis, allowed, hint):
+    perceived = scene(turned_box(half_extents, quaternion), bowl())
+    arm = controller_at_home("panda", perceived)
+    rejected = verdict(perceived, arm, grasp(finger_axis=axis, opening=0.08))
+    assert rejected.pointer == "/action_sequence/0/params/finger_axis"
+    assert rejected.hint.endswith(hint)
+    assert rejected.allowed == (allowed or "an axis that is level and along which it fits between the fingers")
+    other = verdict(perceived, arm, grasp(finger_axis="across" if axis == "along" else "along", opening=0.08))
+    assert (other is None or "reach" in other.hint or "way" in other.hint) == (allowed is not None)
+
+
+def test_the_rejection_of_an_object_that_fits_along_no_axis_allows_no_opening(perceived, arm):
+    rejected = verdict(perceived, arm, grasp(object="chest", opening=0.08))
+    assert rejected.allowed == "things that need 80 mm or less: chest needs 130.0 mm"
 
 
 def test_reachable_objects_are_accepted():

@@ -177,22 +177,39 @@ def _check_fit(hand: RobotModel, obj: SceneObject, params: Mapping[str, Any], po
             allowed=f"things that bear {least / FRAGILE_FRACTION:.0f} N or more",
             hint=f"{obj.name} bears {obj.fragile_limit:.0f} N; this hand presses with at least {least:.0f} N: decline",
         )
-    if not is_level(obj, axis):
-        other = "across" if axis == "along" else "along"
-        hint = f"{obj.name} lies so that this axis points up: no finger can close along it"
-        return Rejected(stage="envelope", pointer=f"{pointer}/finger_axis", got=axis, allowed=[other], hint=hint)
     needed, widest = least_opening(obj, axis), 2.0 * hand.gripper.opening.value
+    if rejected := _check_axis(obj, axis, widest, f"{pointer}/finger_axis"):
+        return rejected
     if float(params["opening"]) < needed:
         fits = needed <= widest
         room = f"open wider than {obj.name} ({needed * 1000:.1f} mm with room)"
+        narrower = f"things that need {widest * 1000:.0f} mm or less: {obj.name} needs {needed * 1000:.1f} mm"
         return Rejected(
             stage="envelope",
             pointer=f"{pointer}/opening",
             got=params["opening"],
-            allowed={"minimum": needed, "maximum": widest},
+            allowed={"minimum": needed, "maximum": widest} if fits else narrower,
             hint=room if fits else "it is too wide for this hand",
         )
     return None
+
+
+def _check_axis(obj: SceneObject, axis: str, widest: float, pointer: str) -> Rejected | None:
+    """The axis is level, and the object fits into the opening `widest` [m] along it, unless it fits along neither.
+
+    At least one of the two axes is level: both cannot rise by more than 45 degrees.
+    """
+    other = "across" if axis == "along" else "along"
+    fits_otherwise = is_level(obj, other) and least_opening(obj, other) <= widest
+    if is_level(obj, axis) and (least_opening(obj, axis) <= widest or not fits_otherwise):
+        return None
+    hint = f"{obj.name} lies so that this axis points up: no finger can close along it"
+    if is_level(obj, axis):
+        hint = f"{obj.name} is too wide for this hand along this axis"
+    elif not fits_otherwise:
+        hint += f", and {other} it is too wide for this hand: decline"
+    allowed = [other] if fits_otherwise else "an axis that is level and along which it fits between the fingers"
+    return Rejected(stage="envelope", pointer=pointer, got=axis, allowed=allowed, hint=hint)
 
 
 def _check_reach(arm: ArmController, obj: SceneObject, params: Mapping[str, Any], pointer: str) -> Rejected | None:
