@@ -1,5 +1,6 @@
 """A simulated mobile manipulator: the skills of base and arm, with the filter over the whole robot."""
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -8,7 +9,7 @@ from dualbrain.control.contract_executor import ContractExecutor
 from dualbrain.control.control_loop import ControlLoop, ControlLoopConfig, LoopObserver
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.trace import Trace
-from dualbrain.core.geometry.shapes import IDENTITY_QUATERNION
+from dualbrain.core.geometry.shapes import IDENTITY_QUATERNION, Pose
 from dualbrain.grounding.envelope.scene_rules import scene_rules
 from dualbrain.grounding.offline_gate import controller_at_home, scene_from_spec
 from dualbrain.robots.differential_drive import control_displacement
@@ -150,6 +151,28 @@ def test_an_object_out_of_reach_from_the_place_driven_to_is_refused_at_the_gate(
     place_elsewhere = contract(drive_to("bench"), GRASP, home, drive_to("shelf"), PLACE)
     refused = [refusal for rule in rules if (refusal := rule(place_elsewhere)) is not None]
     assert [refusal.pointer for refusal in refused] == ["/action_sequence/4/params/destination"]
+
+
+def test_the_gate_checks_the_reach_of_a_moved_object_where_the_contract_put_it():
+    """The bowl is at the shelf, the cube at the bench; a pushed or released cube is at no known position."""
+    scene = scene_from_spec(open_scene("workroom:0", BODY.name))
+    shelf = next(place.position for place in scene.places if place.name == "shelf")
+    objects = tuple(
+        msgspec.structs.replace(obj, pose=Pose((*shelf[:2], obj.pose.position[2]))) if obj.name == "blue_bowl" else obj
+        for obj in scene.objects
+    )
+    scene = msgspec.structs.replace(scene, objects=objects)
+    rules = scene_rules(scene, controller_at_home(BODY.name, scene))
+
+    def pointers(*actions):
+        return [refusal.pointer for rule in rules if (refusal := rule(contract(*actions)))]
+
+    moved = (drive_to("bench"), GRASP, drive_to("shelf"), PLACE)
+    assert not pointers(*moved, GRASP, PLACE)
+    assert pointers(*moved, drive_to("bench"), GRASP, PLACE) == ["/action_sequence/5/params/object"]
+    release = ("release", {"speed": 0.1})
+    assert not pointers(drive_to("bench"), GRASP, drive_to("shelf"), release, GRASP, PLACE)
+    assert pointers(drive_to("bench"), GRASP, PLACE) == ["/action_sequence/2/params/destination"]
 
 
 def test_an_opening_that_is_too_small_is_refused_at_the_gate_also_after_a_drive():

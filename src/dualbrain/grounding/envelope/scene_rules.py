@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.contracts.contract import Contract
+from dualbrain.contracts.contract import Action, Contract
 from dualbrain.contracts.schema import DECLINE
 from dualbrain.contracts.skill_order import SkillOrder
 from dualbrain.contracts.verdict import Rejected
@@ -248,25 +248,41 @@ def _check_reach_after_driving(contract: Contract, scene: Scene, robot: MobileMa
         + ARRIVAL_RADIUS
     )
     place: str | None = None
-    for index, action in enumerate(contract.action_sequence):
+    for index, (action, spot) in enumerate(_target_positions(contract, scene, _held_name(robot.arm))):
         if action.skill == "drive_to":
             place = str(action.params["place"])
         elif action.skill == "drive_to_pose":
             place = None
-        elif place in places and (named := TARGET_PARAMETERS.get(action.skill)):
-            spot = _floor_position(scene, str(action.params[named]))
-            if np.linalg.norm(spot - places[place]) > far:
-                near = [name for name, at in places.items() if np.linalg.norm(spot - at) <= far]
-                hint = f"out of reach from {place}: drive_to {' or '.join(near) or 'it'} before that"
-                pointer = f"/action_sequence/{index}/params/{named}"
-                return Rejected(
-                    stage="envelope",
-                    pointer=pointer,
-                    got=action.params[named],
-                    allowed={"reached from": near},
-                    hint=hint,
-                )
+        elif place in places and spot is not None and np.linalg.norm(spot - places[place]) > far:
+            named = TARGET_PARAMETERS[action.skill]
+            near = [name for name, at in places.items() if np.linalg.norm(spot - at) <= far]
+            hint = f"out of reach from {place}: drive_to {' or '.join(near) or 'it'} before that"
+            pointer = f"/action_sequence/{index}/params/{named}"
+            return Rejected(
+                stage="envelope", pointer=pointer, got=action.params[named], allowed={"reached from": near}, hint=hint
+            )
     return None
+
+
+def _target_positions(
+    contract: Contract, scene: Scene, held: str | None
+) -> Iterator[tuple[Action, NDArray[np.float64] | None]]:
+    """Each action with the position (2,) [m] of its target on the floor; None without one, and if it is not known.
+
+    A placed object is at its destination. An object that was pushed, released or still is in the hand (`held` before
+    the first action) is at no known position.
+    """
+    moved: dict[str, NDArray[np.float64] | None] = {held: None} if held else {}
+    for action in contract.action_sequence:
+        target = str(action.params[TARGET_PARAMETERS[action.skill]]) if action.skill in TARGET_PARAMETERS else ""
+        spot = moved[target] if target in moved else _floor_position(scene, target) if target else None
+        yield action, spot
+        if action.skill in ("grasp", "push"):
+            moved[target] = None
+        if action.skill == "place" and held:
+            moved[held] = spot
+        if action.skill in ("grasp", "place", "release"):
+            held = target if action.skill == "grasp" else None
 
 
 def _max_reach(arm: RobotModel) -> float:
