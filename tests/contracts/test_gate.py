@@ -320,6 +320,16 @@ def test_rules_judge_at_the_envelope_stage_in_order() -> None:
     assert len(seen) == 1
 
 
+def test_the_error_of_a_rule_is_reported_in_bounded_printable_text() -> None:
+    def fail(contract: Contract) -> None:
+        raise ValueError(f"{contract.id}\n\x1b[31m\u202e{'x' * 10_000}")
+
+    verdict = check_document(Gate(REGISTRY, {PRINCIPAL: frozenset(REGISTRY.by_name)}, (fail,)), GOOD)
+    assert (verdict.stage, verdict.hint) == ("envelope", "a rule failed")
+    assert verdict.got.startswith(r"ValueError: c-0007\n\x1b[31m\u202exxx")
+    assert len(verdict.got) < 100
+
+
 # --- the header -----------------------------------------------------------------------------------------------------
 
 

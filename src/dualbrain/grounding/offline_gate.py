@@ -9,6 +9,7 @@ from dualbrain.contracts.gate.gate import Gate
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
 from dualbrain.core.geometry.shapes import HalfSpace, Pose
+from dualbrain.core.text import to_printable
 from dualbrain.grounding.envelope.object_limits import with_object_limits
 from dualbrain.grounding.envelope.robot_at_site import RobotAtSite, open_robot_at_site
 from dualbrain.grounding.envelope.scene_rules import scene_rules
@@ -53,7 +54,11 @@ def _check_words(verdict: Accepted, instruction: str, registry: SkillRegistry, s
         return None
     if isinstance(review, Refusal):
         return Rejected(
-            stage="envelope", pointer=INSTRUCTION_POINTER, got=instruction, allowed=["decline"], hint=review.reason
+            stage="envelope",
+            pointer=INSTRUCTION_POINTER,
+            got=to_printable(instruction),
+            allowed=["decline"],
+            hint=review.reason,
         )
     names = SceneVocabulary(scene.graspable, scene.receptive)
     goal = read_goal(instruction, scene)

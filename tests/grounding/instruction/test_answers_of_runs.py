@@ -156,3 +156,11 @@ def test_the_check_of_a_contract_file_can_include_the_words(words, accepted):
     verdict = check_contract(MOVE.encode(), robot="panda", scene="bare:0", instruction=words)
     assert (type(verdict).__name__ == "Accepted") == accepted
     json.dumps(getattr(verdict, "hint", ""))
+
+
+def test_the_declined_words_are_reported_in_bounded_printable_text():
+    words = DECLINED[0] + "\n\x1b[31m" + 1000 * "!"
+    verdict = check_contract(MOVE.encode(), robot="panda", scene="bare:0", instruction=words)
+    assert verdict.allowed == ["decline"]
+    assert verdict.got.isprintable()
+    assert len(verdict.got) < 100

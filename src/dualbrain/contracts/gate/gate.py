@@ -15,6 +15,7 @@ from dualbrain.contracts.gate.syntax import SyntaxStage
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
+from dualbrain.core.text import to_printable
 
 ContractRule = Callable[[Contract], Rejected | None]
 """A condition of the envelope stage on more than one parameter (a pair of parameters, reachability)."""
@@ -82,7 +83,7 @@ class Gate:
                 return Rejected(
                     stage="envelope",
                     pointer="",
-                    got=f"{type(error).__name__}: {error}",
+                    got=to_printable(f"{type(error).__name__}: {error}"),
                     allowed="a decision of the rule",
                     hint="a rule failed",
                 )

@@ -11,7 +11,7 @@ import pytest
 from dualbrain.contracts.contract import ContractHeader
 from dualbrain.contracts.verdict import Accepted, Rejected
 from dualbrain.control.gatekeeper.capability import full_capability
-from dualbrain.control.gatekeeper.gate.exchange import GateRequest, GateSetup
+from dualbrain.control.gatekeeper.gate.exchange import GateRequest, GateSetup, gate_failure
 from dualbrain.control.gatekeeper.gate.gate_process import CHECK_TIMEOUT, GateProcess
 from dualbrain.control.gatekeeper.gate.inline_gate import InlineGate
 from dualbrain.grounding.offline_gate import scene_from_spec
@@ -115,6 +115,12 @@ def test_a_contract_is_rejected_if_the_process_dies_while_checking_and_the_next_
     assert verdict.hint == "the gate failed"
     assert dead.returncode == -signal.SIGKILL
     assert isinstance(check(gate, VALID, 101), Accepted)
+
+
+def test_a_failure_of_the_gate_is_reported_in_bounded_printable_text():
+    got = gate_failure(f"ValueError: c-1\n\x1b[31m{'x' * 10_000}").got
+    assert got.startswith(r"ValueError: c-1\n\x1b[31mxxx")
+    assert len(got) < 300
 
 
 def test_a_process_that_died_while_idle_is_replaced_before_the_next_contract(gate):

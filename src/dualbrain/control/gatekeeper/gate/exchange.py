@@ -140,6 +140,5 @@ def request_of(packet: CheckPacket) -> GateRequest:
 
 def gate_failure(problem: str) -> Rejected:
     """The rejection of a contract that the gate could not judge because of `problem`."""
-    return Rejected(
-        stage="envelope", pointer="", got=problem[:200], allowed="a verdict of the gate", hint="the gate failed"
-    )
+    got = ascii(problem[:200])[1:-1]
+    return Rejected(stage="envelope", pointer="", got=got, allowed="a verdict of the gate", hint="the gate failed")
