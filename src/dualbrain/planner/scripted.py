@@ -54,6 +54,9 @@ class FixedContractPlanner:
         """Do nothing: no resource is open."""
 
 
+NO_ANSWER_LEFT = f"{protocol.ERROR}: more answers were requested than are recorded"
+
+
 class RecordedAnswers:
     """Repeats recorded answers, attempt by attempt, so that a run has the same contracts again."""
 
@@ -63,9 +66,9 @@ class RecordedAnswers:
         self.name = name
 
     def propose(self, request: PlanRequest) -> Proposal:
-        """The next answer."""
+        """The next answer; an error as the finish reason after the last one."""
         del request
-        text, finish = next(self._answers)
+        text, finish = next(self._answers, ("", NO_ANSWER_LEFT))
         return Proposal(text=text, finish_reason=finish, planner=self.name, timings={"total": 0.0})
 
     def close(self) -> None:

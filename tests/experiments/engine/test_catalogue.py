@@ -2,6 +2,7 @@
 
 import pytest
 
+from dualbrain.planner.protocol import describe_failure, has_answer
 from dualbrain.planner.scripted import RecordedAnswers
 from dualbrain.simulation.scenes.generators.tabletop import make_scene
 from experiments.engine.catalogue import EXPERIMENTS
@@ -73,3 +74,11 @@ def test_replayed_answers_keep_their_order():
     planner = RecordedAnswers([["a", "length"], ["b", "stop"]])
     answers = [planner.propose(None) for _ in range(2)]
     assert [(answer.text, answer.finish_reason) for answer in answers] == [("a", "length"), ("b", "stop")]
+
+
+def test_a_request_beyond_the_recorded_answers_has_none():
+    planner = RecordedAnswers([["a", "stop"]])
+    planner.propose(None)
+    beyond = planner.propose(None)
+    assert not has_answer(beyond)
+    assert describe_failure(beyond.finish_reason).endswith("more answers were requested than are recorded")
