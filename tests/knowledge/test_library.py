@@ -10,6 +10,7 @@ import threading
 import time
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from dualbrain.errors import ConfigurationError, MissingDependencyError, UnknownNameError
@@ -19,6 +20,7 @@ from dualbrain.knowledge.document import Citation
 from dualbrain.knowledge.library import Addition, Library, Submission
 from dualbrain.knowledge.rejection import CorruptStoreError, DocumentRejected, StoreInUseError
 from dualbrain.memory.embedding.hashing_encoder import HashingEncoder
+from tests.knowledge.pdf_builder import make_pdf, show_text
 
 NOTE = "# Note on cups\n\nCups are lifted with both fingers and little force, never by the handle.\n"
 OTHER = "# Note on cups\n\nCups may be lifted by the handle if it is strong enough to bear them.\n"
@@ -133,6 +135,22 @@ def test_a_citation_without_a_target_is_rejected(library: Library) -> None:
         Citation(document="cups", version=version, start=-3, end=5),
     ):
         assert isinstance(library.quote(citation), DocumentRejected)
+
+
+def test_a_citation_with_another_page_is_rejected(library: Library) -> None:
+    version = put(library).document.version
+    plain = Citation(document="cups", version=version, start=0, end=5)
+    assert isinstance(library.quote(plain), str)
+    rejected = library.quote(msgspec.structs.replace(plain, page=7))
+    assert isinstance(rejected, DocumentRejected)
+    assert "the document has none" in rejected.allowed
+    data = make_pdf(show_text("one short page of words"), show_text("and a second one of them"))
+    added = library.add(Submission(file="pages.pdf", data=data), now=1.0)
+    assert not isinstance(added, DocumentRejected)
+    for page, (citation, text) in enumerate(library.chunks_of("pages"), start=1):
+        assert citation.page == page
+        assert library.quote(citation) == library.quote(msgspec.structs.replace(citation, page=None)) == text
+        assert isinstance(library.quote(msgspec.structs.replace(citation, page=3 - page)), DocumentRejected)
 
 
 @pytest.mark.parametrize(

@@ -123,7 +123,10 @@ class Library:
         return found[0]
 
     def quote(self, citation: Citation) -> str | DocumentRejected:
-        """The exact characters that `citation` names, also of old versions and removed documents."""
+        """The exact characters that `citation` names, also of old versions and removed documents.
+
+        A page in the citation must be that of its first character.
+        """
         found = self._store.document_texts(citation.document, citation.version)
         if len(found) != 1:
             got = f"{citation}: {len(found)} versions"
@@ -131,6 +134,9 @@ class Library:
         text = found[0].text
         if not 0 <= citation.start < citation.end <= len(text):
             return DocumentRejected("citation", str(citation), f"offsets within 0 … {len(text)}")
+        if citation.page not in (None, page := found[0].page_at(citation.start)):
+            allowed = "no page: the document has none" if page is None else f"page {page} for this offset"
+            return DocumentRejected("citation", str(citation), allowed)
         return text[citation.start : citation.end]
 
     def chunks_of(self, name: str) -> tuple[tuple[Citation, str], ...]:
