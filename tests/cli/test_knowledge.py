@@ -73,6 +73,17 @@ def test_a_rejected_document_exits_5_and_the_others_are_added(run_command, run_j
     assert "trust unknown" in err
 
 
+def test_a_passage_that_no_planner_can_get_is_reported_when_its_document_is_added(run_command, run_json, tmp_path):
+    (tmp_path / "signs.md").write_text(f"# Rules\n\nEach row: {'a < b, ' * 60}\n")
+    code, _, err = run_command("knowledge", "add", "signs.md", "--trust", "site")
+    assert code == ExitCode.SUCCESS
+    assert "never put into a prompt: signs@" in err
+    assert "Shorten such an entry" in err
+    assert len(run_json("add", "signs.md", "--trust", "site")[1]["documents"][0]["unshown"]) == 1
+    (tmp_path / "mugs.md").write_text(NOTE)
+    assert "never put" not in run_command("knowledge", "add", "mugs.md", "--trust", "site")[2]
+
+
 @pytest.mark.parametrize(
     "arguments", [("add",), ("add", "a.md", "b.md", "--name", "x"), ("remove",), ("add", "a.md", "--trust", "nobody")]
 )

@@ -1,12 +1,14 @@
 """Passages for a planner request: those about an object of the instruction come first and need no similar sentence."""
 
+import json
 from zlib import crc32
 
 import numpy as np
 import pytest
 
-from dualbrain.grounding.document_retrieval import Budget, named_objects, retrieve_passages
+from dualbrain.grounding.document_retrieval import Budget, named_objects, retrieve_passages, unshown_passages
 from dualbrain.grounding.vocabulary import load_skill_registry
+from dualbrain.knowledge.builtin_documents import BUILTIN_DOCUMENTS, add_builtin_documents
 from dualbrain.knowledge.library import Library, Submission
 from dualbrain.memory.embedding.hashing_encoder import HashingEncoder
 
@@ -88,3 +90,39 @@ def test_part_of_a_word_is_no_name_and_unknown_sources_are_never_shown(library):
     add(library, "window", "# Rules\n\nThe nuclear glass front of the clear glassware must stay clean.\n")
     add(library, "web", f"# Rules\n\n{GLASS}\n", trust="unknown")
     assert passages(library) == []
+
+
+def test_passages_that_are_too_long_for_every_prompt_are_named(library):
+    add(library, "signs", f"# Rules\n\nEach row: {'a < b, ' * 60}\n\nThe clear glass stays at its place.\n")
+    (reason,) = unshown_passages(library, library.document("signs"))
+    assert reason.startswith(str(library.chunks_of("signs")[0][0]))
+    assert "a passage has at most 580" in reason
+    assert passages(library, "put the signs of each row in the blue bowl") == []
+
+
+def test_the_entries_of_rules_in_toml_are_split_so_that_all_can_be_shown(library):
+    text = '[[rules]]\nname = "long"\nlines = [\n' + "".join(f'  "rule number {k}",\n' for k in range(60)) + "]\n"
+    library.add(Submission(file="rules.toml", data=text.encode(), trust="site", kind="rule"), now=0.0)
+    assert len(library.chunks_of("rules")) > 1
+    assert unshown_passages(library, library.document("rules")) == ()
+
+
+def test_of_the_packaged_documents_only_a_template_with_five_actions_is_never_shown(library):
+    add_builtin_documents(library, now=0.0)
+    found = [one for document in library.documents() for one in unshown_passages(library, document)]
+    assert len(library.documents()) == len(BUILTIN_DOCUMENTS)
+    assert found == [
+        "template take_two_things: it has 672 characters in a prompt, and a passage has at most 580",
+    ]
+
+
+def test_templates_of_a_json_file_are_never_shown(library):
+    home = {"name": "rest", "use_when": "Go home.", "slots": {}}
+    home["action_sequence"] = [{"skill": "home", "params": {"speed": 0.2}}]
+    data = {"kind": "template", "title": "Rest of the arm", "robots": ["panda"], "templates": [home]}
+    library.add(Submission(file="rest.json", data=json.dumps(data).encode(), trust="site"), now=0.0)
+    assert library.document("rest").kind == "template"
+    assert passages(library, "go home", min_relevance=-1.0) == []
+    assert unshown_passages(library, library.document("rest")) == (
+        "all templates: only those of a TOML file are quoted",
+    )

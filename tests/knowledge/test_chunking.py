@@ -68,6 +68,16 @@ def test_an_entry_of_a_toml_file_is_one_chunk() -> None:
     assert len(named) == data.count(b"[[templates]]")
 
 
+def test_a_long_entry_of_a_toml_file_can_be_split() -> None:
+    text = '[[rules]]\nname = "long"\nlines = [\n' + "".join(f'  "rule number {k}",\n' for k in range(60)) + "]\n"
+    found = read_document(text.encode(), "rules.toml")
+    assert isinstance(found, DocumentText)
+    assert len(split_chunks(found)) == 1
+    pieces = split_chunks(found, whole_entries=False)
+    assert all(piece.end - piece.start <= MAX_CHUNK_CHARACTERS and piece.path == ("long",) for piece in pieces)
+    assert " ".join(found.text[one.start : one.end] for one in pieces).split() == text.split()
+
+
 def test_quoting_a_citation_gives_the_chunk(builtin_library: Library) -> None:
     count = 0
     for document in builtin_library.documents():

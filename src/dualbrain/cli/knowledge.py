@@ -44,8 +44,9 @@ def add(
     """Add documents: Markdown, text, HTML, PDF, or a map or templates in TOML or JSON.
 
     Text that a reader would not see (hidden or tiny text, comments, control characters, chat tokens) is removed and
-    reported. A document with a known name becomes a new version; old citations still resolve. Only documents with trust
-    `site` or `vendor` are put into prompts: read a document before you declare its trust.
+    reported, and so is a passage that is too long for a prompt. A document with a known name becomes a new version; old
+    citations still resolve. Only documents with trust `site` or `vendor` are put into prompts: read a document before
+    you declare its trust.
 
     Exit code 0 if every document was added, 5 if one was rejected.
 
@@ -71,7 +72,7 @@ def add(
         if not file.exists():
             raise ConfigurationError.stating(f"There is no file {file}.", fix="Check the path of the document.")
     robot = tuple(map(_robot_name, robot))
-    done: list[Addition | DocumentRejected] = []
+    done: list[dict[str, Any]] = []
     with _open_library(store, write=True) as library:
         for file in files:
             data = _read_file(file)
@@ -82,14 +83,16 @@ def add(
                     file=file.name, data=data, trust=trust, name=name, kind=kind, title=title, robots=robot
                 )
                 one = _unusable_templates(submission) or library.add(submission, now=time.time())
-            done.append(one)
             if isinstance(one, DocumentRejected):
                 _print_stderr(f"{file}: rejected: {one}")
+                done.append({"refused": one})
             else:
-                _print_addition(one)
+                unshown = _unshown_passages(library, one.document)
+                _print_addition(one, unshown)
+                done.append({"change": one.change, "document": one.document, "unshown": unshown})
     if json:
-        print_result(msgspec.json.encode({"documents": [_encode_outcome(one) for one in done]}).decode())
-    return ExitCode.SETUP if any(isinstance(one, DocumentRejected) for one in done) else ExitCode.SUCCESS
+        print_result(msgspec.json.encode({"documents": done}).decode())
+    return ExitCode.SETUP if any("refused" in one for one in done) else ExitCode.SUCCESS
 
 
 def list_documents(*, store: Store = None, json: Json = False) -> int:
@@ -266,10 +269,21 @@ def _unusable_templates(submission: Submission) -> DocumentRejected | None:
     return check_templates(submission)
 
 
-def _print_addition(done: Addition) -> None:
+def _unshown_passages(library: Library, document: Document) -> tuple[str, ...]:
+    """The passages of `document` that no planner can get, each with the reason."""
+    from dualbrain.grounding.document_retrieval import unshown_passages
+
+    return unshown_passages(library, document) if document.trust != "unknown" else ()
+
+
+def _print_addition(done: Addition, unshown: tuple[str, ...]) -> None:
     _print_stderr(f"{done.change}: {_describe_document(done.document)}")
     for hidden in done.document.hidden:
         _print_stderr(f"  removed: {hidden.characters} characters, {hidden.kind}: {hidden.sample}")
+    for passage in unshown:
+        _print_stderr(f"  never put into a prompt: {passage}")
+    if unshown:
+        _print_stderr("  Shorten such an entry or template, or split it, and add the document again.")
     if done.document.trust == "unknown":
         _print_stderr(
             "  trust unknown: the document can be searched, but is not put into prompts. "
@@ -285,12 +299,6 @@ def _document_row(one: Document) -> tuple[str, ...]:
 def _describe_document(one: Document) -> str:
     chunks = count_noun(one.chunks, "chunk")
     return f"{one.name} ({one.kind}, {one.trust}, {chunks}, version {one.version[:12]}): {one.title}"
-
-
-def _encode_outcome(one: Addition | DocumentRejected) -> dict[str, Any]:
-    if isinstance(one, DocumentRejected):
-        return {"refused": one}
-    return {"change": one.change, "document": one.document}
 
 
 def _encode_hit(one: ChunkHit) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from pathlib import PurePath
 
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.grounding.vocabulary import load_skill_registry
-from dualbrain.knowledge.document import ChunkHit, ConsultedDocuments, TrustLevel
+from dualbrain.knowledge.document import ChunkHit, ConsultedDocuments, Document, TrustLevel
 from dualbrain.knowledge.library import Library, Submission
 from dualbrain.knowledge.readers.reader import STRUCTURED_SUFFIXES, read_document
 from dualbrain.knowledge.rejection import DocumentRejected
@@ -86,6 +86,29 @@ def retrieve_passages(
             chosen.append(_make_passage(hit, text, rank=len(chosen) + 1))
             left -= cost
     return tuple(chosen)
+
+
+def unshown_passages(library: Library, document: Document) -> tuple[str, ...]:
+    """Why passages of the published `document` can be in no prompt: each passage with its reason.
+
+    Maps, of which no passage is quoted, have none.
+    """
+    if document.kind == "map":
+        return ()
+    if document.kind != "template":
+        quoted = [(str(citation), " ".join(text.split())) for citation, text in library.chunks_of(document.name)]
+    elif document.media == "toml":
+        parsed = parse_structured(library.document_text(document.name, document.version), TaskTemplates)
+        templates = parsed.templates if isinstance(parsed, TaskTemplates) else ()
+        quoted = [(f"template {one.name}", one.prompt_text()) for one in templates]
+    else:
+        return ("all templates: only those of a TOML file are quoted",)
+    lengths = [(name, passage_length(text)) for name, text in quoted]
+    return tuple(
+        f"{name}: it has {length} characters in a prompt, and a passage has at most {PASSAGE_LIMIT}"
+        for name, length in lengths
+        if length > PASSAGE_LIMIT
+    )
 
 
 def consulted_budget(consult: ConsultedDocuments) -> Budget:

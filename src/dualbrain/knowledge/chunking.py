@@ -18,7 +18,7 @@ from dualbrain.knowledge.readers.reader import BLOCK_MEDIA, DocumentText
 MAX_CHUNK_CHARACTERS = 480
 """Largest length of a chunk: about 120 tokens, so that three chunks are a small part of a prompt."""
 MAX_ENTRY_CHARACTERS = 2000
-"""Largest length of one entry of a TOML file, which is quoted as a whole."""
+"""Largest length of one entry of a map or of templates in TOML, which is not split to be shown."""
 
 _BREAKS = (re.compile(r"\n"), re.compile(r"(?<=[.!?:;])\s"), re.compile(r"\s"))
 """Breaks at which a long block is cut, in order of preference: line, sentence, word."""
@@ -38,13 +38,13 @@ class Chunk(NamedTuple):
     path: tuple[str, ...]
 
 
-def split_chunks(document_text: DocumentText) -> tuple[Chunk, ...]:
-    """All chunks of `document_text` in their order."""
+def split_chunks(document_text: DocumentText, *, whole_entries: bool = True) -> tuple[Chunk, ...]:
+    """All chunks of `document_text` in their order; with `whole_entries` an entry of a TOML file is one chunk."""
     find_blocks = {"toml": _toml_tables}.get(document_text.media, _paragraphs)
     found = document_text.blocks if document_text.media in BLOCK_MEDIA else find_blocks(document_text.text)
     blocks = [block for block in found if document_text.text[block.start : block.end].strip()]
     by_page = (part for block in blocks for part in _split_at_pages(document_text, block))
-    longest = MAX_ENTRY_CHARACTERS if document_text.media == "toml" else MAX_CHUNK_CHARACTERS
+    longest = MAX_ENTRY_CHARACTERS if document_text.media == "toml" and whole_entries else MAX_CHUNK_CHARACTERS
     short = [part for block in by_page for part in _split_long(document_text.text, block, longest)]
     return tuple(
         Chunk(block.start, block.end, document_text.page_at(block.start), block.path)

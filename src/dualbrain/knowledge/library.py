@@ -262,7 +262,9 @@ class Library:
             return kind
         if rejection := check_structure(kind, document_text):
             return rejection
-        pieces = self._store.stored_chunks(name, document_text.version) or split_chunks(document_text)
+        pieces = self._store.stored_chunks(name, document_text.version) or split_chunks(
+            document_text, whole_entries=kind in ("map", "template")
+        )
         document = Document(
             name=name,
             version=document_text.version,
