@@ -135,6 +135,14 @@ def test_the_view_of_a_report_states_rejection_outcome_and_repetition():
     assert report_view(SubmissionReport(id="c-0001", state="lost", reason="gone"))["reason"] == "gone"
 
 
+@pytest.mark.parametrize("text", ["", " ", "\t\n ", "\u2003"])
+def test_an_instruction_without_words_is_refused_before_planning(text, robot, monkeypatch):
+    monkeypatch.setattr(robot, "has_planner", True)
+    before = len(robot.submitted)
+    assert "The instruction is empty" in call(robot, "do", {"instruction": text})["error"]
+    assert len(robot.submitted) == before
+
+
 @pytest.mark.parametrize("name", ["submit_contract", "do"])
 def test_an_instruction_that_is_too_long_is_refused_and_not_cut(name, robot, monkeypatch):
     monkeypatch.setattr(robot, "has_planner", True)

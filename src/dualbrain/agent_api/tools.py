@@ -240,6 +240,8 @@ def _stop(robot: ToolRobot, arguments: Arguments, client: str) -> dict[str, Any]
 def _do(robot: ToolRobot, arguments: Arguments, client: str) -> dict[str, Any]:
     del client
     instruction = check_instruction(_read(arguments, "instruction", str, ""))
+    if not instruction.strip():
+        raise ToolError("The instruction is empty. State in words what the robot is to do.")
     return report_view(robot.do(instruction, timeout=_wait(arguments, DEFAULT_WAIT)))
 
 
