@@ -18,7 +18,7 @@ from dualbrain.agent_api.tools import (
     robot_tools,
 )
 from dualbrain.contracts.verdict import Rejected
-from dualbrain.control.gatekeeper.protocol.client import ConnectionLostError
+from dualbrain.control.gatekeeper.protocol.client import ConnectionLostError, ContractNotCheckedError
 from dualbrain.records import Outcome
 from tests.agent_server.stub_robot import StubRobot
 
@@ -110,6 +110,15 @@ def test_a_robot_that_cannot_be_reached_is_an_error_of_the_call(robot, monkeypat
 
     monkeypatch.setattr(robot, "stop", lost)
     assert "cannot be reached" in call(robot, "stop", "{}")["error"]
+
+
+def test_a_contract_that_the_gate_does_not_check_now_is_no_lost_robot(robot, monkeypatch):
+    def refuse(contract):
+        raise ContractNotCheckedError("another contract is being checked; check it again in a moment")
+
+    monkeypatch.setattr(robot, "check", refuse)
+    error = call(robot, "check_contract", '{"contract": {}}')["error"]
+    assert error == "The contract was not checked: another contract is being checked; check it again in a moment."
 
 
 def test_a_stop_needs_nothing_else_of_the_robot(robot, monkeypatch):

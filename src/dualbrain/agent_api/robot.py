@@ -226,7 +226,7 @@ class Robot:
     def check(self, contract: Json) -> Verdict:
         """The verdict of the gatekeeper's own gate on a contract in the present scene; nothing moves.
 
-        Raises `ConnectionLostError`.
+        Raises `ConnectionLostError`, and `ContractNotCheckedError` while the gate checks another contract.
         """
         data = contract_bytes(contract)
         if len(data) > MAX_BYTES:

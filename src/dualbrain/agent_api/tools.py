@@ -15,7 +15,7 @@ import msgspec
 
 from dualbrain.agent_api.submission import SubmissionReport
 from dualbrain.contracts.verdict import Accepted, Verdict
-from dualbrain.control.gatekeeper.protocol.client import ConnectionLostError
+from dualbrain.control.gatekeeper.protocol.client import ConnectionLostError, ContractNotCheckedError
 from dualbrain.control.gatekeeper.protocol.messages import StatusReport
 from dualbrain.core.text import closest_name_hint, to_printable
 from dualbrain.errors import DECODE_ERRORS, DualbrainError
@@ -157,7 +157,7 @@ def call_tool(robot: ToolRobot, name: str, arguments: bytes | str | dict[str, An
 
 def error_sentence(error: DualbrainError) -> str:
     """The cause of a call that could not be carried out, and its remedy, for the client."""
-    if isinstance(error, ConnectionLostError):
+    if isinstance(error, ConnectionLostError) and not isinstance(error, ContractNotCheckedError):
         return f"The robot cannot be reached: {error}. Check its gatekeeper with `dualbrain doctor`."
     return str(error)
 

@@ -403,7 +403,7 @@ class Gatekeeper:
         if connection is not self._commander:
             reason = "only the commander may have contracts checked"
         elif self._gate.busy or self._waiting_request is not None:
-            reason = "another contract is being checked"
+            reason = "another contract is being checked; check it again in a moment"
         if reason:
             connection.send(CheckReport(sequence=sequence, refused=reason))
             return

@@ -9,10 +9,16 @@ import pytest
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.control.gatekeeper.protocol import client as client_module
 from dualbrain.control.gatekeeper.protocol.authentication import load_keys
-from dualbrain.control.gatekeeper.protocol.client import ConnectionLostError, GatekeeperClient
+from dualbrain.control.gatekeeper.protocol.client import (
+    ConnectionLostError,
+    ContractNotCheckedError,
+    GatekeeperClient,
+)
 from dualbrain.control.gatekeeper.protocol.frames import FrameDecoder, encode
 from dualbrain.control.gatekeeper.protocol.messages import (
     Challenge,
+    CheckReport,
+    CheckRequest,
     Hello,
     OutcomeReport,
     Propose,
@@ -94,6 +100,8 @@ class ScriptedGatekeeper:
                 self._held += held
                 for reply in replies:
                     self.send(reply)
+            case CheckRequest():
+                self.send(CheckReport(sequence=sequence, refused="another contract is being checked"))
             case _:
                 pass
 
@@ -143,6 +151,14 @@ def connect(tmp_path, monkeypatch):
 def lose_first_verdict(client):
     with pytest.raises(ConnectionLostError, match="stop the robot"):
         client.propose(b"first", 1)
+
+
+def test_a_contract_that_is_not_checked_leaves_the_connection_as_it_is(connect):
+    _, client = connect(at_once(accepted))
+    with pytest.raises(ContractNotCheckedError, match="not checked: another contract is being checked"):
+        client.check(b"first")
+    assert not client.disconnected.is_set()
+    assert client.propose(b"second", 1).rejected is None
 
 
 def test_a_late_verdict_is_not_that_of_the_next_contract(connect):

@@ -64,6 +64,14 @@ class ConnectionLostError(DualbrainError):
     """The gatekeeper closed the connection, refused a request, or did not reply in time."""
 
 
+class ContractNotCheckedError(ConnectionLostError):
+    """The gatekeeper did not check a contract, for the given reason; the connection is not affected."""
+
+    def __init__(self, reason: str) -> None:
+        """State the reason that the gatekeeper sent."""
+        super().__init__(f"The contract was not checked: {reason}.")
+
+
 class GatekeeperClient:
     """One connection to a gatekeeper. One thread reads from it; for a commander, another one sends heartbeats."""
 
@@ -210,7 +218,8 @@ class GatekeeperClient:
     def check(self, contract: bytes) -> CheckReport:
         """The gate's verdict on `contract` in the present state, without any effect; also while a contract runs.
 
-        Raises `ConnectionLostError`, also if the gatekeeper does not check the contract.
+        Raises `ConnectionLostError`; if the gatekeeper does not check the contract, because it checks another one or
+        this client is not the commander, `ContractNotCheckedError`.
         """
         with self._check_lock:
             sequence, deadline = self.send(CheckRequest(contract=contract)), time.monotonic() + REPLY_TIMEOUT
@@ -364,7 +373,7 @@ def _as_timeval(seconds: float) -> bytes:
 
 
 def _checked(report: CheckReport) -> CheckReport:
-    """`report`, if the contract was checked; raises `ConnectionLostError` otherwise."""
+    """`report`, if the contract was checked; raises `ContractNotCheckedError` otherwise."""
     if report.refused:
-        raise ConnectionLostError(report.refused)
+        raise ContractNotCheckedError(report.refused)
     return report
