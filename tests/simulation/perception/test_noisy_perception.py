@@ -124,3 +124,16 @@ def test_hidden_objects_are_absent_and_the_version_counts_changes_of_names():
 def test_invalid_noise_is_rejected():
     with pytest.raises(ConfigurationError, match="dropout_probability below 1"):
         observe(PerceptionNoise(dropout_probability=1.0))
+
+
+@pytest.mark.parametrize("name", ["sigma", "correlation_time", "velocity_error", "latency", "dropout_probability"])
+@pytest.mark.parametrize("value", [-0.001, float("nan")])
+def test_noise_that_is_negative_or_no_number_is_rejected(name, value):
+    with pytest.raises(ConfigurationError, match="perception noise"):
+        observe(PerceptionNoise(**{name: value}))
+
+
+@pytest.mark.parametrize("name", ["sigma", "velocity_error", "latency"])
+def test_infinite_noise_is_rejected(name):
+    with pytest.raises(ConfigurationError, match="perception noise"):
+        observe(PerceptionNoise(**{name: float("inf")}))

@@ -58,11 +58,9 @@ class NoisyPerception:
 
     def __init__(self, spec: SceneSpec, noise: PerceptionNoise, rng: np.random.Generator) -> None:
         """Perceive `spec` with `noise` drawn from `rng`; raises `ConfigurationError` for invalid noise."""
-        if (
-            min(noise.sigma, noise.correlation_time, noise.velocity_error, noise.latency) < 0.0
-            or not 0.0 <= noise.dropout_probability < 1.0
-        ):
-            allowed = "values of 0 or more, dropout_probability below 1"
+        finite = all(0.0 <= value < np.inf for value in (noise.sigma, noise.velocity_error, noise.latency))
+        if not (finite and noise.correlation_time >= 0.0 and 0.0 <= noise.dropout_probability < 1.0):
+            allowed = "finite values of 0 or more (correlation_time may be infinite), dropout_probability below 1"
             raise ConfigurationError("perception noise", got=noise, allowed=allowed)
         self.noise, self._spec, self._rng = noise, spec, rng
         self._errors: dict[str, NDArray[np.float64]] = {}
