@@ -226,6 +226,9 @@ def test_settings_that_break_the_guarantee_are_rejected():
         {"max_speed": 0.0},
         {"max_speed": 9.0},
         {"max_speed": [1.0] * 6 + [np.nan]},
+        {"max_speed": []},
+        {"max_speed": [1.0] * 6},
+        {"max_speed": [1.0] * 8},
     ):
         with pytest.raises(ConfigurationError):
             derate(PANDA, **wrong)

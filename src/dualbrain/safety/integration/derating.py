@@ -23,7 +23,8 @@ def derate(
     for all rows of an arm at full speed; with longer periods it may stop the arm (`Reason.ROW_OVERFLOW`).
 
     Raises:
-        ConfigurationError: the period is not in (0, 0.01], or a speed is not above 0 or exceeds the limit of the joint.
+        ConfigurationError: the period is not in (0, 0.01], a speed is not above 0 or exceeds the limit of the joint, or
+            the number of speeds is not that of the joints.
     """
     changed = robot_model
     if period is not None:
@@ -41,6 +42,9 @@ def derate(
             if isinstance(max_speed, (int, float))
             else [float(value) for value in max_speed]
         )
+        if len(speeds) != robot_model.n:
+            allowed = f"one number, or {robot_model.n} for the joints"
+            raise ConfigurationError("velocity limits [rad/s]", got=speeds, allowed=allowed)
         joints = tuple(_derate_joint(joint, value) for joint, value in zip(robot_model.joints, speeds, strict=True))
         changed = msgspec.structs.replace(changed, joints=joints)
     return changed
