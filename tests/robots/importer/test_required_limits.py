@@ -162,6 +162,46 @@ def test_the_accelerations_of_the_ur5e_come_from_its_urdf():
     assert bounds[0]["acceleration"] == Bound(2.5, "rad/s^2", "ur5e.urdf:161: shoulder_pan_joint limit acceleration")
 
 
+def soft_limited_arm(folder, controller, limit='<limit lower="-2" upper="2" velocity="1.5" effort="9"/>'):
+    joint = joint_xml("j", "a", "b", inside=f"\n{limit}\n<safety_controller {controller}/>\n")
+    return read_urdf(write_file(folder, urdf_xml(link_xml("a"), link_xml("b"), joint)))
+
+
+def test_the_soft_limits_of_a_safety_controller_narrow_the_range(tmp_path):
+    tree = soft_limited_arm(tmp_path, 'soft_lower_limit="-1.5" soft_upper_limit="2.5" k_velocity="9"')
+    (joint,) = build_arm(tree, limit_policy(), QUICK).robot_model.joints
+    soft = "robot.urdf:7: j safety_controller soft_lower_limit"
+    assert joint.lower == Bound(-1.5, "rad", f"{soft}; wider: -2 of robot.urdf:5: j limit lower")
+    assert joint.upper == Bound(2.0, "rad", "robot.urdf:5: j limit upper")
+
+
+@pytest.mark.parametrize(
+    ("controller", "ends"),
+    [
+        ('k_velocity="9"', (-2.0, 2.0)),
+        ('soft_lower_limit="0" soft_upper_limit="0.0" k_velocity="9"', (-2.0, 2.0)),
+        ('soft_upper_limit="1" k_velocity="9"', (-2.0, 1.0)),
+        ('soft_lower_limit="-2" soft_upper_limit="2" k_velocity="9"', (-2.0, 2.0)),
+    ],
+)
+def test_soft_limits_that_are_not_stated_are_no_limits(tmp_path, controller, ends):
+    (joint,) = soft_limited_arm(tmp_path, controller).joints
+    bounds = joint_bounds(joint, limit_policy(), [])
+    assert (bounds["lower"].value, bounds["upper"].value) == ends
+    assert "wider: 2 of" not in bounds["lower"].provenance
+
+
+def test_soft_limits_outside_the_range_of_the_joint_are_refused(tmp_path):
+    (joint,) = soft_limited_arm(tmp_path, 'soft_lower_limit="3" soft_upper_limit="4" k_velocity="9"').joints
+    with pytest.raises(ConfigurationError, match=r"robot\.urdf:7: j safety_controller.*lower below upper"):
+        joint_bounds(joint, limit_policy(), [])
+
+
+def test_a_soft_limit_that_is_not_finite_is_refused(tmp_path):
+    with pytest.raises(ConfigurationError, match="finite"):
+        soft_limited_arm(tmp_path, 'soft_lower_limit="nan" soft_upper_limit="1" k_velocity="9"')
+
+
 def test_an_omitted_range_is_a_missing_limit(tmp_path):
     bare = '<limit effort="3" velocity="0"/>'
     text = urdf_xml(link_xml("a"), link_xml("b"), joint_xml("j", "a", "b", inside=bare))

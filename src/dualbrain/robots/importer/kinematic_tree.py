@@ -56,7 +56,8 @@ class TreeJoint:
     """A joint: `pose` (4, 4) of its frame in the parent link, unit `axis` (3,) in that frame.
 
     A limit is None if the file does not state it; limits are in rad, rad/s, rad/s² and rad/s³ (prismatic joints in m),
-    the effort in N m or N. `source_location` is file and line, for the provenance.
+    the effort in N m or N. `source_location` is file and line, for the provenance. `soft_lower` and `soft_upper` are
+    the range in which a joint of the chain is to stay, and `soft_location` its file and line.
     """
 
     name: str
@@ -73,6 +74,9 @@ class TreeJoint:
     jerk: float | None = None
     mimic: Mimic | None = None
     effort: float | None = None
+    soft_lower: float | None = None
+    soft_upper: float | None = None
+    soft_location: str = ""
 
     def child_pose(self, q: float) -> Array:
         """Pose (4, 4) of the child link in the parent link at joint value q [rad or m]."""
@@ -146,7 +150,8 @@ def _require_finite(joint: TreeJoint) -> None:
     """Raise `ConfigurationError` if a number of `joint` is not finite; a limit that is not stated is None."""
     mimic = (joint.mimic.multiplier, joint.mimic.offset) if joint.mimic else ()
     limits = (joint.lower, joint.upper, joint.velocity, joint.acceleration, joint.jerk, joint.effort)
-    stated = [limit for limit in limits if limit is not None]
+    soft = (joint.soft_lower, joint.soft_upper)
+    stated = [limit for limit in (*limits, *soft) if limit is not None]
     for entry, values in (("pose", joint.pose), ("axis", joint.axis), ("limit", stated), ("mimic rule", mimic)):
         if not np.all(np.isfinite(values)):
             raise ConfigurationError(

@@ -132,7 +132,21 @@ def joint_bounds(joint: TreeJoint, policy: LimitPolicy, missing: list[MissingLim
 
 
 def described_limit(joint: TreeJoint, name: str) -> StatedLimit | None:
-    """The limit `name` of the description, None if it states none; a velocity of zero counts as not stated."""
+    """The limit `name` of the description, None if it states none; of a range and a soft range, the narrower end."""
+    hard, soft = _hard_limit(joint, name), _soft_limit(joint, name)
+    if hard is None or soft is None:
+        return hard or soft
+    return _beside(soft, hard) if _is_narrower(name, soft, hard) else hard
+
+
+def _soft_limit(joint: TreeJoint, name: str) -> StatedLimit | None:
+    value = {"lower": joint.soft_lower, "upper": joint.soft_upper}.get(name)
+    provenance = f"{joint.soft_location}: {joint.name} safety_controller soft_{name}_limit"
+    return None if value is None else StatedLimit(value, provenance)
+
+
+def _hard_limit(joint: TreeJoint, name: str) -> StatedLimit | None:
+    """The limit `name` of the joint itself; a velocity of zero counts as not stated."""
     value: float | None = getattr(joint, name)
     if joint.kind == "continuous" and name in ("lower", "upper"):
         provenance = (
@@ -151,9 +165,13 @@ def _narrower_bound(name: str, described: StatedLimit | None, site: StatedLimit 
         only = described or site
         assert only is not None
         return Bound(only.value, unit, only.provenance)
-    site_is_narrower = site.value > described.value if name == "lower" else site.value < described.value
-    found = _beside(site, described) if site_is_narrower else _beside(described, site)
+    found = _beside(site, described) if _is_narrower(name, site, described) else _beside(described, site)
     return Bound(found.value, unit, found.provenance)
+
+
+def _is_narrower(name: str, one: StatedLimit, other: StatedLimit) -> bool:
+    """Whether the limit `one` called `name` excludes values that `other` admits."""
+    return one.value > other.value if name == "lower" else one.value < other.value
 
 
 def robot_bound(name: str, unit: str, policy: LimitPolicy, missing: list[MissingLimit]) -> Bound:

@@ -1,7 +1,7 @@
 """Reader of URDF files: yourdfpy parses the file after the safe XML reader has accepted it.
 
 lxml gives the lines for the provenance, and the limits of acceleration and jerk, which plain URDF does not have:
-Drake's attributes `drake:acceleration` and `drake:jerk` of `<limit>`.
+Drake's attributes `drake:acceleration` and `drake:jerk` of `<limit>`. The range in `<safety_controller>` is read too.
 """
 
 from __future__ import annotations
@@ -174,6 +174,8 @@ def _read_joint(joint: Any, element: Any, file: str) -> TreeJoint:
     lower, upper, velocity = (
         (None, None, None) if limit is None else (_optional_number(value, where) for value in _limits(limit, bounded))
     )
+    soft_lower, soft_upper = _soft_limits(joint.safety_controller, where)
+    soft_element = element.find("safety_controller")
     return TreeJoint(
         name=joint.name,
         kind=joint.type,
@@ -189,6 +191,9 @@ def _read_joint(joint: Any, element: Any, file: str) -> TreeJoint:
         jerk=_drake_limit(limit_element, "jerk", where),
         mimic=_read_mimic(joint.mimic),
         effort=None if limit is None else _optional_number(limit.effort, where),
+        soft_lower=soft_lower,
+        soft_upper=soft_upper,
+        soft_location="" if soft_element is None else f"{file}:{soft_element.sourceline}",
     )
 
 
@@ -213,6 +218,13 @@ def _limits(limit: Any, bounded: bool) -> tuple[Any, Any, Any]:
     """Lower, upper and velocity limit; an omitted range, which URDF defines as [0, 0], counts as not stated."""
     lower, upper = (limit.lower or 0.0, limit.upper or 0.0) if bounded else (None, None)
     return (None, None, limit.velocity) if lower == upper else (lower, upper, limit.velocity)
+
+
+def _soft_limits(controller: Any, where: str) -> tuple[float | None, float | None]:
+    """The range in a `<safety_controller>`; without a range, which URDF defines as [0, 0], it is not stated."""
+    if controller is None or (controller.soft_lower_limit or 0.0) == (controller.soft_upper_limit or 0.0):
+        return None, None
+    return _optional_number(controller.soft_lower_limit, where), _optional_number(controller.soft_upper_limit, where)
 
 
 def _optional_number(value: Any, where: str) -> float | None:
