@@ -221,6 +221,15 @@ def test_an_empty_range_or_a_limit_of_zero_is_refused(tree, stated, match):
         build_arm(tree, LimitPolicy(policy.all_joints, joints, policy.robot), QUICK)
 
 
+@pytest.mark.parametrize(("joint", "lock"), [("grip", {}), ("lift", {"lift": 0.2}), ("weld", {})])
+def test_a_limit_of_a_joint_outside_the_chain_is_refused(tree, joint, lock):
+    policy = limit_policy()
+    limits = LimitPolicy(policy.all_joints, {joint: {"velocity": StatedLimit(0.1, "lab.toml:4")}}, policy.robot)
+    options = ImportOptions(quick=True, sphere_budget=30, lock=lock)
+    with pytest.raises(ConfigurationError, match=rf"velocity of '{joint}' \(lab\.toml:4\).*does not drive"):
+        build_arm(tree, limits, options)
+
+
 def test_a_policy_for_an_unknown_joint_is_refused(tree):
     policy = limit_policy()
     with pytest.raises(UnknownNameError, match="Closest: 'shoulder'"):

@@ -95,7 +95,8 @@ def build_arm(
     Raises:
         MissingLimitsError: Neither the description nor `policy` states a limit; all missing limits are listed.
         ConfigurationError: The chain cannot be driven, exceeds the capacity of the kernel, has no posture without
-            self-collision, or a turn limit of a base is stated.
+            self-collision, or a limit is stated that no joint of the chain keeps.
+        UnknownNameError: A limit of a joint that does not exist is stated.
         MissingDependencyError: A mesh file or a library does not exist.
     """
     chain = find_chain(tree, base=options.base, tip=options.tip, tool=options.tool, lock=options.lock)
@@ -152,10 +153,11 @@ def _joint_limits(
     missing: list[MissingLimit] = []
     reason = "an arm has no base that turns"
     refuse_unused_limits(policy.robot, {"turn": reason, "turn_acceleration": reason})
-    known = {joint.name for joint in tree.joints}
-    for name in policy.by_joint:
-        if name not in known:
-            tree.joint(name)
+    driven = {joint.name for joint in chain.joints}
+    for name, limits in policy.by_joint.items():
+        if tree.joint(name).name not in driven:
+            fixed = f"the chain from {chain.base} to {chain.tip} does not drive this joint"
+            refuse_unused_limits(limits, dict.fromkeys(limits, fixed), f" of {name!r}")
     bounds = [joint_bounds(joint, policy, missing) for joint in chain.joints]
     period = robot_bound("period", "s", policy, missing)
     tool_speed = robot_bound("tool_speed", "m/s", policy, missing)
