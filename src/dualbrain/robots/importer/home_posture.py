@@ -46,19 +46,15 @@ def find_home_posture(
         ConfigurationError: The requested posture is out of range or in self-collision, or every posture is in
             self-collision.
     """
-    low, high = _joint_ranges(joints)
     if requested is not None:
-        q = np.array(requested, float)
-        if q.shape != low.shape or not np.all((q > low) & (q < high)):
-            raise ConfigurationError(
-                "home", got=list(requested), allowed=f"{len(joints)} values within the joint limits"
-            )
-        gap = float(self_clearances(joints, links, cover, pairs, q[None])[0])
+        _require_within_limits(joints, requested)
+        gap = float(self_clearances(joints, links, cover, pairs, np.array(requested, float)[None])[0])
         if gap <= 0.0:
             raise ConfigurationError(
                 "home", got=f"spheres that overlap by {-gap * 1e3:.0f} mm", allowed="a posture without self-collision"
             )
         return HomePosture(requested, f"given; nearest pair {gap * 1e3:.0f} mm apart")
+    low, high = _sampled_ranges(joints)
     margin = 0.1 * (high - low)
     named = {"zero, clear of the limits": np.zeros(len(joints)), "the middle of all ranges": 0.5 * (low + high)}
     postures = np.clip(np.vstack(list(named.values())), low + margin, high - margin)
@@ -88,8 +84,18 @@ def _make_home(q: Array, gap: float, choice: str) -> HomePosture:
     return HomePosture(posture, f"{list(posture)}: {choice}; {clearance}")
 
 
-def _joint_ranges(joints: tuple[Joint, ...]) -> tuple[Array, Array]:
-    """Lower and upper ends (n,) of the ranges; of a continuous joint -π and π."""
+def _require_within_limits(joints: tuple[Joint, ...], requested: tuple[float, ...]) -> None:
+    """Raise `ConfigurationError` unless `requested` has a value within the limits of each joint."""
+    if len(requested) != len(joints):
+        raise ConfigurationError("home", got=list(requested), allowed=f"{len(joints)} values within the joint limits")
+    for joint, value in zip(joints, requested, strict=True):
+        if not joint.lower.value < value < joint.upper.value:
+            allowed = f"between {joint.lower.value:g} and {joint.upper.value:g} {joint.lower.unit}"
+            raise ConfigurationError(f"home of joint {joint.name!r}", got=value, allowed=allowed)
+
+
+def _sampled_ranges(joints: tuple[Joint, ...]) -> tuple[Array, Array]:
+    """Lower and upper ends (n,) of the ranges in which postures are chosen; of a continuous joint -π and π."""
     low = np.array([joint.lower.value for joint in joints])
     high = np.array([joint.upper.value for joint in joints])
     continuous = np.array([joint.kind == "revolute" for joint in joints]) & (high - low > 4.0 * np.pi)
