@@ -79,3 +79,30 @@ def test_a_file_that_is_no_body_is_left_alone(run_command, tmp_path):
     assert code == ExitCode.SETUP
     assert "not a robot model" in err
     assert (tmp_path / "body.json").read_text() == "{}"
+
+
+@pytest.mark.parametrize(
+    ("entries", "word"),
+    [
+        ({"period": 0.0}, "period in body.json: got 0.0"),
+        ({"home": (0.0,) * 3}, "home in body.json"),
+    ],
+)
+def test_a_file_with_a_wrong_entry_is_left_alone(run_command, tmp_path, entries, word):
+    data = encode_robot(msgspec.structs.replace(PANDA, **entries))
+    (tmp_path / "body.json").write_bytes(data)
+    code, _, err = run_command("robot", "identify", *SHORT, "--write", "body.json")
+    assert code == ExitCode.SETUP
+    assert word in " ".join(err.split())
+    assert (tmp_path / "body.json").read_bytes() == data
+
+
+def test_the_file_of_a_robot_with_other_joints_and_a_folder_are_refused(run_command, tmp_path):
+    (tmp_path / "body.json").write_bytes(encode_robot(load_robot("ur5e")))
+    code, _, err = run_command("robot", "identify", *SHORT, "--write", "body.json")
+    assert code == ExitCode.SETUP
+    assert "joints in body.json" in err
+    (tmp_path / "arm").mkdir()
+    code, _, err = run_command("robot", "identify", *SHORT, "--write", "arm")
+    assert code == ExitCode.SETUP
+    assert "arm/body.json" in err

@@ -18,9 +18,8 @@ from dualbrain import __version__
 from dualbrain.cli.common.console import VisibleConsole, print_message, print_result
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.core.storage.atomic_files import atomic_file
-from dualbrain.core.untrusted.bounded_file import read_bounded_file
-from dualbrain.errors import DECODE_ERRORS, ConfigurationError
-from dualbrain.robots.loader import MAX_FILE_BYTES, encode_robot, load_robot
+from dualbrain.errors import ConfigurationError
+from dualbrain.robots.loader import MODEL_FILE, encode_robot, load_robot, read_robot
 from dualbrain.robots.model import RobotModel, TrackingErrorModel
 
 if TYPE_CHECKING:
@@ -56,7 +55,7 @@ def identify(
     json
         Print the result as one JSON object.
     write
-        Robot model file (JSON) in which the tracking model of this drive is replaced.
+        Robot model file (JSON), with the joints of the robot, in which the tracking model of this drive is replaced.
     """
     from dualbrain.simulation.identification.mobile_tracking_model import identify_mobile_manipulator
     from dualbrain.simulation.identification.tracking_model import identify_plant
@@ -92,13 +91,20 @@ def identify(
 
 
 def _written_robot(write: Path | None, robot_model: RobotModel) -> RobotModel:
-    """The robot model in the file `write` if it exists, else `robot_model`."""
+    """The robot model in the file `write` if it exists, else `robot_model`.
+
+    Raises `ConfigurationError` if the file is no valid robot model, or that of a robot with other joints.
+    """
     if write is None or not write.exists():
         return robot_model
-    try:
-        return msgspec.json.decode(read_bounded_file(write, MAX_FILE_BYTES), type=RobotModel)
-    except DECODE_ERRORS as error:
-        raise ConfigurationError.stating(f"The file is not a robot model: {error}.", fix=str(write)) from error
+    if write.is_dir():
+        raise ConfigurationError.stating(f"{write} is a folder.", fix=f"Name the file: --write {write / MODEL_FILE}")
+    target = read_robot(write)
+    joints, expected = ([joint.name for joint in model.joints] for model in (target, robot_model))
+    if joints != expected:
+        fix = "Name a new file, or that of a robot with these joints."
+        raise ConfigurationError(f"joints in {write.name}", got=joints, allowed=expected, fix=fix)
+    return target
 
 
 def _progress_bar() -> Progress:
