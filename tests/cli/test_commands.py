@@ -162,6 +162,22 @@ def test_doctor_examines_everything(completed_run):
         assert word in done.stdout
 
 
+@pytest.mark.parametrize("home", ["file", "file/below/it", "broken_link"])
+def test_doctor_reports_a_data_folder_that_cannot_be_one(tmp_path, monkeypatch, home):
+    (tmp_path / "file").write_text("text")
+    (tmp_path / "broken_link").symlink_to(tmp_path / "absent")
+    monkeypatch.setenv("DUALBRAIN_HOME", str(tmp_path / home))
+    (found,) = doctor._memory()
+    assert found.state == "problem"
+    assert f"{tmp_path / home.partition('/')[0]} is not a folder" in found.text
+    assert "set DUALBRAIN_HOME" in found.text
+
+
+def test_doctor_reports_a_data_folder_that_does_not_exist_yet_as_empty(tmp_path, monkeypatch):
+    monkeypatch.setenv("DUALBRAIN_HOME", str(tmp_path / "new" / "folder"))
+    assert [(one.state, one.text) for one in doctor._memory()] == [("ok", "empty: no run yet")]
+
+
 TEXT_ENCODER = ("minilm-l6-v2-int8", "minilm-l6-v2-tokenizer")
 
 

@@ -289,7 +289,11 @@ def _gatekeepers() -> list[Finding]:
 def _memory() -> list[Finding]:
     from dualbrain.memory.ledger.ledger import LedgerReader
 
-    path: Path = dualbrain_home() / "ledger.sqlite"
+    home = dualbrain_home()
+    if found := _not_a_folder(home):
+        fix = f"Runs store their memory in {home}: move {found}, or set DUALBRAIN_HOME to a folder."
+        return [Finding("memory", "problem", f"{found} is not a folder. {fix}")]
+    path: Path = home / "ledger.sqlite"
     if not path.exists():
         return [Finding("memory", "ok", "empty: no run yet")]
     with LedgerReader(path) as ledger:
@@ -298,3 +302,9 @@ def _memory() -> list[Finding]:
         "hash chain intact" if report.is_intact else f"hash chain broken at event {report.broken_at}: {report.fault}"
     )
     return [Finding("memory", "ok" if report.is_intact else "problem", f"{report.events} events, {chain}")]
+
+
+def _not_a_folder(path: Path) -> Path | None:
+    """`path` or the folder above it that exists but is no folder, so that `path` cannot be created; else None."""
+    existing = next((one for one in (path, *path.parents) if os.path.lexists(one)), None)
+    return None if existing is None or existing.is_dir() else existing
