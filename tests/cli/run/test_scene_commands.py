@@ -38,3 +38,17 @@ def test_a_file_that_is_no_scene_file_and_a_room_are_refused(run_command):
     code, _, err = run_command("scene", "new", "mine.json", "--robot", "base", "--scene", "boxes:0")
     assert code == ExitCode.SETUP
     assert "room" in err
+
+
+@pytest.mark.parametrize("command", [("scenes",), ("scene", "show", "0", "--no-image"), ("scene", "new", "mine.json")])
+def test_a_robot_without_scenes_is_refused(run_command, command):
+    code, out, err = run_command(*command, "--robot", "so101")
+    assert (code, out) == (ExitCode.SETUP, "")
+    assert "so101 has no scenes" in err
+    assert "panda, fr3, ur5e, base, mobile_panda" in " ".join(err.split())
+
+
+def test_an_unknown_robot_is_answered_with_the_closest(run_command):
+    code, _, err = run_command("scenes", "--robot", "pandas")
+    assert code == ExitCode.SETUP
+    assert "Closest: 'panda'" in err

@@ -31,6 +31,7 @@ def list_scenes(*, robot: str = "panda") -> int:
     """
     from dualbrain.simulation.scenes.generators.catalogue import describe_families, open_scene
 
+    _require_scenes(robot)
     rows: list[tuple[str, ...]] = []
     for family in describe_families(robot):
         specs = [open_scene(f"{family.name}:{seed}", robot) for seed in range(COUNTED_SEEDS)]
@@ -63,6 +64,7 @@ def show_scene(scene: str = "0", /, *, robot: str = "panda", image: Path | None 
     from dualbrain.cli.scenes.scene_table import scene_lines
     from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
+    _require_scenes(robot)
     spec = open_scene(scene, robot)
     for line in scene_lines(spec):
         print_result(line)
@@ -76,6 +78,16 @@ def show_scene(scene: str = "0", /, *, robot: str = "panda", image: Path | None 
     else:
         StderrConsole().print(f"image: {path}", markup=False)
     return ExitCode.SUCCESS
+
+
+def _require_scenes(robot: str) -> None:
+    """Raise `UnknownNameError` for an unknown robot, and `ConfigurationError` for one that is not simulated."""
+    from dualbrain.robots.loader import SIMULATED_ROBOTS, load_robot
+
+    load_robot(robot)
+    if robot not in SIMULATED_ROBOTS:
+        sentence = f"The robot {robot} has no scenes: the tables and rooms are those of {', '.join(SIMULATED_ROBOTS)}."
+        raise ConfigurationError.stating(sentence, fix="Name one of these with --robot.")
 
 
 def _write_image(spec: SceneSpec, robot: str, path: Path) -> None:
@@ -111,6 +123,7 @@ def new_scene(file: Path, /, *, scene: str = "bare:0", robot: str = "panda", por
 
     if file.suffix != ".json":
         raise UsageError.stating(f"{file} is no name of a scene file.", fix=f"Call it {file.stem or 'mine'}.json.")
+    _require_scenes(robot)
     original = open_scene(str(file) if file.exists() else scene, robot)
     if original.region:
         fix = "Name an arm with --robot, such as panda."
