@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from dualbrain.errors import UnknownNameError
-from dualbrain.robots.loader import BUILTIN_ROBOTS, find_model_faults, load_robot
+from dualbrain.robots.loader import BUILTIN_ROBOTS, find_home_faults, find_model_faults, load_robot
 from dualbrain.robots.model import RobotModel, TrackingErrorModel
 
 PANDA = load_robot("panda")
@@ -51,6 +51,66 @@ def test_a_tracking_model_that_fits_no_robot_is_refused(entry, value):
     assert faults == [f"{entry} of the drive {PANDA.tracking.drive!r}"]
     others = msgspec.structs.replace(PANDA, other_drives=(wrong,))
     assert len(list(find_model_faults(others))) == 1
+
+
+NO_UNIT_SLIDE = msgspec.structs.replace(PANDA.links[-1], slide=(0.0, 2.0, 0.0))
+UNKNOWN_GROUP = msgspec.structs.replace(PANDA.links[-1], group="gripper")
+FAR_LINK = msgspec.structs.replace(PANDA.links[-1], translation=(0.0, 1e9, 0.0))
+FAR_JOINT = msgspec.structs.replace(PANDA.joints[-1], translation=(1e9, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("changes", "entry"),
+    [
+        ({"base_lag": -0.01}, "base_lag"),
+        ({"base_lag": float("nan")}, "base_lag"),
+        ({"links": (*PANDA.links[:-1], NO_UNIT_SLIDE)}, f"slide of link {NO_UNIT_SLIDE.name!r}"),
+        ({"links": (*PANDA.links[:-1], UNKNOWN_GROUP)}, f"group of link {UNKNOWN_GROUP.name!r}"),
+        ({"links": (*PANDA.links[:-1], FAR_LINK)}, f"translation of link {FAR_LINK.name!r}"),
+        ({"joints": (*PANDA.joints[:-1], FAR_JOINT)}, f"translation of joint {FAR_JOINT.name!r}"),
+        ({"tool": msgspec.structs.replace(PANDA.tool, translation=(0.0, 0.0, -1e9))}, "translation of the tool"),
+        ({"spheres": ()}, "spheres"),
+        (
+            {"spheres": (*PANDA.spheres, msgspec.structs.replace(PANDA.spheres[-1], centre=(1e9, 0.0, 0.0)))},
+            f"sphere of {PANDA.spheres[-1].link!r}",
+        ),
+    ],
+)
+def test_a_model_with_an_entry_that_no_robot_has_is_refused(changes, entry):
+    assert [where for where, _, _ in find_model_faults(msgspec.structs.replace(PANDA, **changes))] == [entry]
+
+
+def test_a_home_outside_the_range_of_a_joint_is_refused():
+    outside = msgspec.structs.replace(PANDA, home=(0.0, -0.3, 0.0, 0.5, 0.0, 2.0, float("nan")))
+    entries = [where for where, _, _ in find_home_faults(outside)]
+    assert entries == ["home", "home of joint 'panda_joint4'", "home of joint 'panda_joint7'"]
+    mobile = load_robot("mobile_panda")
+    far = msgspec.structs.replace(mobile, home=(500.0, -500.0, 9.0, *mobile.home[3:]))
+    assert not list(find_home_faults(far)), "the pose of a base has no range"
+    stretched = msgspec.structs.replace(mobile, home=(*mobile.home[:-1], 99.0))
+    assert [where for where, _, _ in find_home_faults(stretched)] == [f"home of joint {mobile.joints[-1].name!r}"]
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("opening", -0.01), ("opening", float("nan")), ("force", -1.0), ("force_min", -1.0), ("force_min", 90.0)],
+)
+def test_a_gripper_with_impossible_numbers_is_refused(name, value):
+    bound = msgspec.structs.replace(getattr(PANDA.gripper, name), value=value)
+    wrong = msgspec.structs.replace(PANDA, gripper=msgspec.structs.replace(PANDA.gripper, **{name: bound}))
+    assert f"{name} of the gripper" in [where for where, _, _ in find_model_faults(wrong)]
+
+
+@pytest.mark.parametrize(("name", "value"), [("finger_thickness", -0.01), ("pad_below_tool", float("inf"))])
+def test_fingers_with_impossible_sizes_are_refused(name, value):
+    wrong = msgspec.structs.replace(PANDA, gripper=msgspec.structs.replace(PANDA.gripper, **{name: value}))
+    assert [where for where, _, _ in find_model_faults(wrong)] == [f"{name} of the gripper"]
+
+
+@pytest.mark.parametrize("name", BUILTIN_ROBOTS)
+def test_the_packaged_robots_have_no_wrong_entry(name):
+    robot_model = load_robot(name)
+    assert not [*find_model_faults(robot_model), *find_home_faults(robot_model)]
 
 
 def test_the_automatic_gain_is_the_smallest_ratio_of_acceleration_to_speed():

@@ -8,7 +8,7 @@ Another package provides a robot by an entry point in its pyproject.toml:
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from importlib import resources
 from importlib.metadata import EntryPoint, entry_points
@@ -20,7 +20,7 @@ import msgspec
 
 from dualbrain.core.untrusted.bounded_file import FileRefusal, read_regular_file
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError, UnknownNameError
-from dualbrain.robots.model import Joint, RobotModel
+from dualbrain.robots.model import Joint, Quaternion, RobotModel, Vector
 
 SIMULATED_ROBOTS = ("panda", "fr3", "ur5e", "base", "mobile_panda")
 """Packaged robots with a MuJoCo model, scenes and tasks."""
@@ -34,6 +34,10 @@ ModelFault = tuple[str, object, str]
 """A wrong entry of a robot model: (entry, value, allowed values)."""
 MODEL_FILE = "body.json"
 MAX_FILE_BYTES = 4 * 2**20
+LINK_GROUPS = ("base", "arm", "hand", "fingers")
+"""Groups of links, by which contact permits and planes name them."""
+MAX_TRANSLATION = 100.0
+"""Largest translation in a robot model [m]: the filter computes in single precision, which resolves 8 µm there."""
 
 
 def load_robot(name: str) -> RobotModel:
@@ -60,7 +64,7 @@ def _checked_robot(name: str, robot: RobotModel | Path) -> RobotModel:
     """The robot of another package, whose entries are checked as those of a file are."""
     if isinstance(robot, Path):
         return read_robot(robot)
-    for entry, got, allowed in find_model_faults(robot):
+    for entry, got, allowed in (*find_model_faults(robot), *find_home_faults(robot)):
         raise ConfigurationError(f"{entry} of the installed robot {name}", got=got, allowed=allowed)
     return robot
 
@@ -140,13 +144,13 @@ def read_robot(path: Path) -> RobotModel:
         robot_model = msgspec.json.decode(data, type=RobotModel)
     except DECODE_ERRORS as error:
         raise ConfigurationError.stating(f"{file.name} is not a robot model: {error}.", fix=f"Fix {file}.") from error
-    for entry, got, allowed in find_model_faults(robot_model):
+    for entry, got, allowed in (*find_model_faults(robot_model), *find_home_faults(robot_model)):
         raise ConfigurationError(f"{entry} in {file.name}", got=got, allowed=allowed, fix=f"Fix {file}.")
     return robot_model
 
 
 def find_model_faults(robot_model: RobotModel) -> Iterator[ModelFault]:
-    """The wrong entries of `robot_model`."""
+    """The wrong entries of `robot_model`, also of one whose joint ranges a site has narrowed."""
     if not robot_model.joints:
         yield "joints", 0, "at least one"
     names = [joint.name for joint in robot_model.joints]
@@ -157,13 +161,14 @@ def find_model_faults(robot_model: RobotModel) -> Iterator[ModelFault]:
     yield from _link_faults(robot_model)
     yield from _sphere_faults(robot_model)
     yield from _tracking_faults(robot_model)
+    yield from _gripper_faults(robot_model)
     yield from _dynamics_faults(robot_model)
     yield from _force_sensing_faults(robot_model)
     if not 0.0 < robot_model.period <= 1.0:
         yield "period", robot_model.period, "above 0, at most 1 s"
     if not robot_model.tool_speed.value > 0.0:
         yield "tool_speed", robot_model.tool_speed.value, "above 0 m/s"
-    yield from _quaternion_faults("the tool", robot_model.tool.quaternion)
+    yield from _frame_faults("the tool", robot_model.tool.translation, robot_model.tool.quaternion)
     if robot_model.gain is not None and not robot_model.gain.value > 0.0:
         yield "gain", robot_model.gain.value, "above 0"
     if len(robot_model.home) != robot_model.nq:
@@ -172,6 +177,33 @@ def find_model_faults(robot_model: RobotModel) -> Iterator[ModelFault]:
             list(robot_model.home),
             f"{robot_model.nq} values: x, y and heading of a mobile base, then one for each joint",
         )
+
+
+def find_home_faults(robot_model: RobotModel) -> Iterator[ModelFault]:
+    """The joints whose home position is outside of their range; the pose of a mobile base has no range."""
+    pose, wheels = (3, 2) if robot_model.is_mobile else (0, 0)
+    if not all(map(isfinite, robot_model.home)):
+        yield "home", list(robot_model.home), "finite numbers"
+    for joint, home in zip(robot_model.joints[wheels:], robot_model.home[pose:], strict=False):
+        if not joint.lower.value <= home <= joint.upper.value:
+            yield f"home of joint {joint.name!r}", home, f"{joint.lower.value:g} to {joint.upper.value:g}"
+
+
+def _gripper_faults(robot_model: RobotModel) -> Iterator[ModelFault]:
+    gripper = robot_model.gripper
+    numbers = {
+        "opening": gripper.opening.value,
+        "force": gripper.force.value,
+        "force_min": gripper.force_min.value,
+        "finger_thickness": gripper.finger_thickness,
+    }
+    for name, value in numbers.items():
+        if not (isfinite(value) and value >= 0.0):
+            yield f"{name} of the gripper", value, "at least 0"
+    if not isfinite(gripper.pad_below_tool):
+        yield "pad_below_tool of the gripper", gripper.pad_below_tool, "a finite number"
+    if not gripper.force_min.value <= gripper.force.value:
+        yield "force_min of the gripper", gripper.force_min.value, f"at most its force, {gripper.force.value:g} N"
 
 
 def _tracking_faults(robot_model: RobotModel) -> Iterator[ModelFault]:
@@ -184,6 +216,9 @@ def _tracking_faults(robot_model: RobotModel) -> Iterator[ModelFault]:
             value: float = getattr(tracking, name)
             if not (isfinite(value) and value >= 0.0):
                 yield f"{name} of the drive {tracking.drive!r}", value, "at least 0"
+    base_lag = robot_model.base_lag
+    if base_lag is not None and not (isfinite(base_lag) and base_lag >= 0.0):
+        yield "base_lag", base_lag, "at least 0 s"
 
 
 def _dynamics_faults(robot_model: RobotModel) -> Iterator[ModelFault]:
@@ -224,7 +259,11 @@ def _link_faults(robot_model: RobotModel) -> Iterator[ModelFault]:
     for link in robot_model.links:
         if not 0 <= link.frame <= robot_model.n:
             yield f"frame of link {link.name!r}", link.frame, f"0 to {robot_model.n}"
-        yield from _quaternion_faults(f"link {link.name!r}", link.quaternion)
+        if link.group not in LINK_GROUPS:
+            yield f"group of link {link.name!r}", link.group, ", ".join(LINK_GROUPS)
+        if any(link.slide) and not _is_unit(link.slide):
+            yield f"slide of link {link.name!r}", link.slide, "a vector of length 1, or zero"
+        yield from _frame_faults(f"link {link.name!r}", link.translation, link.quaternion)
     paired = {name for pair in robot_model.self_pairs.kept for name in pair}
     for user, used in (("a self-collision pair", paired), ("the tool", {robot_model.tool.link})):
         for name in sorted(used - set(names)):
@@ -233,12 +272,15 @@ def _link_faults(robot_model: RobotModel) -> Iterator[ModelFault]:
 
 def _sphere_faults(robot_model: RobotModel) -> Iterator[ModelFault]:
     names = {link.name for link in robot_model.links}
+    if not robot_model.spheres:
+        yield "spheres", 0, "at least one: the filter keeps only spheres away from obstacles"
     for sphere in robot_model.spheres:
         if sphere.link not in names:
             yield "link of a sphere", sphere.link, ", ".join(sorted(names))
-        if not (0.0 < sphere.radius < 10.0 and all(map(isfinite, sphere.centre))):
+        if not (0.0 < sphere.radius < 10.0 and _is_near(sphere.centre)):
             got = (sphere.centre, sphere.radius)
-            yield f"sphere of {sphere.link!r}", got, "a finite centre, a radius above 0 and below 10 m"
+            allowed = f"a centre within {MAX_TRANSLATION:g} m, a radius above 0 and below 10 m"
+            yield f"sphere of {sphere.link!r}", got, allowed
 
 
 def _joint_faults(joint: Joint) -> Iterator[ModelFault]:
@@ -251,10 +293,19 @@ def _joint_faults(joint: Joint) -> Iterator[ModelFault]:
             yield f"{limit} of {where}", value, "above 0"
     if joint.jerk is not None and not joint.jerk.value > 0.0:
         yield f"jerk of {where}", joint.jerk.value, "above 0"
-    yield from _quaternion_faults(where, joint.quaternion)
+    yield from _frame_faults(where, joint.translation, joint.quaternion)
 
 
-def _quaternion_faults(where: str, quaternion: tuple[float, float, float, float]) -> Iterator[ModelFault]:
-    squared_norm = sum(value * value for value in quaternion)
-    if not abs(squared_norm - 1.0) < 1e-6:
+def _frame_faults(where: str, translation: Vector, quaternion: Quaternion) -> Iterator[ModelFault]:
+    if not _is_near(translation):
+        yield f"translation of {where}", translation, f"finite numbers, at most {MAX_TRANSLATION:g} m"
+    if not _is_unit(quaternion):
         yield f"quaternion of {where}", quaternion, "of length 1 (w, x, y, z)"
+
+
+def _is_near(translation: Vector) -> bool:
+    return all(abs(value) <= MAX_TRANSLATION for value in translation)
+
+
+def _is_unit(values: Iterable[float]) -> bool:
+    return abs(sum(value * value for value in values) - 1.0) < 1e-6

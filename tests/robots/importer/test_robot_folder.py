@@ -19,6 +19,7 @@ from dualbrain.robots.importer.output.robot_folder import (
 )
 from dualbrain.robots.importer.urdf import read_urdf
 from dualbrain.robots.loader import load_robot
+from dualbrain.robots.model import Bound
 from dualbrain.safety.cbf.filter import SafetyFilter
 from tests.robots.importer.urdf_builder import full_featured_arm, limit_policy, write_file
 
@@ -157,6 +158,8 @@ def test_folders_of_other_robots_and_of_other_files_are_not_changed(folder, firs
         (lambda data: data["links"][0].update(frame=7), "frame of link"),
         (lambda data: data["joints"][0].update(quaternion=[2, 0, 0, 0]), "of length 1"),
         (lambda data: data.update(home=[0.0]), "home"),
+        (lambda data: data.update(home=[9.0, *data["home"][1:]]), "home of joint 'lift'"),
+        (lambda data: data.update(spheres=[]), "spheres"),
         (lambda data: data.update(period=0), "period"),
         (lambda data: data.update(tool="hand"), r"\$\.tool"),
         (lambda data: data["tool"].update(link="hnad"), "link of the tool"),
@@ -171,6 +174,24 @@ def test_an_invalid_edit_is_reported_with_its_entry(folder, change, message):
     edit(folder, change)
     with pytest.raises(ConfigurationError, match=message):
         load_robot(str(folder))
+
+
+def test_a_model_that_could_not_be_loaded_is_not_written(folder, first, tmp_path):
+    without = msgspec.structs.replace(first.robot_model, spheres=())
+    with pytest.raises(ConfigurationError, match="spheres of the imported robot test_arm_7"):
+        write_robot_folder(tmp_path / "new", without, first.report, RECORD)
+    assert not (tmp_path / "new").exists()
+    edit(folder, lambda data: data["home"].__setitem__(0, 0.4))
+    before = {file.name: file.read_bytes() for file in folder.iterdir()}
+    lift, *others = first.robot_model.joints
+    short = msgspec.structs.replace(lift, upper=Bound(0.3, "m", "site"))
+    narrowed = msgspec.structs.replace(
+        first.robot_model, joints=(short, *others), home=(0.1, *first.robot_model.home[1:])
+    )
+    with pytest.raises(ConfigurationError, match=r"home of joint 'lift'.*--discard-edits"):
+        write_robot_folder(folder, narrowed, first.report, RECORD)
+    assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
+    assert write_robot_folder(folder, narrowed, first.report, RECORD, discard_edits=True).robot_model == narrowed
 
 
 def test_a_path_without_a_robot_is_an_error(tmp_path):

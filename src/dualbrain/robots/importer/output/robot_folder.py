@@ -20,7 +20,14 @@ from dualbrain.errors import DECODE_ERRORS, ConfigurationError
 from dualbrain.robots.importer.output.diff import ModelChange, find_changes, reapply_edits
 from dualbrain.robots.importer.output.markdown import render_readme
 from dualbrain.robots.importer.report import ImportReport
-from dualbrain.robots.loader import MAX_FILE_BYTES, MODEL_FILE, encode_robot, read_robot
+from dualbrain.robots.loader import (
+    MAX_FILE_BYTES,
+    MODEL_FILE,
+    encode_robot,
+    find_home_faults,
+    find_model_faults,
+    read_robot,
+)
 from dualbrain.robots.model import RobotModel
 
 GENERATED_FILE, IMPORT_RECORD_FILE, REPORT_FILE, README_FILE, IMAGE_FILE = (
@@ -68,14 +75,17 @@ def write_robot_folder(
     """Write all files but the image; the user's edits of the previous model are kept unless `discard_edits` is True.
 
     Raises:
-        ConfigurationError: The folder contains other files, or the model of another robot.
+        ConfigurationError: The folder contains other files, or the model of another robot; or the model has a wrong
+            entry, also by an edit, with which it could not be loaded.
     """
+    _require_valid(robot_model, "Correct the description, or the options of the import.")
     previous, edited = _read_previous(folder, robot_model)
     generated = robot_model
     kept: list[ModelChange] = []
     lost: list[ModelChange] = []
     if previous is not None and edited is not None and not discard_edits:
         robot_model, kept, lost = reapply_edits(previous, edited, generated)
+        _require_valid(robot_model, f"Change the edit in {folder / MODEL_FILE}, or import with --discard-edits.")
     folder.mkdir(parents=True, exist_ok=True)
     files = {
         NEXT_FILE: encode_robot(generated),
@@ -96,6 +106,12 @@ def write_robot_folder(
         kept_edits=kept,
         lost_edits=lost,
     )
+
+
+def _require_valid(robot_model: RobotModel, fix: str) -> None:
+    """Raise `ConfigurationError` for a model that `read_robot` would refuse."""
+    for entry, got, allowed in (*find_model_faults(robot_model), *find_home_faults(robot_model)):
+        raise ConfigurationError(f"{entry} of the imported robot {robot_model.name}", got=got, allowed=allowed, fix=fix)
 
 
 def read_import_files(folder: Path) -> tuple[ImportReport | None, ImportRecord | None]:
