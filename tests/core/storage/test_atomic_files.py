@@ -6,6 +6,7 @@ import tempfile
 
 import pytest
 
+from dualbrain.core.storage import atomic_files
 from dualbrain.core.storage.atomic_files import (
     FileWriteError,
     atomic_file,
@@ -97,3 +98,31 @@ def test_an_interrupted_write_leaves_nothing_and_an_occupied_path_is_an_error(tm
         with pytest.raises(FileWriteError), atomic(occupied):
             pass
     assert list(tmp_path.iterdir()) == [tmp_path / "file"]
+
+
+def write_bytes(path, data):
+    with atomic_file(path) as temporary:
+        temporary.write_bytes(data)
+
+
+def write_folder(path, data):
+    with atomic_folder(path) as temporary:
+        (temporary / "file").write_bytes(data)
+
+
+@pytest.mark.parametrize("write", [write_atomically, write_bytes, write_folder])
+def test_a_folder_that_cannot_be_synced_does_not_count_as_unchanged_content(tmp_path, monkeypatch, write):
+    def fail(folder):
+        if folder == tmp_path:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    path = tmp_path / "m.json"
+    if write is not write_folder:
+        write(path, b"old")
+    monkeypatch.setattr(atomic_files, "fsync_folder", fail)
+    with pytest.raises(FileWriteError, match=r"has its new content.*Input/output error.*Check its disk") as raised:
+        write(path, b"new")
+    assert raised.value.is_replaced
+    assert "unchanged" not in str(raised.value)
+    assert (path / "file" if write is write_folder else path).read_bytes() == b"new"
+    assert list(tmp_path.iterdir()) == [path]

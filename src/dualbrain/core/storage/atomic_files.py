@@ -24,13 +24,21 @@ WRITE_REMEDIES = {
 
 
 class FileWriteError(DualbrainError):
-    """A file or folder that could not be written; the previous content is unchanged."""
+    """A file or folder that could not be written; the previous content is unchanged, unless it `is_replaced`."""
 
-    def __init__(self, path: Path, error: Exception) -> None:
-        """Report the path and the reason that `error` gives."""
+    def __init__(self, path: Path, error: Exception, *, is_replaced: bool = False) -> None:
+        """Report the path and the reason that `error` gives.
+
+        `is_replaced` states that the new content is at `path`, but may be lost in a power failure.
+        """
         reason = getattr(error, "strerror", None) or str(error)
-        self.path, self.reason, self.remedy = path, reason, write_remedy(error)
-        super().__init__(f"{path} was not written: {reason}. The previous content is unchanged. {self.remedy}")
+        self.path, self.reason, self.remedy, self.is_replaced = path, reason, write_remedy(error), is_replaced
+        outcome = (
+            f"{path} has its new content, but a power failure may undo this: its folder was not synced: {reason}."
+            if is_replaced
+            else f"{path} was not written: {reason}. The previous content is unchanged."
+        )
+        super().__init__(f"{outcome} {self.remedy}")
 
 
 def write_remedy(error: Exception) -> str:
@@ -69,7 +77,7 @@ def write_atomically(path: Path, data: bytes, *, private: bool = True) -> None:
     """Write `data` to `path`. Promise: readers, also after a crash at any moment, find the whole old or new content.
 
     Only the user may read the file; if it is not `private`, its permissions follow the umask. Raises `FileWriteError`
-    if the file cannot be written.
+    if the file cannot be written, or if its new content may be lost in a power failure.
     """
     if not private:
         with atomic_file(path) as sibling:
@@ -84,7 +92,7 @@ def write_atomically(path: Path, data: bytes, *, private: bool = True) -> None:
                 out.flush()
                 os.fsync(out.fileno())
             temporary.replace(path)
-            fsync_folder(path.parent)
+            fsync_entry(path)
         finally:
             temporary.unlink(missing_ok=True)
     except OSError as error:
@@ -108,7 +116,7 @@ def atomic_file(path: Path) -> Generator[Path]:
         with temporary.open("rb") as written:
             os.fsync(written.fileno())
         temporary.replace(path)
-        fsync_folder(path.parent)
+        fsync_entry(path)
     except OSError as error:
         raise FileWriteError(path, error) from error
     finally:
@@ -129,7 +137,7 @@ def atomic_folder(path: Path) -> Generator[Path]:
         yield temporary
         fsync_tree(temporary)
         temporary.rename(path)
-        fsync_folder(path.parent)
+        fsync_entry(path)
     except OSError as error:
         raise FileWriteError(path, error) from error
     finally:
@@ -150,6 +158,14 @@ def fsync_tree(folder: Path) -> None:
 def _temporary_sibling(path: Path) -> Path:
     """An unused name in the folder of `path`."""
     return path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+
+
+def fsync_entry(path: Path) -> None:
+    """Sync the entry of `path` after a rename. Raises `FileWriteError`, which states that the content is replaced."""
+    try:
+        fsync_folder(path.parent)
+    except OSError as error:
+        raise FileWriteError(path, error, is_replaced=True) from error
 
 
 def fsync_folder(folder: Path) -> None:

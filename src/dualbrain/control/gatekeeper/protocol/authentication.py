@@ -24,7 +24,7 @@ from struct import pack
 import msgspec
 
 from dualbrain.control.gatekeeper.protocol.messages import Propose
-from dualbrain.core.storage.atomic_files import FileWriteError, fsync_folder
+from dualbrain.core.storage.atomic_files import FileWriteError, fsync_entry, fsync_folder
 from dualbrain.core.storage.private_files import (
     FILE_MODE,
     FOLDER_MODE,
@@ -124,7 +124,7 @@ def _create_secret(path: Path, secret: bytes) -> None:
             os.fsync(file.fileno())
         with suppress(FileExistsError):
             os.link(temporary, path)
-        fsync_folder(path.parent)
+        fsync_entry(path)
     except OSError as error:
         raise FileWriteError(path, error) from error
     finally:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import msgspec
 
-from dualbrain.core.storage.atomic_files import fsync_folder, translated_write_errors, write_atomically
+from dualbrain.core.storage.atomic_files import fsync_entry, translated_write_errors, write_atomically
 from dualbrain.core.untrusted.bounded_file import read_bounded_file
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError
 from dualbrain.robots.importer.output.diff import ModelChange, find_changes, reapply_edits
@@ -98,7 +98,7 @@ def write_robot_folder(
         write_atomically(folder / name, data)
     with translated_write_errors(folder / GENERATED_FILE):
         (folder / NEXT_FILE).replace(folder / GENERATED_FILE)
-        fsync_folder(folder)
+    fsync_entry(folder / GENERATED_FILE)
     return FolderWriteResult(
         robot_model=robot_model,
         is_new=previous is None,
