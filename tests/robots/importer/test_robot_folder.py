@@ -8,7 +8,7 @@ import pytest
 
 from dualbrain.core.storage.atomic_files import write_atomically
 from dualbrain.errors import ConfigurationError, UnknownNameError
-from dualbrain.robots.importer.build_arm import ImportOptions, build_arm
+from dualbrain.robots.importer.build_arm import ImportOptions, build_arm, no_gripper
 from dualbrain.robots.importer.output import robot_folder
 from dualbrain.robots.importer.output.diff import find_changes, reapply_edits, summarize_changes
 from dualbrain.robots.importer.output.robot_folder import (
@@ -79,6 +79,88 @@ def test_a_new_import_reports_its_changes_and_keeps_edits(folder, build):
     shoulder = load_robot(str(folder)).joints[1]
     assert (shoulder.velocity.value, shoulder.acceleration.value) == (0.7, 5.0)
     assert "measured by Ada" in (folder / "README.md").read_text()
+
+
+def shoulder_velocity(folder):
+    return load_robot(str(folder)).joints[1].velocity
+
+
+def set_velocity(value, **entries):
+    return lambda data: data["joints"][1]["velocity"].update(value=value, **entries)
+
+
+@pytest.mark.parametrize("entries", [{}, {"provenance": "measured by Ada"}])
+def test_a_narrower_limit_that_the_site_states_later_holds(folder, build, entries):
+    edit(folder, set_velocity(2.0, **entries))
+    second = build(velocity=1.0)
+    written = write_robot_folder(folder, second.robot_model, second.report, RECORD)
+    assert shoulder_velocity(folder) == Bound(
+        1.0, "rad/s", "test; wider: 1.5 of robot.urdf:12: shoulder limit velocity"
+    )
+    assert not written.kept_edits
+    assert "joints.shoulder.velocity.value: 1.5 → 2" in summarize_changes(written.lost_edits)
+
+
+def test_a_limit_that_the_site_states_later_at_the_same_value_holds_too(folder, build):
+    edit(folder, set_velocity(2.0))
+    second = build(velocity=1.5)
+    write_robot_folder(folder, second.robot_model, second.report, RECORD)
+    assert shoulder_velocity(folder).value == 1.5
+
+
+def test_an_edit_that_is_narrower_than_a_later_limit_is_kept_as_an_edit(folder, build):
+    edit(folder, set_velocity(0.7))
+    for stated in (1.0, 0.9):
+        second = build(velocity=stated)
+        written = write_robot_folder(folder, second.robot_model, second.report, RECORD)
+        assert not written.lost_edits
+        assert shoulder_velocity(folder).value == 0.7
+        assert shoulder_velocity(folder).provenance.startswith(
+            f"edit in body.json; wider: {stated:g} of test; wider: 1.5"
+        )
+
+
+def test_a_provenance_that_the_user_stated_does_not_move_to_another_value(folder, build):
+    edit(folder, lambda data: data["joints"][1]["velocity"].update(provenance="measured by Ada"))
+    second = build(velocity=1.0)
+    written = write_robot_folder(folder, second.robot_model, second.report, RECORD)
+    assert shoulder_velocity(folder) == second.robot_model.joints[1].velocity
+    assert [change.entry for change in written.lost_edits] == ["joints.shoulder.velocity.provenance"]
+
+
+def test_of_a_lower_limit_the_larger_one_is_narrower(first):
+    before = first.robot_model
+    wide, narrow, stated = (
+        with_lower(before, Bound(value, "rad", text)) for value, text in ((-3.0, "Ada"), (-0.5, "Ada"), (-1.0, "site"))
+    )
+    result, kept, lost = reapply_edits(before, wide, stated)
+    assert (result, len(kept), len(lost)) == (stated, 0, 2)
+    result, kept, lost = reapply_edits(before, narrow, stated)
+    assert (result, len(kept), len(lost)) == (narrow, 2, 0)
+
+
+def test_other_lines_of_a_description_lose_no_edit(first):
+    before = first.robot_model
+    moved = with_lower(before, Bound(-2.0, "rad", "robot.urdf:99: shoulder limit lower"))
+    edited = with_lower(before, Bound(-3.0, "rad", before.joints[1].lower.provenance))
+    result, kept, _ = reapply_edits(before, edited, moved)
+    assert result.joints[1].lower == Bound(-3.0, "rad", "robot.urdf:99: shoulder limit lower")
+    assert len(kept) == 1
+
+
+def test_a_gripper_that_was_added_is_kept_also_if_another_reason_is_given(first):
+    def without_gripper(reason):
+        return msgspec.structs.replace(first.robot_model, gripper=no_gripper(reason))
+
+    edited = msgspec.structs.replace(first.robot_model, gripper=load_robot("panda").gripper)
+    result, _, lost = reapply_edits(without_gripper("no moving fingers"), edited, without_gripper("jointed fingers"))
+    assert result.gripper == edited.gripper
+    assert not lost
+
+
+def with_lower(model, bound):
+    lift, shoulder, *others = model.joints
+    return msgspec.structs.replace(model, joints=(lift, msgspec.structs.replace(shoulder, lower=bound), *others))
 
 
 @pytest.mark.parametrize("last", ["nothing", "made.next.json", "recipe.json", "README.md", "body.json"])

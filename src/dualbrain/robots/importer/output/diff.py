@@ -7,6 +7,7 @@ generated model.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, TypeGuard, cast
 
@@ -15,6 +16,10 @@ import msgspec
 from dualbrain.robots.model import RobotModel
 
 FlatModel = dict[str, Any]
+
+EDIT_PROVENANCE = "edit in body.json"
+"""Beginning of the provenance of an edited value beside a limit that the import has changed."""
+_LINE_NUMBER = re.compile(r":[0-9]+")
 
 
 class ModelChange(NamedTuple):
@@ -52,18 +57,79 @@ def reapply_edits(
 ) -> tuple[RobotModel, list[ModelChange], list[ModelChange]]:
     """`regenerated` with the user's edits (`generated` to `edited`), the edits kept, and the edits lost.
 
-    An edit is lost if its entry no longer exists, or if the edit added or removed an entry.
+    An edit is lost if its entry no longer exists, if the edit added or removed an entry, or if it is an edit of a limit
+    that the import has changed since and that is narrower now: a limit that a site states later holds.
     """
-    values = flatten_model(regenerated)
-    kept: list[ModelChange] = []
-    lost: list[ModelChange] = []
-    for edit in find_changes(generated, edited):
-        if edit.entry in values and edit.before is not None and edit.after is not None:
+    old, new, edits = flatten_model(generated), flatten_model(regenerated), find_changes(generated, edited)
+    overridden = _overridden_limits(edits, old, new)
+    values, kept, lost = dict(new), list[ModelChange](), list[ModelChange]()
+    for edit in edits:
+        exists = edit.entry in new and edit.before is not None and edit.after is not None
+        if exists and _owner(edit.entry) not in overridden:
             values[edit.entry] = edit.after
             kept.append(edit)
         else:
             lost.append(edit)
+    for edit in kept:
+        values |= _provenance_of_edit(edit, old, new, values)
     return msgspec.convert(_restore_values(msgspec.to_builtins(regenerated), values, ""), RobotModel), kept, lost
+
+
+def _overridden_limits(edits: Sequence[ModelChange], old: FlatModel, new: FlatModel) -> set[str]:
+    """The edited limits that differ between `old` and `new`, and whose edit is wider, or is not one of the value."""
+    values = {edit.entry: edit.after for edit in edits}
+    found: set[str] = set()
+    for limit in dict.fromkeys(map(_owner, values)):
+        value_entry = f"{limit}.value"
+        if not (_is_limit(limit, new) and _is_changed(limit, old, new)):
+            continue
+        if value_entry in values:
+            replaced = _is_wider(limit, values[value_entry], new[value_entry])
+        else:
+            replaced = old.get(value_entry) != new[value_entry]
+        if replaced:
+            found.add(limit)
+    return found
+
+
+def _provenance_of_edit(edit: ModelChange, old: FlatModel, new: FlatModel, values: FlatModel) -> FlatModel:
+    """The provenance of an edited value whose limit the import has changed; none if the user states it."""
+    limit, _, field = edit.entry.rpartition(".")
+    entry = f"{limit}.provenance"
+    if field != "value" or not _is_limit(limit, new) or not _is_changed(limit, old, new):
+        return {}
+    if edit.after == new[edit.entry]:
+        return {}
+    if values[entry] != new[entry] and not str(values[entry]).startswith(EDIT_PROVENANCE):
+        return {}
+    return {entry: f"{EDIT_PROVENANCE}; wider: {new[edit.entry]:g} of {new[entry]}"}
+
+
+def _owner(entry: str) -> str:
+    """The path of the limit of an entry: "joints.elbow.velocity" of "joints.elbow.velocity.value"."""
+    return entry.rpartition(".")[0]
+
+
+def _is_limit(path: str, values: FlatModel) -> bool:
+    """Whether `path` is that of a limit in `values`; of a gripper only a force above 0 is one, 0 means no gripper."""
+    if not {f"{path}.value", f"{path}.unit", f"{path}.provenance"} <= values.keys():
+        return False
+    return not path.startswith("gripper.") or (path == "gripper.force" and values[f"{path}.value"] > 0.0)
+
+
+def _is_changed(limit: str, old: FlatModel, new: FlatModel) -> bool:
+    """Whether value or provenance of a limit differ; the numbers of lines do not count."""
+    if old.get(f"{limit}.value") != new[f"{limit}.value"]:
+        return True
+    before, after = (_LINE_NUMBER.sub("", str(values.get(f"{limit}.provenance"))) for values in (old, new))
+    return before != after
+
+
+def _is_wider(limit: str, value: float | None, stated: float) -> bool:
+    """Whether an edit of a limit to `value` admits more than the `stated` one."""
+    if value is None:
+        return False
+    return value < stated if limit.endswith(".lower") else value > stated
 
 
 def flatten_model(robot_model: RobotModel) -> FlatModel:
