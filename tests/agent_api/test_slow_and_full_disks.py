@@ -7,6 +7,7 @@ import time
 
 import pytest
 
+from dualbrain.agent_api.retries import RetryLog
 from dualbrain.agent_api.tools import report_view
 from dualbrain.core.storage import jsonl_log
 from dualbrain.runtime.agent import NoMemory
@@ -99,6 +100,23 @@ def test_a_contract_that_cannot_be_recorded_is_rejected_and_blocks_no_other(robo
     assert "submit" in refused["rejected"]["hint"]
     again = robot.call("submit_contract", {"contract": hold(robot, "c-0001"), "wait_s": 5})
     assert (again["outcome"]["succeeded"], client.executed) == (True, ["c-0001"])
+
+
+def test_a_contract_that_the_end_of_the_program_refuses_is_rejected_in_the_file(robot, client, tmp_path, monkeypatch):
+    """Its line is written, and the end of the program begins before its episode does."""
+    disk = StalledDisk()
+    monkeypatch.setattr(jsonl_log.os, "fsync", disk.sync)
+    submitting = threading.Thread(target=robot.submit, args=(hold(robot, "c-0001"),))
+    submitting.start()
+    try:
+        assert disk.begun.wait(10.0)
+        robot._executions.begin_close()
+    finally:
+        disk.release.set()
+        submitting.join()
+    assert client.executed == []
+    now = time.time()
+    assert RetryLog(tmp_path / "submissions.jsonl", now=now).find("c-0001", "another contract", now) is None
 
 
 def test_an_end_that_cannot_be_recorded_is_an_event_and_keeps_the_outcome(robot, client, monkeypatch):

@@ -112,11 +112,14 @@ class Executions:
         if earlier is not None:
             return replace(submission.wait_for_verdict(VERDICT_TIMEOUT), repeated=True)
         agent = Agent(FixedContractPlanner(client, data), self._resources.memory)
-        refused = self._record_start(contract_id, submission) or self._start(
-            submission, self._request(instruction, given=True), agent, retried=contract_id
-        )
+        if (unrecorded := self._record_start(contract_id, submission)) is not None:
+            submission.reject(unrecorded)
+            return submission.report
+        refused = self._start(submission, self._request(instruction, given=True), agent, retried=contract_id)
         if refused is not None:
             submission.reject(refused)
+            if contract_id:
+                self._record_end(contract_id, submission)  # without an end it would count as lost after a restart
         return submission.wait_for_verdict(VERDICT_TIMEOUT)
 
     def plan_and_run(self, instruction: str) -> SubmissionReport:
