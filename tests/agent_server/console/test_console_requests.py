@@ -180,6 +180,21 @@ def test_the_first_events_of_another_server_follow_those_of_an_earlier_one(tmp_p
     assert [data["text"] for kind, data in found if kind == "event"] == ["the first"]
 
 
+def test_a_server_with_more_events_than_the_earlier_one_sends_all_of_them(tmp_path) -> None:
+    """A page that was open before a restart has the number of an event of the earlier server."""
+    with serve_console(tmp_path) as console:
+        for k in range(3):
+            console.robot.feed.add(0.5 * k, "phase", f"event {k}")
+        with httpx.Client(base_url=console.url, headers={"Authorization": f"Bearer {TOKEN}"}) as client:
+            first = stream(client, "0&server=", 5)
+            own = first[0][1]["id"]
+            same, other = stream(client, f"2&server={own}", 3), stream(client, "2&server=another", 5)
+    assert [kind for kind, _ in first] == ["server", "event", "event", "event", "status"]
+    assert [data["number"] for kind, data in same if kind == "event"] == [3]
+    assert [data["number"] for kind, data in other if kind == "event"] == [1, 2, 3]
+    assert other[0] == ("server", {"id": own})
+
+
 def test_a_stream_ends_with_the_server(tmp_path) -> None:
     with serve_console(tmp_path) as console:
         console.ended.set()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass
 from typing import Any
 
 import anyio
@@ -38,16 +39,44 @@ class StatusAge:
         return {"state": status.action, "reason": status.check, "busy": status.busy, "reporting": reporting}
 
 
-def event_response(robot: ConsoleRobot, after: int, has_ended: Callable[[], bool]) -> StreamingResponse:
-    """The events after the number `after` and every change of the status, until the client or the server ends it."""
+@dataclass(frozen=True, slots=True)
+class StreamStart:
+    """What a client has already: the events up to the number `after`, from the server with the id `server`.
+
+    `server` is None for a client that does not state it, and "" for one that has seen no server yet.
+    """
+
+    after: int
+    server: str | None
+
+    def first_number(self, server: str, newest: int) -> int:
+        """The number after which the events of `server` begin for this client; `newest` is the newest number.
+
+        The numbers of an earlier server do not count, and this one may have no event yet.
+        """
+        is_other = self.after > newest if self.server is None else self.server != server
+        return 0 if is_other else self.after
+
+
+def event_response(
+    robot: ConsoleRobot, start: StreamStart, server: str, has_ended: Callable[[], bool]
+) -> StreamingResponse:
+    """The events from `start` on and every change of the status, until the client or the server ends it.
+
+    `server` is the id of this server, which a client that states one gets first: event numbers begin again with it.
+    """
     headers = {**COMMON_HEADERS, "X-Accel-Buffering": "no"}
-    return StreamingResponse(_messages(robot, after, has_ended), media_type="text/event-stream", headers=headers)
+    messages = _messages(robot, start, server, has_ended)
+    return StreamingResponse(messages, media_type="text/event-stream", headers=headers)
 
 
-async def _messages(robot: ConsoleRobot, after: int, has_ended: Callable[[], bool]) -> AsyncIterator[bytes]:
+async def _messages(
+    robot: ConsoleRobot, start: StreamStart, server: str, has_ended: Callable[[], bool]
+) -> AsyncIterator[bytes]:
     kept = robot.events()
-    if (kept[-1]["number"] if kept else 0) < after:
-        after = 0  # the numbers of an earlier server; this one may have no event yet
+    after = start.first_number(server, kept[-1]["number"] if kept else 0)
+    if start.server is not None:
+        yield _message("server", {"id": server})
     age, shown, shown_at = StatusAge(), None, 0.0
     while not has_ended():
         for event in robot.events(after):

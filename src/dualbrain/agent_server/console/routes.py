@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
+from secrets import token_hex
 from typing import Any, TypeVar
 
 import anyio
@@ -17,7 +18,7 @@ from starlette.routing import Route
 
 from dualbrain.agent_api.tools import verdict_view
 from dualbrain.agent_server.console.console_robot import ConsoleRobot
-from dualbrain.agent_server.console.event_stream import StatusAge, event_response
+from dualbrain.agent_server.console.event_stream import StatusAge, StreamStart, event_response
 from dualbrain.agent_server.console.memory_table import list_memories
 from dualbrain.agent_server.console.report_tickets import ReportTickets
 from dualbrain.agent_server.console.responses import REPORT_POLICY, error_response, json_response, response
@@ -73,7 +74,7 @@ class Console:
     def __init__(self, robot: ConsoleRobot, runs: Path, ledger: Path | None, has_ended: Callable[[], bool]) -> None:
         """Answer for `robot`, `runs` and `ledger`."""
         self._robot, self._runs, self._ledger, self._has_ended = robot, runs, ledger, has_ended
-        self._tickets = ReportTickets(time.monotonic)
+        self._tickets, self._server_id = ReportTickets(time.monotonic), token_hex(8)
         self._stops = anyio.CapacityLimiter(STOP_THREADS)
 
     async def scene(self, request: Request) -> Response:
@@ -92,10 +93,11 @@ class Console:
         return await _answer(lambda: verdict_view(self._robot.check(contract)))
 
     async def events(self, request: Request) -> Response:
-        """The events after the number in the query, as a stream."""
+        """The events after the number in the query, as a stream; the query also has the id of its server."""
         after = request.query_params.get("after", "0")
         number = int(after) if after.isdecimal() and len(after) < 16 else 0
-        return event_response(self._robot, number, self._has_ended)
+        start = StreamStart(number, request.query_params.get("server"))
+        return event_response(self._robot, start, self._server_id, self._has_ended)
 
     async def list_runs(self, request: Request) -> Response:
         """The runs in the run folder."""

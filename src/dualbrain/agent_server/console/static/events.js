@@ -3,7 +3,7 @@ import { messages } from "./api.js";
 import { byId, element } from "./elements.js";
 
 const KEPT = 500, RETRY_MS = 1000, SILENT_MS = 3000;
-let last = 0, stream = null, heardAt = 0;
+let last = 0, server = "", stream = null, heardAt = 0;
 
 function showStatus({ state, reason, busy, reporting }) {
   const calm = ["NONE", "WARN"].includes(state), off = ["ESTOP", "LOCKOUT"].includes(state);
@@ -17,9 +17,15 @@ function show(words, tone, reason = "") {
   byId("reason").textContent = reason.replaceAll("_", " ");
 }
 
+// The numbers of the events begin again with every server.
+function begin(id) {
+  if (id === server) return;
+  byId("events").replaceChildren();
+  [server, last] = [id, 0];
+}
+
 function showEvent(event) {
   const list = byId("events");
-  if (event.number <= last) list.replaceChildren(); // another server
   last = event.number;
   if (event.kind === "perception" && !byId("perception").checked) return;
   const item = element("li"), text = element("span");
@@ -33,9 +39,10 @@ function showEvent(event) {
 async function follow(signal) {
   while (!signal.aborted) {
     try {
-      for await (const { kind, data } of messages(`events?after=${last}`, signal)) {
+      for await (const { kind, data } of messages(`events?after=${last}&server=${server}`, signal)) {
         heardAt = performance.now();
         if (kind === "status") showStatus(data);
+        else if (kind === "server") begin(data.id);
         else showEvent(data);
       }
     } catch (error) {
