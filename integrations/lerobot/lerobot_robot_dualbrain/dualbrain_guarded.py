@@ -75,16 +75,18 @@ class DualbrainGuarded(Robot):
     def connect(self, calibrate: bool = True) -> None:
         """Connect the inner robot, compare its readings with the robot model, and start the thread.
 
+        After every error behind the connection, the inner robot is disconnected again.
+
         Raises:
             ConfigurationError: a joint reads a position outside of its range: another calibration or another model.
         """
         self.inner.robot.connect(calibrate)
         try:
             self.servos.check_range(self.inner.positions())
-        except ConfigurationError:
-            self.inner.robot.disconnect()
+            self.bus.start(self.inner.commanded())
+        except BaseException as error:
+            self._disconnect_after(error)
             raise
-        self.bus.start(self.inner.commanded())
 
     def calibrate(self) -> None:
         """Calibrate the inner robot; the thread must not run."""
@@ -112,6 +114,13 @@ class DualbrainGuarded(Robot):
         here = self.bus.reading
         present = {key: here[key] for key in self.action_features if key in here}
         return {**present, **state.written}
+
+    def _disconnect_after(self, error: BaseException) -> None:
+        """Disconnect after `error`, which gets a note if that fails: the servos may then hold their position."""
+        try:
+            self.disconnect()
+        except Exception as second:  # the first error is the one to report
+            error.add_note(f"{self.inner.robot.name} was not disconnected: {second}. Switch the power of the arm off.")
 
     def disconnect(self) -> None:
         """Stop the thread and disconnect the inner robot."""

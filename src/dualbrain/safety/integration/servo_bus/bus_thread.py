@@ -93,7 +93,11 @@ class BusThread:
         with self._changed:
             self._clear()
         self._thread = threading.Thread(target=self._run, name="dualbrain-servo-bus", daemon=True)
-        self._thread.start()
+        try:
+            self._thread.start()
+        except BaseException:
+            self._thread = None
+            raise
 
     def stop(self) -> None:
         """End the thread, and forget an action that waits; the servos hold the last commanded position."""

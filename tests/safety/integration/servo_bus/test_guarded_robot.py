@@ -1,0 +1,117 @@
+"""The guarded robot of LeRobot, with a stand-in for the few names of LeRobot that it uses."""
+
+import importlib
+import sys
+import threading
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+
+import pytest
+
+from dualbrain.errors import ConfigurationError
+from dualbrain.safety.integration.servo_bus.servo_settings import ServoSettings
+from tests.safety.integration.servo_bus.ideal_servos import KEYS, IdealServos
+
+PACKAGE = "lerobot_robot_dualbrain"
+FOLDER = Path(__file__).resolve().parents[4] / "integrations" / "lerobot" / PACKAGE
+
+
+class Robot:
+    """The base class of robots, as far as the guarded robot uses it."""
+
+    def __init__(self, config):
+        self.config = config
+
+
+class Servos:
+    """An inner robot on ideal servos; a reading raises `failure`, if there is one."""
+
+    name = "servos"
+
+    def __init__(self):
+        self.config = SimpleNamespace()
+        self.ideal, self.failure, self.stuck = IdealServos(), None, False
+        self.is_connected, self.is_calibrated = False, True
+        self.action_features = self.observation_features = dict.fromkeys(KEYS, float)
+
+    def connect(self, calibrate=True):
+        self.is_connected = True
+
+    def disconnect(self):
+        if self.stuck:
+            raise ConnectionError("the port is gone")
+        self.is_connected = False
+
+    def get_observation(self):
+        if self.failure is not None:
+            raise self.failure
+        return self.ideal.read()
+
+    def send_action(self, action):
+        self.ideal.write(action)
+        return action
+
+
+@pytest.fixture
+def guard(monkeypatch):
+    """A function that guards an inner robot."""
+    names = {
+        "lerobot.robots": {"Robot": Robot},
+        "lerobot.robots.utils": {"make_robot_from_config": None},
+        f"{PACKAGE}.config_dualbrain_guarded": {"DualbrainGuardedConfig": object},
+    }
+    for name in ("lerobot", PACKAGE, *names):
+        module = ModuleType(name)
+        module.__dict__.update(names.get(name, {}))
+        module.__path__ = [str(FOLDER)] if name == PACKAGE else []
+        monkeypatch.setitem(sys.modules, name, module)
+    for name in ("inner_robot", "dualbrain_guarded"):
+        monkeypatch.delitem(sys.modules, f"{PACKAGE}.{name}", raising=False)
+    guarded = importlib.import_module(f"{PACKAGE}.dualbrain_guarded").DualbrainGuarded
+    config = SimpleNamespace(settings=ServoSettings(model="so101"), units="degrees", mark_interventions=False)
+    yield lambda inner: guarded(config, inner)
+    for name in ("inner_robot", "dualbrain_guarded"):
+        sys.modules.pop(f"{PACKAGE}.{name}", None)
+
+
+def test_a_robot_that_connects_is_disconnected_with_its_thread(guard):
+    robot = guard(Servos())
+    robot.connect()
+    assert (robot.is_connected, robot.bus.is_running) == (True, True)
+    robot.disconnect()
+    assert (robot.is_connected, robot.bus.is_running) == (False, False)
+
+
+@pytest.mark.parametrize("failure", [ConnectionError("no status packet"), KeyboardInterrupt()], ids=["bus", "Ctrl-C"])
+def test_an_inner_robot_that_cannot_be_read_is_disconnected(failure, guard):
+    inner = Servos()
+    inner.failure = failure
+    robot = guard(inner)
+    with pytest.raises(type(failure)):
+        robot.connect()
+    assert (inner.is_connected, robot.bus.is_running) == (False, False)
+
+
+def test_an_inner_robot_whose_thread_does_not_start_is_disconnected(guard, monkeypatch):
+    inner = Servos()
+    robot = guard(inner)
+
+    def refuse(thread):
+        raise RuntimeError("can't start new thread")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(threading.Thread, "start", refuse)
+        with pytest.raises(RuntimeError, match="new thread"):
+            robot.connect()
+    assert not inner.is_connected
+    robot.connect()
+    assert robot.bus.is_running
+    robot.disconnect()
+
+
+def test_an_inner_robot_that_stays_connected_is_stated_with_the_first_error(guard):
+    inner = Servos()
+    inner.failure, inner.stuck = ConfigurationError.stating("A first problem.", fix="Repair it."), True
+    with pytest.raises(ConfigurationError, match="A first problem") as found:
+        guard(inner).connect()
+    assert "servos was not disconnected: the port is gone" in found.value.__notes__[0]
