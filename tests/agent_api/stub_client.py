@@ -27,7 +27,7 @@ class StubClient:
 
     def __init__(self, cell: SimulatedCell) -> None:
         self._cell, self._aborted, self._end = cell, False, 0.0
-        self.motion, self.reports = 0.1, True
+        self.motion, self.reports, self.silence = 0.1, True, 0.0
         self.executed: list[str] = []
         self.sent: list[str] = []
         self.disconnected = Event()

@@ -17,7 +17,7 @@ from dualbrain.contracts.contract import Contract, ContractHeader
 from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
 from dualbrain.control.executor import Grants
-from dualbrain.control.gatekeeper.protocol.client import ConnectionLostError, GatekeeperClient
+from dualbrain.control.gatekeeper.protocol.client import REPLY_TIMEOUT, ConnectionLostError, GatekeeperClient
 from dualbrain.control.gatekeeper.protocol.messages import OutcomeReport, RequestRefused
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.records import Outcome
@@ -26,6 +26,8 @@ from dualbrain.robots.model import RobotModel
 
 SCENE_REQUEST_PERIOD = 0.1
 """Time [s] between two requests of the scene while an episode waits."""
+SILENCE_LIMIT = 5.0
+"""Time [s] without any message from the gatekeeper after which a contract is not waited for any more."""
 
 INTERRUPTED = "the robot was stopped while the contract was on its way to the gate"
 """Reason of the rejection of a contract after an interruption."""
@@ -54,9 +56,9 @@ class RemoteExecutor:
         self._interruption = interruption
         self.refresh()
 
-    def refresh(self) -> None:
-        """Request the newest scene and joint state."""
-        report = self.client.request_scene()
+    def refresh(self, timeout: float = REPLY_TIMEOUT) -> None:
+        """Request the newest scene and joint state, within `timeout` [s]."""
+        report = self.client.request_scene(timeout)
         self.scene = report.scene
         self.state = RobotState(
             stamp=report.now,
@@ -83,9 +85,10 @@ class RemoteExecutor:
     def execute(self, contract: Contract) -> Outcome:
         """Wait for the outcome of the contract that the gatekeeper has accepted; a person may interrupt it.
 
-        A scene that does not arrive in time ends nothing: as long as the connection exists, the contract may run, and
-        its outcome follows. A gatekeeper that ends after the contract, or because of it, may have sent the outcome
-        before.
+        A scene that does not arrive in time ends nothing: as long as the gatekeeper sends anything, the contract may
+        run, and its outcome follows. After `SILENCE_LIMIT` without a message the connection is closed, so that a
+        gatekeeper that continues later stops the contract. A gatekeeper that ends after the contract, or because of it,
+        may have sent the outcome before.
         """
         del contract
         try:
@@ -108,10 +111,13 @@ class RemoteExecutor:
             if self.interrupted() and not abort_sent:
                 self.client.operate("abort")
                 abort_sent = True
+            was_silent = self.client.silence >= SILENCE_LIMIT  # also after this process itself did not run
             if (ended := self.client.poll_outcome(SCENE_REQUEST_PERIOD)) is not None:
                 return ended
+            if was_silent and self.client.silence >= SILENCE_LIMIT:
+                raise self.client.lose(f"the gatekeeper has not answered for {SILENCE_LIMIT:g} s")
             try:
-                self.refresh()
+                self.refresh(max(SILENCE_LIMIT - self.client.silence, SCENE_REQUEST_PERIOD))
             except ConnectionLostError:
                 if self.client.disconnected.is_set():
                     raise

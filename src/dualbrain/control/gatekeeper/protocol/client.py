@@ -113,7 +113,7 @@ class GatekeeperClient:
         self.disconnected = Signal()
         self.disconnect_reason = ""
         self._clock_offsets: deque[float] = deque(maxlen=CLOCK_REPORTS)
-        self.nonce = b""
+        self.nonce, self._received_at = b"", time.monotonic()
         Thread(target=self._read_messages, name="gatekeeper client", daemon=True).start()
         try:
             self.welcome = self._authenticate(principal)
@@ -139,6 +139,11 @@ class GatekeeperClient:
         slowest of the last reports counts, because a contract with a later stamp comes from the future.
         """
         return time.monotonic() + min(tuple(self._clock_offsets)) - CLOCK_ALLOWANCE
+
+    @property
+    def silence(self) -> float:
+        """Time [s] since the gatekeeper sent anything; while it works, it sends its status every 50 ms."""
+        return time.monotonic() - self._received_at
 
     def _follow_clock(self, now: float) -> None:
         """Note the gatekeeper's time `now` [s] in a message that has just arrived."""
@@ -289,6 +294,14 @@ class GatekeeperClient:
             raise ConnectionLostError(message.reason)
         return message
 
+    def lose(self, reason: str) -> ConnectionLostError:
+        """End the connection because of `reason`, and return the error to raise; the gatekeeper stops the contract."""
+        self.disconnect_reason = reason
+        self.disconnected.set()
+        with suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)  # no frame may follow a cut one
+        return ConnectionLostError(reason)
+
     def close(self) -> None:
         """Close the connection."""
         self.disconnected.set()
@@ -314,10 +327,7 @@ class GatekeeperClient:
         try:
             self._socket.sendall(data)
         except BlockingIOError as error:
-            self.disconnect_reason = f"the gatekeeper has read nothing for {SEND_TIMEOUT:g} s"
-            self.disconnected.set()
-            self._socket.shutdown(socket.SHUT_RDWR)  # no frame may follow a cut one
-            raise ConnectionLostError(self.disconnect_reason) from error
+            raise self.lose(f"the gatekeeper has read nothing for {SEND_TIMEOUT:g} s") from error
         except OSError as error:
             self.disconnected.set()
             raise ConnectionLostError(error.strerror or CLOSED_BY_GATEKEEPER) from error
@@ -338,6 +348,7 @@ class GatekeeperClient:
                 break
             if not data:
                 break
+            self._received_at = time.monotonic()
             decoder.feed(data)
             while (frame := decoder.next_frame()) is not None:
                 if isinstance(frame, BrokenStream):
