@@ -73,7 +73,8 @@ class EpisodeRow(msgspec.Struct, frozen=True, kw_only=True):
     sense_undisturbed: str = ""
     sense_fulfilled: str = ""
     judged: bool = True
-    """Ground truth could judge the instruction; `success` of a row that is not judged has no meaning."""
+    """The words of the instruction could be judged. False only for a decline of words that the judge cannot read, and
+    without a judgement; `success`, which is judged by the goal of the case, counts in any case."""
     failure: str
     """Failure class by the rule at the time of the run, "" for a success; reports use `failure_class_of` instead."""
     perceived_error: float | None
