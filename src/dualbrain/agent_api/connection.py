@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import tempfile
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from dualbrain.control.gatekeeper.protocol.authentication import read_keys
 from dualbrain.control.gatekeeper.protocol.client import GatekeeperClient
 from dualbrain.control.gatekeeper.protocol.messages import Message
 from dualbrain.control.gatekeeper.protocol.registration import REGISTRATIONS
+from dualbrain.control.gatekeeper.protocol.socket_folder import KEYS_NAME, SOCKET_NAME, socket_folder
 from dualbrain.core.paths import dualbrain_home
 from dualbrain.errors import ConfigurationError
 from dualbrain.robots.loader import load_robot
@@ -65,12 +65,12 @@ def start_simulation(
 
     Raises `ConfigurationError`, `UnknownNameError`, and `SiteError` for an invalid site file.
     """
-    folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="dualbrain-")))
+    folder = stack.enter_context(socket_folder())
     config = GatekeeperConfig(
         robot=options.robot,
         scene=open_scene(options.scene, options.robot),
-        socket=str(folder / "socket"),
-        keys=str(folder / "keys"),
+        socket=str(folder / SOCKET_NAME),
+        keys=str(folder / KEYS_NAME),
         seed=options.seed,
         speed_scale=options.speed,
         site=str(options.site or ""),

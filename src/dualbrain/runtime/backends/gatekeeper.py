@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager
@@ -18,6 +17,7 @@ from dualbrain.control.gatekeeper.protocol.authentication import read_keys
 from dualbrain.control.gatekeeper.protocol.client import ConnectionLostError, GatekeeperClient
 from dualbrain.control.gatekeeper.protocol.emergency_stop import send_emergency_stop
 from dualbrain.control.gatekeeper.protocol.messages import EventReport, Message, OperatorAction, TickReport
+from dualbrain.control.gatekeeper.protocol.socket_folder import KEYS_NAME, SOCKET_NAME, socket_folder
 from dualbrain.control.gatekeeper.remote_executor import RemoteExecutor
 from dualbrain.control.gatekeeper.robot_link.simulated_robot import RobotReport
 from dualbrain.control.recording.channels import OWN_RECORDING_LIMITS, read_trace
@@ -79,7 +79,7 @@ class GatekeeperBackend:
                 "A robot behind a gatekeeper has no camera for the planner.", fix="Leave out --live or --image."
             )
         with ExitStack() as stack:
-            folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="dualbrain-")))
+            folder = stack.enter_context(socket_folder())
             config = _gatekeeper_config(context, folder, self.speed_scale, self.registrations)
             self._socket = Path(config.socket)
             process = GatekeeperProcess(config)
@@ -146,8 +146,8 @@ def _gatekeeper_config(
     return GatekeeperConfig(
         robot=config.robot,
         scene=context.spec,
-        socket=str(folder / "socket"),
-        keys=str(folder / "keys"),
+        socket=str(folder / SOCKET_NAME),
+        keys=str(folder / KEYS_NAME),
         seed=config.seed,
         goal=config.goal,
         speed_scale=speed_scale,
