@@ -255,6 +255,21 @@ def test_another_ledger_is_rejected_for_an_existing_data_set(run_command, ledger
     assert contents(tmp_path / "fit") == before
 
 
+def test_other_robots_of_a_shared_ledger_are_rejected_for_an_existing_data_set(
+    run_command, ledger, stop_before_training, tmp_path, monkeypatch
+):
+    run_command("adapt", "--out", "fit")
+    before = contents(tmp_path / "fit")
+    monkeypatch.setattr(LedgerReader, "usable_writers", ("two", "one"))
+    code, _, err = run_command("adapt", "--out", "fit")
+    assert code == ExitCode.SETUP
+    assert "was made from the memories of all robots; now those of one, two are to be used" in err
+    assert "another --out" in err
+    assert contents(tmp_path / "fit") == before
+    monkeypatch.setattr(LedgerReader, "usable_writers", ())
+    assert "using the data set in fit" in run_command("adapt", "--out", "fit")[2]
+
+
 def test_another_site_is_rejected_for_an_existing_data_set(run_command, ledger, stop_before_training, tmp_path):
     (tmp_path / "lab.toml").write_text("[robot]\ntool_speed = 0.25\n")
     run_command("adapt", "--out", "here")
@@ -285,11 +300,11 @@ def test_a_ledger_that_has_grown_or_was_compacted_is_accepted(run_command, ledge
 
 
 def test_a_data_set_with_a_card_of_an_older_version_is_accepted(run_command, ledger, stop_before_training, tmp_path):
-    """Such a card does not record whether outcomes were a criterion."""
+    """Such a card records neither whether outcomes were a criterion nor whose memories could be used."""
     run_command("adapt", "--out", "fit")
     path = tmp_path / "fit" / "dataset" / CARD_FILE
     card = json.loads(path.read_text())
-    del card["physical"]
+    del card["physical"], card["use_memories_of"]
     path.write_text(json.dumps(card))
     assert "using the data set in fit" in run_command("adapt", "--out", "fit")[2]
 

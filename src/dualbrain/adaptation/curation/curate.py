@@ -47,7 +47,8 @@ class CurationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class CurationResult(msgspec.Struct, frozen=True, kw_only=True):
     """The selected samples, and the ids of excluded memories by reason. `head` was the newest event of the ledger.
 
-    `merged` counts near-duplicates, `memories` all memories that were read.
+    `merged` counts near-duplicates, `memories` all memories that were read. `writers` are the robots of a shared ledger
+    whose memories could be selected, sorted; empty: all.
     """
 
     train: tuple[Sample, ...]
@@ -56,6 +57,7 @@ class CurationResult(msgspec.Struct, frozen=True, kw_only=True):
     merged: int
     head: Head
     memories: int
+    writers: tuple[str, ...] = ()
 
 
 def curate(
@@ -104,6 +106,7 @@ def curate(
         merged=len(clean) - len(kept),
         head=ledger.head(),
         memories=len(found),
+        writers=tuple(sorted(ledger.usable_writers)),
     )
 
 

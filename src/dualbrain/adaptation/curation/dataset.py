@@ -35,8 +35,9 @@ class DatasetCard(msgspec.Struct, frozen=True, kw_only=True):
     `held_out` and `scenes` are numbers of samples and scenes, `shown` is the number of samples per epoch with
     repetitions. `sources` counts samples and near-duplicates by the planner that proposed them. `prompt` is the hash of
     the prompt template, `registry` that of the robot's skill vocabulary, `also` those of further robots by name, `site`
-    that of the narrower vocabulary of a site ("" without one). The other fields are the settings of curation; older
-    cards lack `physical`. `scene_values`: the scenes of the prompts state fitting parameter values.
+    that of the narrower vocabulary of a site ("" without one). `use_memories_of`: the robots of a shared ledger whose
+    memories could be selected (empty: all). The other fields are the settings of curation; older cards lack `physical`
+    and `use_memories_of`. `scene_values`: the scenes of the prompts state fitting parameter values.
     """
 
     hash: str
@@ -63,6 +64,7 @@ class DatasetCard(msgspec.Struct, frozen=True, kw_only=True):
     physical: bool | None = None
     site: str = ""
     scene_values: bool = False
+    use_memories_of: tuple[str, ...] | None = None
 
 
 class Dataset(msgspec.Struct, frozen=True):
@@ -101,6 +103,7 @@ def assemble_dataset(
         salt=config.salt,
         physical=config.rules.physical,
         site=site.hash if site else "",
+        use_memories_of=curated.writers,
     )
     return Dataset(card, curated.train, curated.held_out)
 

@@ -121,7 +121,7 @@ def _write_dataset(ledger: Path | None, registry: Any, at_site: Any, settings: A
 
 
 def _require_same_dataset(card: Any, settings: Any, folder: Path, ledger: Path | None, at_site: Any) -> None:
-    """Raise `ConfigurationError` if the data set of `card` has other settings, another ledger or another site."""
+    """Raise `ConfigurationError` if the data set of `card` has other settings, another ledger, robots or site."""
     from dualbrain.adaptation.curation.dataset import curation_differences
     from dualbrain.memory.ledger.anchors import descends_from
     from dualbrain.memory.ledger.hash_chain import Head
@@ -140,6 +140,16 @@ def _require_same_dataset(card: Any, settings: Any, folder: Path, ledger: Path |
             problem = f"The data set in {folder} is of another ledger than {opened.path}: its event {card.event} is"
             fix = "Name another --out to curate again, or the former ledger with --ledger to resume."
             raise ConfigurationError.stating(f"{problem} {card.ledger[:16]}.", fix=fix)
+        _require_same_robots(card, opened.usable_writers, folder)
+
+
+def _require_same_robots(card: Any, usable: tuple[str, ...], folder: Path) -> None:
+    """Raise `ConfigurationError` unless the data set of `card` is from the `usable` robots of a shared ledger."""
+    if card.use_memories_of is not None and set(card.use_memories_of) != set(usable):
+        there, here = (", ".join(sorted(names)) or "all robots" for names in (card.use_memories_of, usable))
+        problem = f"The data set in {folder} was made from the memories of {there}; now those of {here} are to be used."
+        fix = "Name another --out to curate again, or restore `use_memories_of` in the file of the ledger to resume."
+        raise ConfigurationError.stating(problem, fix=fix)
 
 
 def _curate(ledger: Path | None, registry: Any, at_site: Any, settings: Any, *, json: bool) -> Any:
