@@ -8,7 +8,7 @@ import pytest
 
 from dualbrain.core.geometry.distance import signed_distance
 from dualbrain.core.geometry.rotations import quaternion_to_matrix
-from dualbrain.core.geometry.shapes import Box, Capsule, Pose, Sphere
+from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Pose, Sphere
 from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.filter import FilterStatus, SafetyFilter
@@ -65,6 +65,20 @@ def test_the_margin_covers_every_point_of_a_long_shape_in_a_frame_with_an_error_
     inside = points[signed_distance(shape, turned, points) <= 0.0]
     assert len(inside) > 100
     assert signed_distance(beam.shape, beam.pose, inside).max() <= beam.margin
+
+
+@pytest.mark.parametrize("frame", ["mast", "lens"])
+def test_a_half_space_in_a_frame_with_an_error_of_the_angle_is_rejected(frame):
+    scene, floor = fusion(), PerceivedShape(name="floor", shape=HalfSpace(), pose=Pose((0.0, 0.0, 0.0)))
+    answer = scene.update("map", frame, 0.0, [BALL, floor], now=0.0)
+    assert isinstance(answer, SourceRefused)
+    assert "'floor'" in answer.reason
+    assert "state the plane in the frame 'world' of the robot base" in answer.reason
+    assert scene.obstacles(0.0) == ()
+    assert scene.update("map", "world", 0.0, [floor], now=0.0) == SourceAccepted("map", 1)
+    exact = SceneFusion(SOURCES, {"mast": FrameMount(error=0.002)})
+    assert exact.update("map", "mast", 0.0, [floor], now=0.0) == SourceAccepted("map", 1)
+    assert exact.obstacles(0.0)[0].margin == pytest.approx(0.002)
 
 
 def test_each_source_replaces_only_its_own_shapes():

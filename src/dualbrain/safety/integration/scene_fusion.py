@@ -2,8 +2,9 @@
 
 Reports become obstacles in the world, extrapolated to the current time. The margin is the sum of the errors of shape
 and source, error + angle × distance for each frame, and velocity error × age. The distance is that of the farthest
-point of the shape, of a half-space that of its point. The angle also adds to the velocity error. An implausible report
-is rejected with its reason and changes nothing. If a required source is silent beyond its limit, the robot stops.
+point of the shape. A half-space has none, so it is rejected in a frame whose angle has an error. The angle also adds to
+the velocity error. An implausible report is rejected with its reason and changes nothing. If a required source is
+silent beyond its limit, the robot stops.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import numpy as np
 from dualbrain.core.geometry import validation
 from dualbrain.core.geometry.distance import Solid, bounding_solid
 from dualbrain.core.geometry.rotations import matrix_to_quaternion, quaternion_to_matrix
-from dualbrain.core.geometry.shapes import Box, Capsule, Pose, Quaternion, Shape, Sphere, Vector
+from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Pose, Quaternion, Shape, Sphere, Vector
 from dualbrain.errors import ConfigurationError, GeometryError, UnknownNameError
 from dualbrain.records import ZERO_VECTOR
 from dualbrain.safety.cbf.filter import SafetyFilter
@@ -38,12 +39,17 @@ class SceneSource(msgspec.Struct, frozen=True):
     A source that is not `required` may be silent: its last report is dropped at `max_age`. Measurements are noisy, so
     a source that reports a shape with an error bit for bit `max_repeats` times with new stamps is frozen and is
     rejected. None disables this check, e.g. for a map.
+
+    A report that is older than the one before is rejected, because it would replace newer shapes. With `in_order` False
+    it is accepted, and counts from its own stamp: the source has several sensors, and every report contains what all of
+    them have seen until it was made.
     """
 
     error: float
     max_age: float
     required: bool = True
     max_repeats: int | None = 3
+    in_order: bool = True
 
 
 class FrameMount(msgspec.Struct, frozen=True, kw_only=True):
@@ -196,7 +202,7 @@ class SceneFusion:
             return f"source {source!r} is unknown; known: {', '.join(self._sources)}"
         if frame not in tuple(self._frames):
             return f"frame {frame!r} is unknown; known: {', '.join(self._frames)}"
-        return self._time_reason(source, frame, stamp, now) or _shape_reason(shapes)
+        return self._time_reason(source, frame, stamp, now) or _shape_reason(shapes) or self._tilt_reason(frame, shapes)
 
     def _frozen_reason(self, source: str, stamp: float, shapes: Sequence[PerceivedShape]) -> str:
         """Why a report is frozen, or "". Shapes without any error are exempt, because they are not measured."""
@@ -217,11 +223,23 @@ class SceneFusion:
             return f"stamp {stamp} s is not finite or after the current time {now} s"
         if not now - stamp <= self._sources[source].max_age:
             return f"age {now - stamp:.3f} s exceeds the limit of {self._sources[source].max_age} s"
-        if stamp < self._stamp(source):
+        if self._sources[source].in_order and stamp < self._stamp(source):
             return f"stamp {stamp} s is before the last stamp {self._stamp(source)} s"
         for name in self._frame_chain(frame):
             if not abs(stamp - self._frame_stamps[name]) <= self._frames[name].time_tolerance:
                 return f"the pose of frame {name!r} at {self._frame_stamps[name]} s is too far in time from {stamp} s"
+        return ""
+
+    def _tilt_reason(self, frame: str, shapes: Sequence[PerceivedShape]) -> str:
+        """Which half-space is in a frame whose angle has an error, which no margin covers at a distance; or ""."""
+        angle = sum(self._frames[name].angle_error for name in self._frame_chain(frame))
+        for shape in shapes:
+            if angle > 0.0 and isinstance(shape.shape, HalfSpace):
+                return (
+                    f"{shape.name!r}: the angle of the frame {frame!r} is known to {angle:g} rad, so the error of a "
+                    f"half-space in it has no bound; state the plane in the frame {WORLD!r} of the robot base, in "
+                    "another frame without angle_error, or as a box"
+                )
         return ""
 
     def _stamp(self, source: str) -> float:
@@ -278,7 +296,7 @@ class SceneFusion:
 
 
 def _extent(shape: Solid) -> float:
-    """Largest distance [m] from the centre of `shape` of a point that a rotation moves; 0 for sphere and half-space."""
+    """Largest distance [m] from the centre of `shape` of a point that a rotation moves; 0 for a sphere."""
     match shape:
         case Capsule():
             return shape.half_length

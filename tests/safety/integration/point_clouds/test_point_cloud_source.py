@@ -314,6 +314,21 @@ def test_people_of_one_camera_stay_in_the_reports_of_another_one(safety, home):
     assert not any(one.person for one in observe(thing + 3e-4, 0.5, "right", marked=False).shapes)
 
 
+def test_a_late_frame_of_one_camera_is_in_the_fused_scene(safety, home):
+    """Its report also contains what the other camera saw, and counts from the stamp of the late frame."""
+    source = PointCloudSource("cameras", safety, CONFIG, sensors=("left", "right"))
+    fusion = SceneFusion({"cameras": source.scene_source(max_age=0.25)})
+    things = {"left": (0.9, 0.7, 0.1), "right": (0.9, -0.7, 0.1)}
+    for sensor, stamp in (("right", 0.0), ("left", 0.1), ("right", 0.05)):
+        report = source.observe_points(np.array([things[sensor]]), (0.4, 0.0, 1.6), stamp, home, sensor=sensor)
+        if not report.problem:
+            assert isinstance(fusion.update("cameras", "world", stamp, report.shapes, now=0.1), SourceAccepted)
+    assert is_covered(report, np.array(list(things.values()))).all()
+    assert len(fusion.obstacles(0.1)) == len(report.shapes)
+    assert fusion.silent_sources(0.29) == ()
+    assert fusion.silent_sources(0.31) == ("cameras",)
+
+
 def test_a_source_that_was_reset_accepts_the_new_clock_and_keeps_what_it_saw(source, home):
     look(source, home, 1000.0)
     refused = look(source, home, 1.0)

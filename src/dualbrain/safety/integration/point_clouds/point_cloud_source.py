@@ -162,8 +162,11 @@ class PointCloudSource:
         self._grid.forget_times()
 
     def scene_source(self, max_age: float, *, required: bool = True) -> SceneSource:
-        """The entry of this source in `SceneFusion`; `max_age` [s] as there. The errors are those of the shapes."""
-        return SceneSource(error=0.0, max_age=max_age, required=required, max_repeats=None)
+        """The entry of this source in `SceneFusion`; `max_age` [s] as there. The errors are those of the shapes.
+
+        Of several sensors, a frame may be older than that of another one: the order is checked for each sensor here.
+        """
+        return SceneSource(error=0.0, max_age=max_age, required=required, max_repeats=None, in_order=False)
 
     def observe_depth(
         self,
