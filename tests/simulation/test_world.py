@@ -10,6 +10,7 @@ from dualbrain.simulation.perception.noisy_perception import NO_NOISE, NoisyPerc
 from dualbrain.simulation.plant.factory import make_plant
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from dualbrain.simulation.scenes.generators.tabletop import make_scene
+from dualbrain.simulation.tasks.multi_goal import GoalSequence
 from dualbrain.simulation.tasks.placement import PlacementGoal
 from dualbrain.simulation.world import SimulatedWorld, contract_goals, match_true_names
 from dualbrain.simulation.world import make_world as world_of_scene
@@ -94,3 +95,25 @@ def test_home_after_a_placement_leaves_the_goal_of_the_placement():
     grasp, place = Action("grasp", {"object": "red_cube"}), Action("place", {"destination": "blue_bowl"})
     contract = Contract("c-0001", Context("panda", ""), (grasp, place, Action("home", {})))
     assert contract_goals(contract) == PlacementGoal("red_cube", "blue_bowl")
+
+
+def steps(*pairs):
+    """A contract that grasps and places each of `pairs` of object and destination."""
+    actions = ((Action("grasp", {"object": obj}), Action("place", {"destination": to})) for obj, to in pairs)
+    return Contract("c-0001", Context("panda", ""), tuple(one for pair in actions for one in pair))
+
+
+def test_the_last_placement_of_an_object_counts():
+    once = steps(("red_cube", "table_left"), ("red_cube", "blue_bowl"))
+    assert contract_goals(once) == PlacementGoal("red_cube", "blue_bowl")
+    between = steps(("red_cube", "table_left"), ("glass", "table_right"), ("red_cube", "blue_bowl"))
+    expected = (PlacementGoal("glass", "table_right"),), (PlacementGoal("red_cube", "blue_bowl"),)
+    assert contract_goals(between) == GoalSequence(expected)
+
+
+def test_the_goal_of_a_contract_with_perceived_names_is_that_of_the_true_objects():
+    world = renaming_world({"red_cube": "orange_block", "blue_bowl": "dish"})
+    world.perceive()
+    world.start_contract(steps(("orange_block", "dish")))
+    assert world.judgement().judged
+    assert world._judge.goal == PlacementGoal("red_cube", "blue_bowl")

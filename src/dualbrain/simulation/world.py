@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Protocol
 
 import numpy as np
@@ -139,12 +139,13 @@ class SimulatedWorld:
     def start_contract(self, contract: Contract) -> None:
         """Record the start of an accepted contract; its goal is judged unless the constructor received one.
 
+        Names that the perception model chose are replaced by those of the true objects, as in `set_phase`.
         A goal with a name that is not in the scene, which only a weaker gate than the full one accepts, is not judged.
         """
         for action in contract.action_sequence:
             if self._permitted_skills is not None and action.skill not in self._permitted_skills:
                 self.monitor.record_unauthorised_skill(action.skill, PLANNER)
-        goal = contract_goals(contract)
+        goal = contract_goals(contract, self._true_names)
         if self._judge is None and goal is not None and all(can_be_judged(one, self.plant) for one in _parts(goal)):
             self._judge = make_judge(self.plant, goal)
 
@@ -215,23 +216,27 @@ def make_judge(plant: Plant, goal: Goal) -> GoalJudge:
     return GoalSequenceJudge(plant, goal) if isinstance(goal, GoalSequence) else make_single_judge(plant, goal)
 
 
-def contract_goals(contract: Contract) -> Goal | None:
+def contract_goals(contract: Contract, true_names: Mapping[str, str] | None = None) -> Goal | None:
     """The goal of a contract: every placement of a grasped object and every place it drives to, in its order.
 
+    Of several placements of one object the last one counts, because the object cannot be at two places at the end.
     A contract with none of these whose last action is `home` has the goal that the arm rests at home. None otherwise.
+    `true_names` replaces perceived names of objects and containers.
     """
-    obj: str | None = None
-    stages: list[tuple[PlacementGoal | ArrivalGoal]] = []
+    names, obj = true_names or {}, ""
+    goals: list[PlacementGoal | ArrivalGoal] = []
     for action in contract.action_sequence:
         if action.skill == "grasp":
-            obj = str(action.params["object"])
-        elif action.skill == "place" and obj is not None:
-            stages.append((PlacementGoal(obj, str(action.params["destination"])),))
+            obj = names.get(found := str(action.params["object"]), found)
+        elif action.skill == "place" and obj:
+            destination = str(action.params["destination"])
+            goals = [one for one in goals if not isinstance(one, PlacementGoal) or one.object_name != obj]
+            goals.append(PlacementGoal(obj, names.get(destination, destination)))
         elif action.skill == "drive_to":
-            stages.append((ArrivalGoal(str(action.params["place"])),))
-    if not stages and contract.action_sequence[-1].skill == "home":
+            goals.append(ArrivalGoal(str(action.params["place"])))
+    if not goals and contract.action_sequence[-1].skill == "home":
         return HomeGoal()
-    return GoalSequence(tuple(stages)) if len(stages) > 1 else stages[0][0] if stages else None
+    return GoalSequence(tuple((one,) for one in goals)) if len(goals) > 1 else goals[0] if goals else None
 
 
 def make_world(
