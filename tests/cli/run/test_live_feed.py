@@ -94,6 +94,14 @@ def test_reports_faster_than_the_frames_are_counted_but_not_drawn(feed: LiveFeed
     assert shown(feed).numbers["Delta"] == pytest.approx(0.03)
 
 
+def test_reports_of_a_gatekeeper_are_periodic_until_it_ends(feed: LiveFeed) -> None:
+    feed.end_reports()
+    feed.on_tick_report(msgspec.structs.replace(REPORT, in_contract=False))
+    assert shown(feed).is_periodic
+    feed.end_reports()
+    assert (shown(feed).t, shown(feed).is_periodic) == (REPORT.t, False)
+
+
 def test_a_flight_log_passes_each_attempt_on() -> None:
     seen: list[Attempt] = []
     FlightLog(Trace(7), None, None, seen.append).attempt(0.0, ACCEPTED)

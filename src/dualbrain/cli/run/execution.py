@@ -153,6 +153,7 @@ def run_session(
     """Run a session and print its progress and its result; the returned function writes the report."""
     if backend is not None:
         backend.on_tick_report = feed.on_tick_report if feed else None
+        backend.on_reports_end = feed.end_reports if feed else None
     camera = PhaseCamera(session.plant, console, NO_GRAPHICS_REASON)
     with Spinner(console, f"planning ({session.planner.name})") as spinner:
         show_answers(session.planner, AnswerDisplay(spinner))

@@ -6,6 +6,7 @@ import secrets
 import sys
 import time
 from collections import deque
+from dataclasses import replace
 from math import inf, nan
 
 import numpy as np
@@ -66,6 +67,7 @@ class LiveFeed:
         self._contract: Contract | None = None
         self._step = 0
         self._shown_at = -inf
+        self._shown: ViewState | None = None
         self._console = console
         if self.view.notice:
             console.print(f"[yellow]{self.view.notice}[/]")
@@ -146,7 +148,13 @@ class LiveFeed:
         )
         if self._is_due(tick):
             self._plant.set_configuration(tick.q, tick.opening)
-            self._show(tick)
+            self._show(tick, is_periodic=True)
+
+    def end_reports(self) -> None:
+        """Keep the last state on the page: the gatekeeper ends, and reports no further tick."""
+        if self._shown is not None and self._shown.is_periodic:
+            self._shown = replace(self._shown, is_periodic=False)
+            self.view.show(self._shown)
 
     def _is_due(self, tick: Tick) -> bool:
         """Count δ of `tick`; whether the view draws it, because a frame has passed since the last one."""
@@ -154,13 +162,15 @@ class LiveFeed:
             self._states.count(tick.delta)
         return not 0.0 <= tick.t - self._shown_at < MIN_PERIOD_S
 
-    def _show(self, tick: Tick) -> None:
+    def _show(self, tick: Tick, *, is_periodic: bool = False) -> None:
         self._shown_at = tick.t
         if self._contract is not None:
             self._states.set_plan(self._contract.action_sequence, tick.scene, tick.q)
             self._states.begin_step(self._step)
             self._contract = None
-        self.view.show(self._states.build(tick, self._plant.link_poses(), tuple(self._lines)))
+        state = self._states.build(tick, self._plant.link_poses(), tuple(self._lines))
+        self._shown = replace(state, is_periodic=is_periodic)
+        self.view.show(self._shown)
 
     def finish(self, episode: Episode, *, stay: bool) -> None:
         """Show the result; with `stay` and a terminal, keep the page open until Ctrl-C."""

@@ -49,9 +49,11 @@ class GatekeeperBackend:
     ) -> None:
         """Begin at the speed scale `speed_scale`, (0, 1]; `on_tick_report` gets the gatekeeper's tick reports.
 
-        The gatekeeper is registered in the folder `registrations` while it runs (None: it is not).
+        `on_reports_end` is called when no further report follows, before and after the gatekeeper is stopped. The
+        gatekeeper is registered in the folder `registrations` while it runs (None: it is not).
         """
         self.speed_scale, self.on_tick_report, self.registrations = speed_scale, on_tick_report, registrations
+        self.on_reports_end: Callable[[], None] | None = None
         self._operator: GatekeeperClient | None = None
         self._socket: Path | None = None
 
@@ -83,11 +85,16 @@ class GatekeeperBackend:
             config = _gatekeeper_config(context, folder, self.speed_scale, self.registrations)
             self._socket = Path(config.socket)
             process = GatekeeperProcess(config)
+            stack.callback(self._end_reports)
             stack.callback(process.stop)
             address = out / ADDRESS_FILE
             write_atomically(address, f"{config.socket}\n{config.keys}\n".encode())
             stack.callback(address.unlink, missing_ok=True)
             yield self._connect(context, observer, process)
+
+    def _end_reports(self) -> None:
+        if self.on_reports_end is not None:
+            self.on_reports_end()
 
     def _connect(self, context: RunContext, observer: RunObserver, process: GatekeeperProcess) -> RunningRobot:
         config, model = process.config, context.robot_model
@@ -103,9 +110,11 @@ class GatekeeperBackend:
 
         def judge() -> Judgement | None:
             """Read the judgement that the robot process writes when it is switched off."""
+            self._end_reports()
             for one in (client, operator):
                 one.close()
             process.stop()
+            self._end_reports()  # a report may have been on its way
             report = _robot_report(context)
             return report.judgement if report else None
 

@@ -7,6 +7,7 @@ to programs and pages of this machine only, never to a foreign web page (`connec
 
 from __future__ import annotations
 
+import logging
 import socket
 import time
 from collections.abc import Callable
@@ -28,10 +29,12 @@ from dualbrain.visualization.live.panel import LivePanel, final_html, numbers_ht
 from dualbrain.visualization.live.robot_view import LinkMeshes, LiveRobot
 from dualbrain.visualization.live.scene_view import LiveScene
 from dualbrain.visualization.live.view_state import ViewState
-from dualbrain.visualization.live.web.own_pages import OwnPages
+from dualbrain.visualization.live.web.own_pages import FAILED, IMAGE_FAILED, OwnPages
 
 if TYPE_CHECKING:
     from viser import ViserServer
+
+logger = logging.getLogger(__name__)
 
 FRAME_RATE_HZ, SIGN_RATE_HZ, PANEL_RATE_HZ, DETAILS_RATE_HZ = 15.0, 7.5, 4.0, 2.0
 """Maximum rates [1/s] of robot, objects and bar; of the signs of the filter's work; of the texts; of the details
@@ -112,6 +115,8 @@ class LiveView:
             self._panel.show_instruction(instruction)
         self._latest: ViewState | None = None
         self._episode: Episode | None = None
+        self._published: tuple[ViewState | None, Episode | None] | None = None
+        self._words_failed = False
         self._slow_parts = (
             SlowPart(SIGN_RATE_HZ, self._draw_signs),
             SlowPart(PANEL_RATE_HZ, self._panel.update),
@@ -169,10 +174,36 @@ class LiveView:
             start = time.monotonic()
             self._changed.clear()
             state, episode = self._latest, self._episode
-            self._draw_one(state, episode)
+            self._publish_safely(state, episode)
+            self._draw_safely(state, episode)
             if episode is not None:
                 self._drawn.set()
             self._closing.wait(max(0.0, start + 1.0 / FRAME_RATE_HZ - time.monotonic()))
+
+    def _publish_safely(self, state: ViewState | None, episode: Episode | None) -> None:
+        """Publish what is new, so that the age of the words is that of the state; a failure is stated on the page."""
+        if self._published is not None and self._published[0] is state and self._published[1] is episode:
+            return
+        try:
+            self._publish(state, episode)
+        except Exception:  # the next state may be usable
+            if not self._words_failed:
+                logger.exception("The live view cannot describe the state of the robot.")
+            self._words_failed = True
+            self._pages.publish(FAILED, str, expires=False)
+        else:
+            self._published, self._words_failed = (state, episode), False
+
+    def _draw_safely(self, state: ViewState | None, episode: Episode | None) -> None:
+        """Draw the scene; a failure is stated on the page beside the words, and does not end the view."""
+        try:
+            self._draw_one(state, episode)
+        except Exception:  # the next state may be usable
+            if not self._pages.image_problem:
+                logger.exception("The live view cannot draw the scene.")
+            self._pages.image_problem = IMAGE_FAILED
+        else:
+            self._pages.image_problem = ""
 
     def _publish(self, state: ViewState | None, episode: Episode | None) -> None:
         """Publish the words and numbers of the pages that do not need the 3D client."""
@@ -187,10 +218,10 @@ class LiveView:
             return numbers_html(state, self._speeds) if state is not None else ""
 
         status, ended = self._status.update(situation), episode is not None
-        self._pages.publish(status, numbers, expires=situation.in_contract and not ended, ended=ended)
+        expires = situation.in_contract or (state is not None and state.is_periodic)
+        self._pages.publish(status, numbers, expires=expires and not ended, ended=ended)
 
     def _draw_one(self, state: ViewState | None, episode: Episode | None) -> None:
-        self._publish(state, episode)
         if episode is None and not self._server.get_clients():  # a page that opens sets `_changed`
             return
         with self._server.atomic():

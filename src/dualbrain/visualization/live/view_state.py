@@ -41,7 +41,8 @@ class ViewState:
     `tool` [m], `nominal_velocity` and `filtered_velocity` [m/s]: position of the tool and its velocity before and after
     the filter. `ghost`: pose of each link after a short time without the filter, empty if the filter changes nothing.
     `nearest_pair` [m]: end points of the segment between robot and object of which h_min is the clearance.
-    `limiting_links`: links of which a row limits the motion. `plan`: the steps of the contract.
+    `limiting_links`: links of which a row limits the motion. `plan`: the steps of the contract. `is_periodic`: further
+    states follow at the rate of the view, also at rest, so that an old state shows that the robot does not report.
     """
 
     t: float
@@ -62,3 +63,4 @@ class ViewState:
     nearest_pair: tuple[Vector, Vector] | None = None
     limiting_links: frozenset[str] = frozenset()
     plan: tuple[PlanStep, ...] = ()
+    is_periodic: bool = False

@@ -35,6 +35,13 @@ STALE = OperatorStatus(
     reason="The control program has sent no state for more than 2 s. The robot may still move.",
     next_action="Keep clear. If it stays so, press the emergency stop and look at the terminal.",
 )
+FAILED = OperatorStatus(
+    state=OperatorState.STOPPED,
+    reason="The live view cannot show the newest state. The robot may still move.",
+    next_action=STALE.next_action,
+)
+"""The status while the words of the newest state cannot be made."""
+IMAGE_FAILED = "The image is old, because it cannot be drawn; these words are new. Look at the terminal."
 REFRESH_S = 1
 ESTOP_PATH, INSTRUCTION_PATH = "/estop", "/instruction"
 TEXT_FIELD, PAGE_FIELD = "X-Dualbrain-Text", "X-Dualbrain-Page"
@@ -64,6 +71,7 @@ class OwnPages:
         self._status: OperatorStatus = STARTING
         self._numbers: Callable[[], str] = str
         self._published_at, self._ended, self._expires, self._notice = clock(), False, False, ""
+        self.image_problem = ""
         self.enter_instruction: EnterCallback | None = None
 
     def publish(
@@ -71,7 +79,8 @@ class OwnPages:
     ) -> None:
         """Show `status` from now on, and on the text page the HTML table that `numbers` makes.
 
-        A status that `expires`, that of a moving robot, is not shown any more after `STALE_AFTER_S` without another.
+        A status that `expires`, that of a robot that moves or reports at rest too, is not shown any more after
+        `STALE_AFTER_S` without another. `image_problem` is shown beside every status.
         """
         self._status, self._numbers, self._ended, self._expires = status, numbers, ended, expires
         self._published_at = self._clock()
@@ -124,7 +133,7 @@ class OwnPages:
                 "state": status.state.name,
                 "word": status.state.value,
                 "reason": status.reason,
-                "next": " ".join(filter(None, (status.next_action, self._notice))),
+                "next": " ".join(filter(None, (status.next_action, self.image_problem, self._notice))),
                 "steps": status.steps,
                 "can_stop": self._emergency_stop is not None,
                 "can_instruct": self.enter_instruction is not None,
