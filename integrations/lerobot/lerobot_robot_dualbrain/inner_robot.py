@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Callable, Mapping
+from functools import wraps
 from typing import Any
 
 from lerobot.robots import Robot
@@ -12,6 +13,8 @@ from dualbrain.safety.integration.servo_bus.bus_thread import BusThread
 DEGREES = "degrees"
 CLIP_TOLERANCE = 0.01
 """Difference [deg] between a command and what the robot says it sent, above which the robot has clipped it."""
+CAMERA_READS = ("read", "async_read", "read_latest")
+"""Methods of LeRobot's cameras that may wait for a frame."""
 SECOND_WRITER = (
     "Another part of the program writes to the guarded robot; the arm comes to rest. Remedy: send every action through "
     "the robot `dualbrain_guarded`"
@@ -52,12 +55,17 @@ def _units(inner: Robot, keys: tuple[str, ...]) -> str:
 
 
 class InnerRobot:
-    """Access to the guarded robot, one call at a time; only the bus thread may write."""
+    """Access to the guarded robot, one call at a time; only the bus thread may write.
+
+    While an observation waits for a frame of a camera, the bus thread continues: a camera is not on the servo bus.
+    """
 
     def __init__(self, inner: Robot) -> None:
         """Access `inner`."""
         self.robot = inner
         self._lock = threading.RLock()
+        self._released_cameras: list[Any] = []
+        self._observing = threading.local()
 
     def allow_only(self, bus: BusThread) -> None:
         """Let `send_action` of the guarded robot refuse every other caller than the thread of `bus`."""
@@ -74,7 +82,39 @@ class InnerRobot:
     def observation(self) -> dict[str, Any]:
         """The observation of the guarded robot."""
         with self._lock:
-            return dict(self.robot.get_observation())
+            self._release_for_cameras()
+            self._observing.holds_lock = True
+            try:
+                return dict(self.robot.get_observation())
+            finally:
+                self._observing.holds_lock = False
+
+    def _release_for_cameras(self) -> None:
+        """Let the present cameras release the lock while `observation` reads them."""
+        for camera in getattr(self.robot, "cameras", {}).values():
+            if any(camera is one for one in self._released_cameras):
+                continue
+            self._released_cameras.append(camera)
+            for name in CAMERA_READS:
+                if callable(read := getattr(camera, name, None)):
+                    setattr(camera, name, self._without_lock(read))
+
+    def _without_lock(self, read: Callable[..., Any]) -> Callable[..., Any]:
+        """`read` that releases the lock meanwhile if the calling thread holds it in `observation`."""
+
+        @wraps(read)
+        def read_without_lock(*arguments: Any, **options: Any) -> Any:
+            if not getattr(self._observing, "holds_lock", False):
+                return read(*arguments, **options)
+            self._observing.holds_lock = False  # a read may call another one
+            self._lock.release()
+            try:
+                return read(*arguments, **options)
+            finally:
+                self._lock.acquire()
+                self._observing.holds_lock = True
+
+        return read_without_lock
 
     def positions(self) -> Mapping[str, Any]:
         """The positions of the servos, without camera images if the robot has a bus."""

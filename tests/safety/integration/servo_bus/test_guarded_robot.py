@@ -3,6 +3,8 @@
 import importlib
 import sys
 import threading
+import time
+from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
@@ -50,6 +52,59 @@ class Servos:
     def send_action(self, action):
         self.ideal.write(action)
         return action
+
+
+class SerialBus:
+    """A bus that answers one call at a time."""
+
+    def __init__(self, ideal):
+        self._ideal, self._free = ideal, threading.Lock()
+
+    def sync_read(self, register, num_retry=0):
+        with self.exclusively():
+            values = (
+                self._ideal.read() if register == "Present_Position" else dict(zip(KEYS, self._ideal.goal, strict=True))
+            )
+        return {key.removesuffix(".pos"): value for key, value in values.items()}
+
+    @contextmanager
+    def exclusively(self):
+        if not self._free.acquire(blocking=False):
+            raise ConnectionError("Port is in use!")
+        try:
+            yield
+        finally:
+            self._free.release()
+
+
+class Camera:
+    """A camera whose frame comes after `wait`."""
+
+    def __init__(self, wait):
+        self._wait = wait
+
+    def read(self):
+        return self.async_read()
+
+    def async_read(self, timeout_ms=200.0):
+        self._wait()
+        return "frame"
+
+
+class ServosWithCamera(Servos):
+    """An inner robot as LeRobot builds it: joints on a serial bus, and a camera."""
+
+    def __init__(self, wait):
+        super().__init__()
+        self.bus, self.cameras = SerialBus(self.ideal), {"front": Camera(wait)}
+
+    def get_observation(self):
+        values = self.bus.sync_read("Present_Position")
+        return {**{f"{name}.pos": value for name, value in values.items()}, "front": self.cameras["front"].read()}
+
+    def send_action(self, action):
+        with self.bus.exclusively():
+            return super().send_action(action)
 
 
 @pytest.fixture
@@ -115,3 +170,22 @@ def test_an_inner_robot_that_stays_connected_is_stated_with_the_first_error(guar
     with pytest.raises(ConfigurationError, match="A first problem") as found:
         guard(inner).connect()
     assert "servos was not disconnected: the port is gone" in found.value.__notes__[0]
+
+
+def test_the_bus_thread_continues_while_an_observation_waits_for_a_camera(guard):
+    def wait():
+        target, deadline = robot.bus.timing.periods + 5, time.monotonic() + 5.0
+        while robot.bus.timing.periods < target:
+            assert time.monotonic() < deadline
+            time.sleep(0.001)
+
+    robot = guard(ServosWithCamera(wait))
+    robot.connect()
+    try:
+        for _ in range(10):
+            found = robot.get_observation()
+            robot.send_action({key: found[key] for key in KEYS})
+            assert not robot.state.problem
+    finally:
+        robot.disconnect()
+    assert found["front"] == "frame"
