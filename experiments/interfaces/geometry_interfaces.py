@@ -169,7 +169,7 @@ class Testbed:
         def fusion(given: dict[str, Any]) -> bool:
             pose = Pose(given["position"], given["quaternion"])
             rest = {key: given[key] for key in ("velocity", "velocity_error", "error")}
-            fused = SceneFusion({"camera": SceneSource(0.0, 1.0)})
+            fused = SceneFusion({"camera": SceneSource(error=0.0, max_age=1.0)})
             seen = PerceivedShape(name="thing", shape=shape_of(given), pose=pose, **rest)
             if isinstance(fused.update("camera", "world", 0.0, [seen], now=0.0), SourceRefused):
                 raise Refusal

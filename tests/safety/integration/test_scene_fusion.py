@@ -56,7 +56,7 @@ def test_a_shape_is_transformed_through_its_frames_with_all_their_errors():
 def test_the_margin_covers_every_point_of_a_long_shape_in_a_frame_with_an_error_of_the_angle(shape):
     """The frame is turned by its error: the ends of the shape move, although its centre is at the axis."""
     angle = 0.05
-    scene = SceneFusion({"camera": SceneSource(0.0, 1.0)}, {"mast": FrameMount(angle_error=angle)})
+    scene = SceneFusion({"camera": SceneSource(error=0.0, max_age=1.0)}, {"mast": FrameMount(angle_error=angle)})
     scene.update("camera", "mast", 0.0, [PerceivedShape(name="beam", shape=shape, pose=Pose((0.0, 0.0, 0.0)))], now=0.0)
     (beam,) = scene.obstacles(0.0)
     turned = Pose((0.0, 0.0, 0.0), (math.cos(angle / 2), 0.0, math.sin(angle / 2), 0.0))
@@ -135,7 +135,12 @@ def test_a_moving_frame_applies_to_reports_near_its_time():
 
 def test_a_silent_required_source_stops_the_robot_until_it_reports_again():
     scene, safety = (
-        SceneFusion({"camera": SceneSource(0.0, 0.2), "clock": SceneSource(0.0, 9.0, required=False)}),
+        SceneFusion(
+            {
+                "camera": SceneSource(error=0.0, max_age=0.2),
+                "clock": SceneSource(error=0.0, max_age=9.0, required=False),
+            }
+        ),
         SafetyFilter(load_robot("panda")),
     )
     q, u = np.array(safety.robot_model.home), np.full(7, 0.01)
@@ -156,7 +161,7 @@ def test_frames_in_a_cycle_or_without_a_parent_are_rejected():
     with pytest.raises(UnknownNameError):
         SceneFusion({}, {"a": FrameMount(parent="nowhere")})
     with pytest.raises(ConfigurationError):
-        SceneFusion({"camera": SceneSource(-1.0, 1.0)})
+        SceneFusion({"camera": SceneSource(error=-1.0, max_age=1.0)})
 
 
 def test_a_frozen_source_is_rejected_until_it_reports_new_values():
@@ -182,7 +187,7 @@ def test_a_map_may_repeat_itself():
 
 
 def test_a_person_of_a_camera_that_stays_silent_is_widened_up_to_the_largest_age():
-    scene, safety = SceneFusion({"camera": SceneSource(0.0, 0.2)}), SafetyFilter(load_robot("panda"))
+    scene, safety = SceneFusion({"camera": SceneSource(error=0.0, max_age=0.2)}), SafetyFilter(load_robot("panda"))
     person = msgspec.structs.replace(BALL, velocity=(1.0, 0.0, 0.0), velocity_error=1.6, person=True)
     scene.update("camera", "world", 0.0, [person], now=0.0)
     assert scene.apply_to(safety, 5000.0) == ("camera",)

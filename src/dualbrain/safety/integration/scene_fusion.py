@@ -33,7 +33,7 @@ SILENT_SOURCE_DISTANCE = 1000.0
 """Distance of the placeholder of a silent source [m]; it causes no row, but its age stops the robot."""
 
 
-class SceneSource(msgspec.Struct, frozen=True):
+class SceneSource(msgspec.Struct, frozen=True, kw_only=True):
     """One sensor or map: position `error` [m] of everything it reports, and `max_age` [s] of its reports.
 
     A source that is not `required` may be silent: its last report is dropped at `max_age`. Measurements are noisy, so
