@@ -103,7 +103,7 @@ def _written_robot(write: Path | None, robot_model: RobotModel) -> RobotModel:
     joints, expected = ([joint.name for joint in model.joints] for model in (target, robot_model))
     if joints != expected:
         fix = "Name a new file, or that of a robot with these joints."
-        raise ConfigurationError(f"joints in {write.name}", got=joints, allowed=expected, fix=fix)
+        raise ConfigurationError(f"joints in {write.name}", got=joints, allowed=", ".join(expected), fix=fix)
     return target
 
 
