@@ -2,6 +2,7 @@
 
 import socket
 import time
+from contextlib import suppress
 from threading import Thread
 
 import pytest
@@ -72,10 +73,11 @@ class ScriptedGatekeeper:
         self._connection, _ = self._listener.accept()
         self.send(Challenge(b"n" * 16))
         decoder = FrameDecoder()
-        while data := self._receive():
-            decoder.feed(data)
-            while (frame := decoder.next_frame()) is not None:
-                self._answer(frame.sequence, decode_message(frame, from_client=True))
+        with suppress(BrokenPipeError):  # the client has closed the connection before an answer
+            while data := self._receive():
+                decoder.feed(data)
+                while (frame := decoder.next_frame()) is not None:
+                    self._answer(frame.sequence, decode_message(frame, from_client=True))
 
     def _receive(self):
         try:
