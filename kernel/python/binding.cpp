@@ -12,6 +12,7 @@ void bind_control_loop(nb::module_ &m); // control_loop_binding.cpp
 
 NB_MODULE(DBK_MODULE, m) {
   import_numpy();
+  nb::set_leak_warnings(false); // a program that a person interrupts ends with objects that no exit of Python frees
   m.doc() = "The compiled safety kernel.";
   m.attr("real") = sizeof(dbk_real) == 4 ? "float32" : "float64";
   m.attr("source_hash") = DBK_HASH;
