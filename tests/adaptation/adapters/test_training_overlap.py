@@ -55,6 +55,16 @@ def test_training_samples_of_one_of_the_two_are_left_out(dataset, card):
     assert unseen_samples(again, [trained], dataset) == ()  # the same question and answer in another data set
 
 
+def test_questions_without_a_memory_are_not_taken_for_training_data(dataset, card):
+    """Held-out questions and rehearsal examples of an exploration have no episode, so both have the memory ""."""
+    trained = msgspec.structs.replace(card, dataset=dataset.card.hash)
+    no_episode = [msgspec.structs.replace(row, memory="") for row in dataset.train]
+    explored = msgspec.structs.replace(dataset, train=(*dataset.train, *no_episode))
+    questions = tuple(msgspec.structs.replace(row, memory="") for row in dataset.held_out)
+    assert unseen_samples(questions, [trained], explored) == questions
+    assert unseen_samples(no_episode, [trained], explored) == ()
+
+
 @pytest.mark.parametrize("known_by", [{"id": RECORDED}, {"dataset": ELSEWHERE}])
 def test_memories_that_the_ledger_records_as_training_data_are_left_out(ledger, dataset, card, known_by):
     both = (*dataset.train, *dataset.held_out)

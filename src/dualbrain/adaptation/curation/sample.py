@@ -21,10 +21,10 @@ class Sample(msgspec.Struct, frozen=True, omit_defaults=True, kw_only=True):
 
     `id` identifies prompt and completion by content. `weight` is the memory weight w ∈ [0, 1] when the data set was
     made, `Delta` and `duration` [s] are those of the episode. `repeats` is the number of repetitions per epoch
-    (`balancing`), `scene` the group of scenes that is on one side of the split. `memory` is the id of the memory,
-    `source` the planner that proposed the contract. `events` are numbers of ledger events: its own first, then those of
-    its near-duplicates `others` (older data sets do not name them). `graspable` and `receptive` are the names that a
-    contract may use in the scene.
+    (`balancing`), `scene` the group of scenes that is on one side of the split. `memory` is the id of the memory (""
+    without an episode), `source` the planner that proposed the contract. `events` are numbers of ledger events: its own
+    first, then those of its near-duplicates `others` (older data sets do not name them). `graspable` and `receptive`
+    are the names that a contract may use in the scene.
     """
 
     id: str
@@ -44,8 +44,8 @@ class Sample(msgspec.Struct, frozen=True, omit_defaults=True, kw_only=True):
 
     @property
     def memories(self) -> frozenset[str]:
-        """Ids of its memory and of those of its near-duplicates."""
-        return frozenset((self.memory, *(one.memory for one in self.others)))
+        """Ids of its memory and of those of its near-duplicates; none for a sample without an episode."""
+        return frozenset(filter(None, (self.memory, *(one.memory for one in self.others))))
 
     @property
     def contract(self) -> str:
