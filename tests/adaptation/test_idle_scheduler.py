@@ -65,8 +65,10 @@ def test_a_killed_session_is_not_active(tmp_path):
     lock.release()
 
 
-def test_a_gatekeeper_is_active_while_it_listens(tmp_path):
-    path = tmp_path / "gatekeeper.sock"
+@pytest.mark.parametrize("folder", ["home", "my home", "größe"])
+def test_a_gatekeeper_is_active_while_it_listens(tmp_path, folder):
+    path = tmp_path / folder / "gatekeeper.sock"
+    path.parent.mkdir()
     path.touch()
     assert robot_activity(tmp_path / "l", (path,)) == ""  # a file that a killed gatekeeper left
     path.unlink()
@@ -74,6 +76,15 @@ def test_a_gatekeeper_is_active_while_it_listens(tmp_path):
         listening.bind(str(path))
         listening.listen()
         assert "a gatekeeper at" in robot_activity(tmp_path / "l", (path,))
+
+
+def test_a_gatekeeper_that_runs_is_active_however_its_socket_is_bound(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind("robot.sock")  # `dualbrain gatekeeper --socket robot.sock`
+        listening.listen()
+        path = tmp_path / "robot.sock"
+        assert robot_activity(tmp_path / "l", (), running=(path,)) == f"a gatekeeper at {path}"
 
 
 class SchedulerBench:

@@ -40,17 +40,29 @@ def read_machine_load(power: Path = POWER_SUPPLY) -> MachineLoad:
     return MachineLoad(os.getloadavg()[0], os.cpu_count() or 1, "Discharging" in states)
 
 
-def robot_activity(ledger: Path, sockets: Sequence[Path], *, own_pid: int | None = None) -> str:
+def robot_activity(
+    ledger: Path, sockets: Sequence[Path], *, running: Sequence[Path] = (), own_pid: int | None = None
+) -> str:
     """Why the robot counts as active, "" if it is idle; the process `own_pid` is ignored.
 
     A session holds the writer lock of its ledger from before the first motion until all is recorded; a gatekeeper
-    listens at its socket as long as it controls a robot.
+    listens at its socket as long as it controls a robot. The gatekeepers at `running` are known to run, so they count
+    without a look at their sockets, which may be bound by a relative path.
     """
     holder = current_holder(ledger)
     if holder is not None and holder.pid != own_pid:
         return f"{holder.name} (process {holder.pid})"
-    listening = PROC_NET_UNIX.read_text("utf-8", "replace").split() if PROC_NET_UNIX.is_file() else []
-    return next((f"a gatekeeper at {path}" for path in sockets if str(path.absolute()) in listening), "")
+    bound = _bound_sockets()
+    active = (*running, *(path for path in sockets if str(path.absolute()) in bound))
+    return f"a gatekeeper at {active[0]}" if active else ""
+
+
+def _bound_sockets() -> frozenset[str]:
+    """The paths to which the sockets of this machine are bound: the eighth column of `PROC_NET_UNIX`, with spaces."""
+    if not PROC_NET_UNIX.is_file():
+        return frozenset()
+    rows = (line.split(maxsplit=7) for line in os.fsdecode(PROC_NET_UNIX.read_bytes()).splitlines())
+    return frozenset(row[7] for row in rows if len(row) == 8)
 
 
 def blocking_reason(machine: MachineLoad, activity: str, *, own_threads: int = 0) -> str:

@@ -338,6 +338,19 @@ def test_when_idle_runs_the_same_command_in_a_process_of_its_own(tmp_path, monke
     assert "none.sqlite" in capfd.readouterr().err
 
 
+def test_when_idle_waits_for_a_gatekeeper_at_a_socket_of_its_own(tmp_path, monkeypatch, capfd):
+    def interrupted(seconds):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(adapt_when_idle, "read_machine_load", lambda: MachineLoad(0.0, 2, on_battery=False))
+    monkeypatch.setattr(adapt_when_idle, "running_sockets", lambda home: [tmp_path / "robot.sock"])
+    monkeypatch.setattr(adapt_when_idle.time, "sleep", interrupted)
+    options = {"robot": "panda", "base": "tiny", "ledger": tmp_path / "l", "site": None, "config": None, "json": False}
+    with pytest.raises(KeyboardInterrupt):
+        adapt_when_idle.adapt_when_idle(out=tmp_path / "out", **options)
+    assert "waiting: a gatekeeper at" in " ".join(capfd.readouterr().err.split())
+
+
 @pytest.mark.parametrize(
     ("end", "words"), [("os.kill(os.getpid(), 9)", "signal 9 (Killed)"), ("sys.exit(1)", ""), ("sys.exit(0)", "")]
 )

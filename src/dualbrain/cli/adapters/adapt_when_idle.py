@@ -49,7 +49,8 @@ def adapt_when_idle(
 
     def get_blocking_reason(own_pid: int | None) -> str:
         home = dualbrain_home()
-        activity = robot_activity(ledger_file, (home / "gatekeeper.sock", *running_sockets(home)), own_pid=own_pid)
+        default = (home / "gatekeeper.sock",)
+        activity = robot_activity(ledger_file, default, running=running_sockets(home), own_pid=own_pid)
         return blocking_reason(read_machine_load(), activity, own_threads=threads if own_pid is not None else 0)
 
     with interrupt_handler(_raise_interrupt):
