@@ -45,6 +45,21 @@ def test_load_and_batteries_are_read(tmp_path):
     assert not read_machine_load(tmp_path).on_battery
 
 
+def test_the_battery_of_a_mouse_or_keyboard_does_not_count(tmp_path):
+    mouse = tmp_path / "hidpp_battery_0"
+    mouse.mkdir()
+    (mouse / "status").write_text("Discharging\n")
+    (mouse / "scope").write_text("Device\n")
+    assert not read_machine_load(tmp_path).on_battery
+    (mouse / "scope").write_text("System\n")
+    assert read_machine_load(tmp_path).on_battery
+
+
+def test_a_power_supply_that_cannot_be_read_is_no_error(tmp_path):
+    (tmp_path / "BAT0" / "status").mkdir(parents=True)  # reading it raises an `OSError`, as that of a removed battery
+    assert not read_machine_load(tmp_path).on_battery
+
+
 def test_a_session_is_active_while_it_holds_the_lock_of_its_ledger(tmp_path):
     ledger = tmp_path / "ledger.sqlite"
     assert robot_activity(ledger, ()) == ""

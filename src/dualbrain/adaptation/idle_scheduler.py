@@ -35,9 +35,22 @@ class MachineLoad:
 
 
 def read_machine_load(power: Path = POWER_SUPPLY) -> MachineLoad:
-    """The present load; a machine without visible batteries is not on battery."""
-    states = [path.read_text().strip() for path in power.glob("*/status")] if power.is_dir() else []
-    return MachineLoad(os.getloadavg()[0], os.cpu_count() or 1, "Discharging" in states)
+    """The present load; a machine without visible batteries is not on battery.
+
+    Batteries of other devices (mouse, keyboard, headset), whose `scope` is "Device", do not count.
+    """
+    supplies = list(power.iterdir()) if power.is_dir() else []
+    own_supplies = (one for one in supplies if _attribute(one, "scope") != "Device")
+    on_battery = any(_attribute(one, "status") == "Discharging" for one in own_supplies)
+    return MachineLoad(os.getloadavg()[0], os.cpu_count() or 1, on_battery)
+
+
+def _attribute(supply: Path, name: str) -> str:
+    """One attribute of a power supply; "" if it has none, or if the supply is just being removed."""
+    try:
+        return (supply / name).read_text("utf-8", "replace").strip()
+    except OSError:
+        return ""
 
 
 def robot_activity(
