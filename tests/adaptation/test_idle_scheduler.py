@@ -1,5 +1,6 @@
 """Training yields at once to an active robot, a busy machine or battery power, and loses no progress."""
 
+import math
 import os
 import signal
 import socket
@@ -7,15 +8,18 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from dualbrain.adaptation.idle_scheduler import (
+    LOAD_AVERAGING_TIME,
     IdleScheduler,
     IdleSchedulerConfig,
     MachineLoad,
     blocking_reason,
     read_machine_load,
+    remaining_load,
     robot_activity,
 )
 from dualbrain.memory.ledger.writer_lock import LockHolder, WriterLock, current_holder
@@ -31,8 +35,8 @@ def test_each_blocking_reason_is_named():
     assert "battery" in blocking_reason(MachineLoad(0.0, 2, on_battery=True), "")
     assert "busy" in blocking_reason(MachineLoad(1.2, 2, on_battery=False), "")
     busy = MachineLoad(3.0, 2, on_battery=False)
-    assert blocking_reason(busy, "", own_threads=2) == ""  # the training itself causes a load of two
-    assert "busy" in blocking_reason(busy, "", own_threads=1)
+    assert blocking_reason(busy, "", own_load=2) == ""  # the training itself causes a load of two
+    assert "busy" in blocking_reason(busy, "", own_load=1)
 
 
 def test_load_and_batteries_are_read(tmp_path):
@@ -169,6 +173,41 @@ def test_a_long_pause_stops_the_training_which_then_starts_again(tmp_path):
     assert bench.statuses[2].startswith("stopped for now")
     assert bench.observed[16][1] is None
     assert bench.statuses[-1] == "training"
+
+
+class SimulatedLoad(IdleScheduler):
+    """A training in two threads on a machine with two processors, which two other processes keep busy from 10 s on."""
+
+    def __init__(self):
+        self.now, self.load, self.trained, self.is_running = 0.0, 0.0, 0.0, False
+        pace = IdleSchedulerConfig(max_halted_time=math.inf)
+        clock, sleep = (lambda: self.now), self.sleep
+        super().__init__(self.start, self.reason, lambda status: None, clock=clock, sleep=sleep, config=pace)
+
+    def start(self):
+        self.is_running = True
+        return SimpleNamespace(pid=1, poll=lambda: None, wait=lambda: None)
+
+    def _signal(self, number):
+        self.is_running = number == signal.SIGCONT
+
+    def reason(self, own_pid):
+        own_load = remaining_load(2, self.halted_time) if own_pid else 0.0
+        return blocking_reason(MachineLoad(self.load, 2, on_battery=False), "", own_load=own_load)
+
+    def sleep(self, seconds):
+        present = 2.0 * self.is_running + (2.0 if self.now > 10.0 else 0.0)
+        self.load = present + (self.load - present) * math.exp(-seconds / LOAD_AVERAGING_TIME)
+        self.trained, self.now = self.trained + seconds * self.is_running, self.now + seconds
+        if self.now > 3600.0:
+            raise KeyboardInterrupt  # the end of the test
+
+
+def test_a_paused_training_does_not_hide_the_load_of_other_processes():
+    machine = SimulatedLoad()
+    with pytest.raises(KeyboardInterrupt):
+        machine.run()
+    assert 0.0 < machine.trained < 300.0  # it trained 2600 s of this hour when its own load did not decay
 
 
 def test_the_scheduler_returns_the_exit_code_of_the_work(tmp_path):

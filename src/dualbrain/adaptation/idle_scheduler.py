@@ -6,6 +6,7 @@ The checks take no lock and open no socket, so they cannot disturb a robot that 
 from __future__ import annotations
 
 import ctypes
+import math
 import os
 import signal
 import subprocess
@@ -78,17 +79,29 @@ def _bound_sockets() -> frozenset[str]:
     return frozenset(row[7] for row in rows if len(row) == 8)
 
 
-def blocking_reason(machine: MachineLoad, activity: str, *, own_threads: int = 0) -> str:
-    """Why training must wait now, "" if it may run; `own_threads` is the load that the training itself causes.
+LOAD_AVERAGING_TIME = 60.0
+"""Time constant of the averaged load [s]."""
 
-    `own_threads` = 0 means that training has not started, and applies the stricter limit.
+
+def remaining_load(threads: int, halted_time: float) -> float:
+    """The part of the averaged load that training in `threads` threads causes, `halted_time` [s] after its pause began.
+
+    The load of a paused process decays with `LOAD_AVERAGING_TIME`, so that it soon hides no other process.
+    """
+    return threads * math.exp(-halted_time / LOAD_AVERAGING_TIME)
+
+
+def blocking_reason(machine: MachineLoad, activity: str, *, own_load: float = 0.0) -> str:
+    """Why training must wait now, "" if it may run; `own_load` is the load that the training itself causes.
+
+    `own_load` = 0 means that training has not started, and applies the stricter limit.
     """
     if activity:
         return activity
     if machine.on_battery:
         return "the machine runs on battery"
-    others = max(machine.load - own_threads, 0.0) / machine.processors
-    if others > (MAX_LOAD_TO_CONTINUE if own_threads else MAX_LOAD_TO_START):
+    others = max(machine.load - own_load, 0.0) / machine.processors
+    if others > (MAX_LOAD_TO_CONTINUE if own_load else MAX_LOAD_TO_START):
         return f"the machine is busy (load {machine.load:.1f} on {machine.processors} processors)"
     return ""
 
@@ -140,6 +153,11 @@ class IdleScheduler:
         self._halted_at: float | None = None
         self._quiet_since: float | None = None
         self._last_status = ""
+
+    @property
+    def halted_time(self) -> float:
+        """Time since the work was paused [s]; 0 if it is not paused."""
+        return 0.0 if self._halted_at is None else self._clock() - self._halted_at
 
     def run(self) -> int:
         """Run until the work has ended by itself and return its exit code.

@@ -15,6 +15,7 @@ from dualbrain.adaptation.idle_scheduler import (
     blocking_reason,
     kill_on_parent_exit,
     read_machine_load,
+    remaining_load,
     robot_activity,
 )
 from dualbrain.cli.common.console import StderrConsole
@@ -51,12 +52,14 @@ def adapt_when_idle(
         home = dualbrain_home()
         default = (home / "gatekeeper.sock",)
         activity = robot_activity(ledger_file, default, running=running_sockets(home), own_pid=own_pid)
-        return blocking_reason(read_machine_load(), activity, own_threads=threads if own_pid is not None else 0)
+        own_load = remaining_load(threads, scheduler.halted_time) if own_pid is not None else 0.0
+        return blocking_reason(read_machine_load(), activity, own_load=own_load)
 
+    scheduler = IdleScheduler(
+        start, get_blocking_reason, StderrConsole().print, clock=time.monotonic, sleep=time.sleep, config=pace
+    )
     with interrupt_handler(_raise_interrupt):
-        code = IdleScheduler(
-            start, get_blocking_reason, StderrConsole().print, clock=time.monotonic, sleep=time.sleep, config=pace
-        ).run()
+        code = scheduler.run()
     if code < 0:
         StderrConsole().print(
             f"the training was ended by signal {-code} ({signal.strsignal(-code)}); the same command with --out {out} "
