@@ -165,6 +165,24 @@ def test_an_incomplete_answer_never_counts_as_equal(tmp_path):
     assert summarize_shadow(read_shadow_log(tmp_path / "none.jsonl")) == "no shadow answers"
 
 
+def test_a_line_that_a_crash_left_incomplete_is_replaced_by_the_next_record(tmp_path):
+    log = tmp_path / "a.jsonl"
+    for text, torn in (("one", b'{"served":"torn'), ("two", b"")):
+        planner = ShadowedPlanner(ScriptedPlanner([text]), ScriptedPlanner([text]), log)
+        planner.propose(plan_request())
+        planner.close()
+        log.write_bytes(log.read_bytes() + torn)
+    assert [one.candidate_text for one in read_shadow_log(log)] == ["one", "two"]
+
+
+def test_an_answer_that_json_cannot_contain_is_logged(tmp_path):
+    log = tmp_path / "a.jsonl"
+    planner = ShadowedPlanner(ScriptedPlanner(["a \ud800"]), ScriptedPlanner(["a \ud800"]), log)
+    planner.propose(plan_request())
+    planner.close()
+    assert [(one.candidate_text, one.is_same) for one in read_shadow_log(log)] == [("a \ufffd", True)]
+
+
 def test_a_damaged_log_is_reported(tmp_path):
     log = tmp_path / "a.jsonl"
     log.write_bytes(b"{}\n")

@@ -14,7 +14,9 @@ from threading import Lock, Thread
 import msgspec
 
 from dualbrain.adaptation.adapters.card import TORCH_SUFFIX, AdapterCard
+from dualbrain.core.storage.file_lock import file_lock
 from dualbrain.core.storage.private_files import create_private_folder, open_private
+from dualbrain.core.text import make_json_safe
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError
 from dualbrain.planner.introspection import planner_messages, planner_template, takes_images
 from dualbrain.planner.prompt.full_prompt import ChatMessage
@@ -135,8 +137,7 @@ class ShadowedPlanner:
             passed_over=self._end(),
         )
         try:
-            with open_private(self._log, "ab") as log:
-                log.write(msgspec.json.encode(record) + b"\n")
+            _append_record(self._log, record)
         except OSError:
             with self._lock:
                 self._passed_over += 1 + record.passed_over
@@ -147,6 +148,18 @@ class ShadowedPlanner:
             return self._candidate.propose(request)
         except Exception as error:
             return Proposal(text="", finish_reason=f"{ERROR}: {error}", planner=self._candidate.name, timings={})
+
+
+def _append_record(log: Path, record: ShadowRecord) -> None:
+    """Append one line; an incomplete last line, left by a crash or a full disk, is cut off first. Raises `OSError`.
+
+    Lone surrogates in a text, which a server may send and JSON cannot contain, become U+FFFD.
+    """
+    line = msgspec.json.encode(make_json_safe(msgspec.to_builtins(record))) + b"\n"
+    with file_lock(log.with_suffix(".lock")), open_private(log, "a+b") as file:
+        file.seek(0)
+        file.truncate(file.read().rfind(b"\n") + 1)
+        file.write(line)
 
 
 def read_shadow_log(log: Path) -> tuple[ShadowRecord, ...]:
