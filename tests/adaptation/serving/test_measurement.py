@@ -232,6 +232,23 @@ def test_the_output_file_is_checked_before_the_first_question(home, monkeypatch)
         assert asked[-2:] == [who, ""]
 
 
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"registry": "0" * 16}, f"vocabulary {'0' * 16} of panda, but the present one is {REGISTRY.hash}"),
+        ({"prompt": "0" * 16}, f"prompt template {'0' * 16}, but the present one is {short_template_hash()}"),
+        ({"robot": "ur5e"}, "is for ur5e, but the adapter is for panda"),
+    ],
+)
+def test_a_data_set_of_another_vocabulary_prompt_or_robot_is_refused(home, monkeypatch, change, words):
+    monkeypatch.setattr(adapters_measure, "_measure_adapter", lambda *args: pytest.fail("asked"))
+    data = data_set((), ASKED)
+    write_dataset(replace(data, card=replace(data.card, **change)), home / "data")
+    (one,) = AdapterRegistry(home / "adapters").ids()
+    with pytest.raises(ConfigurationError, match=words):
+        adapters_measure.measure(one, data=home / "data", out=home / "m.json", fly=False)
+
+
 def test_both_are_executed_and_known_training_data_is_not_asked(home, short_answers, capsys, monkeypatch):
     monkeypatch.setenv("DUALBRAIN_HOME", str(home))
     (trained,) = distinct_episodes(1)

@@ -205,6 +205,16 @@ def test_a_run_is_not_resumed_with_another_vocabulary(run_command, ledger, tmp_p
     assert "The vocabulary has changed" in err
 
 
+def test_a_run_is_not_resumed_with_another_prompt(run_command, ledger, stop_before_training, tmp_path):
+    """An adapter that is trained on prompts of a former version could neither be measured nor serve."""
+    run_command("adapt", "--export", "fit/dataset")
+    card = msgspec.structs.replace(read_dataset_card(tmp_path / "fit" / "dataset"), prompt="00000000")
+    (tmp_path / "fit" / "dataset" / CARD_FILE).write_bytes(msgspec.json.encode(card))
+    code, _, err = run_command("adapt", "--out", "fit")
+    assert code == ExitCode.SETUP
+    assert "has the prompt template 00000000, but the present one is" in " ".join(err.split())
+
+
 def contents(folder):
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 

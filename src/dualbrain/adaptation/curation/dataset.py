@@ -130,6 +130,25 @@ def card_differences(card: DatasetCard, expected: Mapping[str, object]) -> str:
     return describe_differences({part: getattr(card, part) for part in here}, here)
 
 
+def require_questions_for(card: DatasetCard, robot: str, registry: str) -> None:
+    """Raise `ConfigurationError` unless the samples of `card` ask `robot` in its present vocabulary and prompt.
+
+    `registry` is the hash of the vocabulary. A prompt contains this hash, and its answer repeats it: the gate rejects
+    every answer to a question about another vocabulary.
+    """
+    fix = "Make the data set again with `dualbrain adapt --export FOLDER`."
+    hashes = {card.robot: card.registry} | card.also
+    if robot not in hashes:
+        problem = f"The data set is for {', '.join(sorted(hashes))}, but the adapter is for {robot}."
+        raise ConfigurationError.stating(problem, fix="Name a data set of that robot.")
+    if hashes[robot] != registry:
+        problem = f"The data set has the vocabulary {hashes[robot]} of {robot}, but the present one is {registry}."
+        raise ConfigurationError.stating(problem, fix=fix)
+    if card.prompt != (present := short_template_hash()):
+        problem = f"The data set has the prompt template {card.prompt}, but the present one is {present}."
+        raise ConfigurationError.stating(problem, fix=fix)
+
+
 def dataset_hash(train: bytes, held_out: bytes) -> str:
     """SHA-256 over the hashes of both files: it changes if a file changes or a line moves from one to the other."""
     parts = hashlib.sha256(train).digest() + hashlib.sha256(held_out).digest()

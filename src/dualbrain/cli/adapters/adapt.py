@@ -121,15 +121,19 @@ def _write_dataset(ledger: Path | None, registry: Any, at_site: Any, settings: A
 
 
 def _require_same_dataset(card: Any, settings: Any, folder: Path, ledger: Path | None, at_site: Any) -> None:
-    """Raise `ConfigurationError` if the data set of `card` has other settings, another ledger, robots or site."""
+    """Raise `ConfigurationError` if the data set of `card` has other settings or prompts, another ledger or site."""
     from dualbrain.adaptation.curation.dataset import curation_differences
     from dualbrain.memory.ledger.anchors import descends_from
     from dualbrain.memory.ledger.hash_chain import Head
+    from dualbrain.planner.prompt.short_prompt import short_template_hash
 
     if others := curation_differences(card, settings.curation):
         fix = "Name another --out to curate again, or use the former settings to resume."
         problem = f"The data set in {folder} was made with other settings of [curation]: {others}."
         raise ConfigurationError.stating(problem, fix=fix)
+    if card.prompt != (present := short_template_hash()):
+        problem = f"The data set in {folder} has the prompt template {card.prompt}, but the present one is {present}."
+        raise ConfigurationError.stating(problem, fix="Name another --out to curate again.")
     if card.site != (site := at_site.hash if at_site else ""):
         here, there = (f"the site {hash[:16]}" if hash else "no site" for hash in (site, card.site))
         fix = "Name another --out to curate again, or the former --site to resume."

@@ -74,7 +74,7 @@ def measure(
     from dualbrain.adaptation.adapters.registry import NO_ADAPTER, place_of_card
     from dualbrain.adaptation.adapters.stacking import load_stack
     from dualbrain.adaptation.adapters.training_overlap import unseen_samples
-    from dualbrain.adaptation.curation.dataset import read_dataset
+    from dualbrain.adaptation.curation.dataset import read_dataset, require_questions_for
     from dualbrain.adaptation.serving.measurement import samples_for_robot, select_questions
     from dualbrain.core.storage.atomic_files import require_writable, write_atomically
     from dualbrain.grounding.vocabulary import load_skill_registry
@@ -91,6 +91,7 @@ def measure(
     serving = (
         load_stack(champion_folder(registry, champion), cache_folder()) if champion != NO_ADAPTER else stack.without_top
     )
+    require_questions_for(dataset.card, stack.top_card.robot, vocabulary.hash)
     from dualbrain.runtime.data_collection.exploration.held_out import has_generated_scenes
 
     generated = has_generated_scenes(dataset.card)
