@@ -25,6 +25,7 @@ from dualbrain.memory.embedding.hashing_encoder import HashingEncoder
 from dualbrain.memory.ledger.events import ADAPTER, AdapterUse
 from dualbrain.memory.ledger.ledger import LedgerReader
 from dualbrain.memory.maintenance.compaction import compact_in_place
+from dualbrain.memory.maintenance.edits import forget, quarantine, roll_back
 from dualbrain.planner.registry import DEFAULT_PLANNER
 from tests.adaptation.sample_episodes import CONFIG, NOW, distinct_episodes, episode, summary, write_ledger
 from tests.support.process_state import process_state
@@ -307,6 +308,34 @@ def test_a_ledger_that_has_grown_or_was_compacted_is_accepted(run_command, ledge
         archive.unlink()
     assert "The data set in fit is of another ledger" in run_command("adapt", "--out", "fit")[2]
     assert contents(tmp_path / "fit") == before
+
+
+@pytest.mark.parametrize("edit", [quarantine, forget])
+def test_a_data_set_with_a_memory_that_was_excluded_since_is_rejected(
+    run_command, ledger, stop_before_training, tmp_path, edit
+):
+    run_command("adapt", "--out", "fit")
+    before = contents(tmp_path / "fit")
+    write_ledger(tmp_path, [], lambda memory: edit(memory, ["e1", "bad"], "poisoned", now=NOW)).close()
+    code, _, err = run_command("adapt", "--out", "fit")
+    assert code == ExitCode.SETUP
+    assert "memories that were quarantined, forgotten or rolled back since: e1. Name another --out" in " ".join(
+        err.split()
+    )
+    assert contents(tmp_path / "fit") == before
+    (tmp_path / "fit" / "adapter").mkdir()
+    (tmp_path / "fit" / "adapter" / "adapter.json").touch()  # complete: the same command only records it
+    assert "using the data set in fit" in run_command("adapt", "--out", "fit")[2]
+
+
+def test_a_data_set_with_a_memory_that_was_rolled_back_is_rejected(run_command, ledger, stop_before_training, tmp_path):
+    with LedgerReader(ledger) as opened:
+        before = opened.head().seq
+    write_ledger(tmp_path, [episode("later", scene_summary=summary(number=55))]).close()
+    run_command("adapt", "--out", "fit")
+    write_ledger(tmp_path, [], lambda memory: roll_back(memory, before, "a test", now=NOW)).close()
+    code, _, err = run_command("adapt", "--out", "fit")
+    assert (code, "rolled back since: later." in " ".join(err.split())) == (ExitCode.SETUP, True)
 
 
 def test_a_data_set_with_a_card_of_an_older_version_is_accepted(run_command, ledger, stop_before_training, tmp_path):

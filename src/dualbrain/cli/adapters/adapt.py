@@ -19,8 +19,11 @@ from dualbrain.errors import ConfigurationError, DualbrainError, UsageError
 
 if TYPE_CHECKING:
     from dualbrain.adaptation.training.process_group import ProcessGroup
+    from dualbrain.memory.ledger.ledger import LedgerReader
 
 Flag = Annotated[bool, Parameter(negative="")]
+MAX_NAMED_MEMORIES = 5
+"""Largest number of memories that an error names."""
 
 
 def adapt(
@@ -145,6 +148,7 @@ def _require_same_dataset(card: Any, settings: Any, folder: Path, ledger: Path |
             fix = "Name another --out to curate again, or the former ledger with --ledger to resume."
             raise ConfigurationError.stating(f"{problem} {card.ledger[:16]}.", fix=fix)
         _require_same_robots(card, opened.usable_writers, folder)
+        _require_memories_in_use(folder, opened)
 
 
 def _require_same_robots(card: Any, usable: tuple[str, ...], folder: Path) -> None:
@@ -154,6 +158,26 @@ def _require_same_robots(card: Any, usable: tuple[str, ...], folder: Path) -> No
         problem = f"The data set in {folder} was made from the memories of {there}; now those of {here} are to be used."
         fix = "Name another --out to curate again, or restore `use_memories_of` in the file of the ledger to resume."
         raise ConfigurationError.stating(problem, fix=fix)
+
+
+def _require_memories_in_use(folder: Path, ledger: LedgerReader) -> None:
+    """Raise `ConfigurationError` if a sample in `folder` is of a memory that is no longer in use, for example poisoned.
+
+    A complete adapter is accepted: nothing is trained then, and the ledger records what it was trained on.
+    """
+    from dualbrain.adaptation.adapters.card import CARD_FILE
+    from dualbrain.adaptation.curation.dataset import read_dataset
+    from dualbrain.memory.state.derivation import derive_state
+
+    if (folder / training.ADAPTER_FOLDER / CARD_FILE).is_file():
+        return
+    state, dataset = derive_state(ledger), read_dataset(folder / DATASET_FOLDER)
+    names = sorted({row.memory for row in (*dataset.train, *dataset.held_out)})
+    excluded = [one for one in names if one not in state or state[one].status in ("quarantined", "forgotten")]
+    if excluded:
+        shown = ", ".join(excluded[:MAX_NAMED_MEMORIES]) + (", …" if len(excluded) > MAX_NAMED_MEMORIES else "")
+        problem = f"The data set in {folder} contains memories that were quarantined, forgotten or rolled back since:"
+        raise ConfigurationError.stating(f"{problem} {shown}.", fix="Name another --out to curate again.")
 
 
 def _curate(ledger: Path | None, registry: Any, at_site: Any, settings: Any, *, json: bool) -> Any:
