@@ -1,6 +1,7 @@
 """Exploration: siblings in the twin, proposals of a value model, and the training set with rehearsal examples."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -16,7 +17,7 @@ from dualbrain.grounding.instruction.goals.goal import Goal
 from dualbrain.grounding.instruction.goals.goal_reading import read_goal
 from dualbrain.grounding.vocabulary import load_skill_registry
 from dualbrain.runtime.data_collection.exploration import explore as exploration
-from dualbrain.runtime.data_collection.exploration import rehearsal
+from dualbrain.runtime.data_collection.exploration import held_out, rehearsal
 from dualbrain.runtime.data_collection.exploration.corruption import FOREIGN_TEXTS, corrupt
 from dualbrain.runtime.data_collection.exploration.explore import TRIALS_FILE, explore, nth_place, read_trials
 from dualbrain.runtime.data_collection.exploration.held_out import make_scene_evaluator, without_values
@@ -227,6 +228,22 @@ def test_a_question_can_be_read_without_values(value_model):
     context = scene_context_by_name(question.scene)
     assert context.summary_with_values in question.prompt[-1]["content"]
     assert context.summary in plain.prompt[-1]["content"]
+
+
+def test_both_planners_are_executed_with_the_same_seed_for_a_question(monkeypatch, tmp_path):
+    """Also if one of them gave no compliant answer to an earlier question, which is then not executed."""
+    seeds = []
+
+    def run(one, ledger, turn, *, cache):
+        seeds.append((one.id, turn))
+        return SimpleNamespace(outcome=SimpleNamespace(kind="succeeded", Delta=0.0))
+
+    monkeypatch.setattr(held_out, "run_proposal", run)
+    questions = [draw_rehearsal("panda", "check", 0, index) for index in range(3)]
+    execute = make_scene_evaluator(5, tmp_path)
+    for question in (*questions, *questions[1:]):
+        execute(question, question.contract)
+    assert [turn for _, turn in seeds] == [5, 6, 7, 6, 7]
 
 
 @pytest.mark.slow

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable
-from itertools import count
 from pathlib import Path
 
 import msgspec
@@ -40,14 +39,16 @@ def without_values(question: Sample) -> Sample:
 def make_scene_evaluator(seed: int, cache: Path) -> Callable[[Sample, str], tuple[bool, float | None]]:
     """Executes an answer in the full simulation of its scene: the robot's own verdict, and Δ.
 
-    `seed` is that of the first execution; the following ones have the next numbers.
+    `seed` is that of the first question, and each further question has the next number. All answers to one question are
+    executed with its seed, so that equal answers of two planners have equal results.
     """
-    turns = count(seed)
+    numbers: dict[str, int] = {}
 
     def execute(question: Sample, answer: str) -> tuple[bool, float | None]:
+        turn = numbers.setdefault(question.id, seed + len(numbers))
         answered = msgspec.structs.replace(question, completion=assistant_turn(answer))
         with tempfile.TemporaryDirectory(prefix="dualbrain-answer-") as folder:
-            outcome = run_proposal(answered, Path(folder) / LEDGER_FILE, next(turns), cache=cache).outcome
+            outcome = run_proposal(answered, Path(folder) / LEDGER_FILE, turn, cache=cache).outcome
         return outcome.kind == "succeeded", outcome.Delta
 
     return execute
