@@ -22,12 +22,14 @@ from dualbrain.adaptation.synthetic.scoring import score_answer
 from dualbrain.grounding.alternatives import SkillSteps
 from dualbrain.grounding.vocabulary import load_skill_registry
 from dualbrain.runtime.data_collection.exploration.place import Place
+from dualbrain.runtime.data_collection.exploration.proposals import SOURCE
+from dualbrain.runtime.data_collection.exploration.training_set import TWIN_SOURCE
 from dualbrain.runtime.data_collection.exploration.trial import Trial, execute_in_twin
 from dualbrain.runtime.data_collection.synthetic_scenes import scene_context_by_name
 from experiments.adaptation.exploration.parallel_fits import Answer
 
-PLACEMENT_SOURCE = "placement"
-"""Source of the questions whose answers are executed; the others are only compared with the expected contract."""
+EXECUTED_SOURCES = (SOURCE, TWIN_SOURCE)
+"""Sources of the questions whose placements are executed; other answers are compared with the expected contract."""
 
 
 def main() -> int:
@@ -58,10 +60,10 @@ def judge_answer(question: Sample, text: str) -> dict[str, Any]:
         "right": score.is_right,
         "contract": text,
     }
-    if question.source != PLACEMENT_SOURCE:
+    steps = msgspec.json.decode(question.contract)["action_sequence"]
+    if question.source not in EXECUTED_SOURCES or [one["skill"] for one in steps] != ["grasp", "place"]:
         return row
-    grasp, place = msgspec.json.decode(question.contract)["action_sequence"]
-    names = (grasp["params"]["object"], place["params"]["destination"])
+    names = (steps[0]["params"]["object"], steps[1]["params"]["destination"])
     trial = _execute(question.scene, *names, text) if score.is_right else None
     return row | {
         "outcome": trial.kind if trial else "rejected" if not score.compliant else "other objects",

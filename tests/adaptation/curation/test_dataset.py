@@ -10,6 +10,7 @@ from dualbrain.adaptation.curation.dataset import (
     HELD_OUT_FILE,
     TRAIN_FILE,
     assemble_dataset,
+    dataset_hash,
     read_dataset,
     write_dataset,
 )
@@ -125,3 +126,33 @@ def test_a_wrong_setting_is_named(tmp_path, text, word):
     path.write_text(text)
     with pytest.raises(ConfigurationError, match=word):
         read_config(path)
+
+
+def test_an_interrupted_write_is_continued(made, tmp_path):
+    write_dataset(made, tmp_path / "set")
+    (tmp_path / "set" / CARD_FILE).unlink()
+    (tmp_path / "set" / HELD_OUT_FILE).unlink()
+    write_dataset(made, tmp_path / "set")
+    assert read_dataset(tmp_path / "set") == made
+
+
+@pytest.mark.parametrize("name", [TRAIN_FILE, HELD_OUT_FILE])
+def test_a_file_of_the_user_with_the_same_name_is_unchanged(made, tmp_path, name):
+    path = tmp_path / "set" / name
+    path.parent.mkdir()
+    path.write_text("mine\n")
+    with pytest.raises(ConfigurationError, match="another data set"):
+        write_dataset(made, tmp_path / "set")
+    assert path.read_text() == "mine\n"
+    assert [one.name for one in path.parent.iterdir()] == [name]
+
+
+def test_samples_of_another_version_are_an_error_with_a_remedy(made, tmp_path):
+    write_dataset(made, tmp_path / "set")
+    train = b'{"prompt": 1}\n'
+    (tmp_path / "set" / TRAIN_FILE).write_bytes(train)
+    found = dataset_hash(train, (tmp_path / "set" / HELD_OUT_FILE).read_bytes())
+    card = msgspec.structs.replace(made.card, hash=found)
+    (tmp_path / "set" / CARD_FILE).write_bytes(msgspec.json.encode(card))
+    with pytest.raises(ConfigurationError, match=r"cannot be read.*Make the data set again"):
+        read_dataset(tmp_path / "set")

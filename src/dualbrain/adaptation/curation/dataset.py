@@ -156,17 +156,29 @@ def dataset_hash(train: bytes, held_out: bytes) -> str:
 
 
 def write_dataset(dataset: Dataset, folder: Path) -> None:
-    """Write both files and then the card.
+    """Write both files and then the card; continues a write that was interrupted.
 
-    Raises `ConfigurationError` if `folder` contains another data set, `FileWriteError`.
+    Raises `ConfigurationError` if `folder` contains another data set or other files of these names, `FileWriteError`.
     """
     create_private_folder(folder)
-    if (folder / CARD_FILE).exists() and read_dataset_card(folder).hash != dataset.card.hash:
+    contents = {TRAIN_FILE: encode_samples(dataset.train), HELD_OUT_FILE: encode_samples(dataset.held_out)}
+    if _has_other_dataset(folder, dataset.card.hash, contents):
         fix = f"Name an empty folder. {folder}"
         raise ConfigurationError.stating("The folder contains another data set.", fix=fix)
-    write_atomically(folder / TRAIN_FILE, encode_samples(dataset.train))
-    write_atomically(folder / HELD_OUT_FILE, encode_samples(dataset.held_out))
+    for name, content in contents.items():
+        write_atomically(folder / name, content)
     write_atomically(folder / CARD_FILE, msgspec.json.format(msgspec.json.encode(dataset.card), indent=2))
+
+
+def _has_other_dataset(folder: Path, new_hash: str, contents: Mapping[str, bytes]) -> bool:
+    """Whether `folder` has the card of another data set, or without a card files with other `contents`."""
+    if (folder / CARD_FILE).exists():
+        return read_dataset_card(folder).hash != new_hash
+    found = {name: folder / name for name in contents if (folder / name).exists()}
+    return any(
+        path.stat().st_size != len(contents[name]) or path.read_bytes() != contents[name]
+        for name, path in found.items()
+    )
 
 
 def read_dataset_card(folder: Path) -> DatasetCard:
@@ -187,10 +199,17 @@ def read_dataset_card(folder: Path) -> DatasetCard:
 
 
 def read_dataset(folder: Path) -> Dataset:
-    """The data set in `folder`; raises `ConfigurationError` if its hash is not that of the card."""
+    """The data set in `folder`.
+
+    Raises `ConfigurationError` if its hash is not that of the card, or if this version cannot read its samples.
+    """
     card = read_dataset_card(folder)
     train, held_out = (read_bounded_file(folder / name, MAX_SAMPLES_BYTES) for name in (TRAIN_FILE, HELD_OUT_FILE))
     if (got := dataset_hash(train, held_out)) != card.hash:
         problem = f"A file of the data set was changed: its hash is {got}, expected {card.hash}."
         raise ConfigurationError.stating(problem, fix=f"Make the data set again. {folder}")
-    return Dataset(card, decode_samples(train), decode_samples(held_out))
+    try:
+        return Dataset(card, decode_samples(train), decode_samples(held_out))
+    except DECODE_ERRORS as error:
+        problem = f"A sample of the data set cannot be read: {error}. Another version or program wrote it."
+        raise ConfigurationError.stating(problem, fix=f"Make the data set again. {folder}") from error

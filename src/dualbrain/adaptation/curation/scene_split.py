@@ -44,8 +44,8 @@ def choose_held_out_groups(groups: Sequence[str], share: float, salt: str) -> fr
     `groups` has one name per sample. A group with more than `share` of all samples is used for training, because it is
     the robot's most frequent task; unless this applies to every group.
 
-    Promise: a group stays on its side when other groups are added (except for the at-least-one rule, and for a group
-    that grows that large), so later rounds are tested on scenes that no round was trained on.
+    A group stays on its side when other groups are added, so later rounds are tested on scenes that no round was
+    trained on. Exceptions: the at-least-one rule, and a group that grows above or falls below `share` of all samples.
     """
     counts = Counter(groups)
     if share <= 0.0 or len(counts) < 2:
