@@ -1,5 +1,6 @@
 """The value model: utility, symbols, recovery of a known rule, uncertainty, and the choice."""
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -140,3 +141,20 @@ def test_unusable_data_and_files_are_refused(tmp_path):
     path.write_text(path.read_text().replace("tight", "loose"))
     with pytest.raises(ConfigurationError, match="other symbols"):
         load_value_model(path)
+
+
+@pytest.mark.parametrize("damage", ["short weights", "no covariance", "short row", "no rows", "variance"])
+def test_an_inconsistent_model_is_refused_when_it_is_read(tmp_path, damage):
+    model = fit_value_model(siblings(20, np.random.default_rng(4)))
+    name = next(iter(model.weights))
+    matrix = model.covariances[name]
+    changes = {
+        "short weights": {"weights": {**model.weights, name: model.weights[name][:-1]}},
+        "no covariance": {"covariances": {other: one for other, one in model.covariances.items() if other != name}},
+        "short row": {"covariances": {**model.covariances, name: [matrix[0][:-1], *matrix[1:]]}},
+        "no rows": {"covariances": {**model.covariances, name: matrix[:-1]}},
+        "variance": {"variance": -1.0},
+    }
+    save_value_model(msgspec.structs.replace(model, **changes[damage]), tmp_path / "value.json")
+    with pytest.raises(ConfigurationError, match="lacks a number"):
+        load_value_model(tmp_path / "value.json")

@@ -134,7 +134,7 @@ def save_value_model(model: ValueModel, path: Path) -> None:
 
 
 def load_value_model(path: Path) -> ValueModel:
-    """Read a value model; raises `ConfigurationError` for an unreadable file or other symbols."""
+    """Read a value model; raises `ConfigurationError` for an unreadable or inconsistent file, or other symbols."""
     try:
         model = msgspec.json.decode(read_bounded_file(path, MAX_FILE_BYTES), type=ValueModel)
     except DECODE_ERRORS as error:
@@ -143,4 +143,19 @@ def load_value_model(path: Path) -> ValueModel:
     if model.symbols != SYMBOLS or model.schema_version != SCHEMA_VERSION:
         problem = f"The value model was fitted with other symbols of the scene: {', '.join(model.symbols)}."
         raise ConfigurationError.stating(problem, fix=f"Fit it again from its trials. {path}")
+    if not _is_consistent(model):
+        problem = "The value model lacks a number of one of its alternatives, or has one that is not finite."
+        raise ConfigurationError.stating(problem, fix=f"Fit it again from its trials. {path}")
     return model
+
+
+def _is_consistent(model: ValueModel) -> bool:
+    """Whether every alternative has a weight for each symbol and a matrix of their size, and σ² is at least 0."""
+    size = len(model.symbols)
+    rows = [*model.weights.values(), *(row for matrix in model.covariances.values() for row in matrix)]
+    return (
+        model.weights.keys() == model.covariances.keys()
+        and all(len(matrix) == size for matrix in model.covariances.values())
+        and all(len(row) == size and np.isfinite(row).all() for row in rows)
+        and 0.0 <= model.variance < np.inf
+    )
