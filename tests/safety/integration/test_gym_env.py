@@ -151,6 +151,27 @@ def test_a_safe_action_passes_unchanged():
     assert (info["cost"], info["status"]) == (0.0, "SAFE")
 
 
+class SpeedEnv(ReachEnv):
+    """The same arm with joint velocities [rad/s] as actions."""
+
+    def __init__(self):
+        super().__init__()
+        self.action_space = gymnasium.spaces.Box(-V_MAX, V_MAX, dtype=np.float64)
+
+    def step(self, action):
+        return super().step(np.asarray(action, float) / V_MAX)
+
+
+@pytest.mark.parametrize("whole", [[1, 0, 0, 0, 0, 0, 0], np.eye(7, dtype=int)[0]])
+def test_the_safe_control_for_an_action_of_whole_numbers_keeps_its_digits(whole):
+    env = FilteredEnv(SpeedEnv(), make_filter())
+    env.reset(seed=0)
+    info = env.step(whole)[4]
+    assert info["status"] == FilterStatus.MODIFIED.name
+    assert 0.0 < env.guard.control[0] < 1.0
+    assert np.array_equal(info["applied"], env.guard.control)
+
+
 def test_reset_clears_the_last_control():
     env = velocity_env()
     first = []

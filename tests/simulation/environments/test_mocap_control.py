@@ -112,6 +112,17 @@ def test_displacements_into_the_table_end_above_it():
     assert inner.data.body("tool").xpos[2] < TOOL.position[2] - 0.02, "free space is used"
 
 
+def test_displacements_of_whole_numbers_keep_their_digits():
+    places = []
+    for action in (np.array([0.0, 0.0, -1.0, 0.0]), [0, 0, -1, 0]):
+        inner, env = guarded()
+        env.reset(seed=0)
+        for _ in range(60):
+            env.step(action)
+        places.append(inner.data.mocap_pos[0].copy())
+    assert np.array_equal(*places)
+
+
 def stops(env, inner, steps=40):
     """The sentences of all steps downwards in which a bound was exceeded, and the displacement of the tool in each."""
     env.reset(seed=0)

@@ -18,7 +18,7 @@ from dualbrain.errors import ConfigurationError, MissingDependencyError
 from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.obstacles import Obstacle
-from dualbrain.safety.integration.policy_guard.action_layout import FunctionLayout
+from dualbrain.safety.integration.policy_guard.action_layout import ActionLayout, FunctionLayout
 from dualbrain.safety.integration.policy_guard.action_range import check_action_range
 from dualbrain.safety.integration.policy_guard.action_space import ActionSpace
 from dualbrain.safety.integration.policy_guard.guard import Deviation, GuardReport, PolicyGuard
@@ -178,9 +178,7 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         return action[: self._n]
 
     def _default_encode(self, velocity: Array, action: Any) -> Any:
-        replaced = np.array(action)
-        replaced[: self._n] = velocity
-        return replaced
+        return ActionLayout().write(velocity, action)
 
     # --- conditions of the guarantee ----------------------------------------------------------------------------
 

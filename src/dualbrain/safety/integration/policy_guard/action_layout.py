@@ -66,9 +66,7 @@ class ActionLayout:
 
     def write(self, values: Array, action: Any) -> NDArray[Any]:
         """A copy of `action` with `values`, which are in SI units, at the entries of the arm."""
-        replaced = np.array(action)
-        if not np.issubdtype(replaced.dtype, np.floating):
-            replaced = replaced.astype(np.float64)
+        replaced = copy_as_floats(action)
         replaced[self._indices(len(values))] = (values - np.asarray(self.offset)) / np.asarray(self.scale)
         return replaced
 
@@ -100,6 +98,12 @@ def check_option(name: str, value: str, allowed: Collection[str]) -> None:
     """Raise `ConfigurationError` unless `value` is one of the `allowed` words."""
     if value not in tuple(allowed):
         raise ConfigurationError(name, got=value, allowed=" or ".join(allowed))
+
+
+def copy_as_floats(action: Any) -> NDArray[Any]:
+    """A copy of `action` that can hold any number: an array of integers would cut the digits off."""
+    copied = np.array(action)
+    return copied if np.issubdtype(copied.dtype, np.floating) else copied.astype(np.float64)
 
 
 def as_numbers(action: Any, size: int | None) -> Array | str:

@@ -40,7 +40,7 @@ from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.cbf.obstacles import Obstacle
 from dualbrain.safety.cbf.result import FilterStatus
 from dualbrain.safety.integration.gym_env import FilteredEnv
-from dualbrain.safety.integration.policy_guard.action_layout import FunctionLayout
+from dualbrain.safety.integration.policy_guard.action_layout import FunctionLayout, copy_as_floats
 from dualbrain.safety.integration.policy_guard.tool_actions import ToolPose
 from dualbrain.simulation.environments.guarded_mujoco_env import mujoco_handles
 from dualbrain.simulation.environments.mocap.arm_model import ArmLimits, make_arm_model
@@ -243,7 +243,7 @@ class MocapEnv(FilteredEnv):
         nearest = self._translation.nearest(shift, self.safety.tool(q).jacobian)
         if nearest is None:
             return action
-        replaced = np.array(action)
+        replaced = copy_as_floats(action)
         replaced[:3] = np.clip((self._position + turn @ nearest - self._reference) / self._control.scale, -1.0, 1.0)
         return replaced
 
@@ -282,7 +282,7 @@ class MocapEnv(FilteredEnv):
 
     def _encode_world(self, position: Array, action: Any) -> Any:
         """The action that leads the tool to a position (3,) [m] in the world."""
-        replaced = np.array(action)
+        replaced = copy_as_floats(action)
         replaced[:3] = np.clip((position - self._reference) / self._control.scale, -1.0, 1.0)
         self._position = self._target_position(replaced)
         return replaced
