@@ -170,6 +170,17 @@ def test_the_hand_closes_on_an_object_and_reports_that_it_is_held():
     trial.driver.close()
 
 
+def test_connecting_moves_no_finger():
+    robot_model = load_robot("fr3")
+    sdk = FakeFranka(robot_model)
+    sdk.hand.move(0.04, 0.05)
+    driver = FrankaDriver(sdk, "fake", robot_model)
+    time.sleep(0.2)
+    driver.close()
+    assert sdk.hand.calls == [("move", 0.04, 0.05)]
+    assert driver.read().opening == pytest.approx(0.02)
+
+
 # --- the UR interface ---------------------------------------------------------------------------------------------
 
 

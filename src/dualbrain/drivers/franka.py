@@ -93,9 +93,7 @@ class FrankaDriver:
                 f"The Franka arm at {address} cannot be connected: {error}.",
                 fix="Check the address, unlock the joints and activate FCI.",
             ) from error
-        self._hand = (
-            FrankaHand(gripper, self._sdk_errors, robot_model.gripper.opening.value) if gripper is not None else None
-        )
+        self._hand = FrankaHand(gripper, self._sdk_errors) if gripper is not None else None
         self._n_joints = robot_model.n
         self._control: Any = None
         self._faults: tuple[str, ...] = ()

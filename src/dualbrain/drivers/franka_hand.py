@@ -16,11 +16,11 @@ POLL_INTERVAL_S = 0.05
 class FrankaHand:
     """Opens the fingers with `move` and closes them with `grasp`; one call at a time, always for the newest target."""
 
-    def __init__(self, gripper: Any, sdk_errors: tuple[type[Exception], ...], max_opening: float) -> None:
-        """Start with the target `max_opening` [m each]; `sdk_errors` are the exceptions that `gripper` may raise."""
+    def __init__(self, gripper: Any, sdk_errors: tuple[type[Exception], ...]) -> None:
+        """Start without a motion of the fingers; `sdk_errors` are the exceptions that `gripper` may raise."""
         self._gripper, self._sdk_errors = gripper, sdk_errors
         self._measured = (0.5 * float(gripper.read_once().width), 0.0)
-        self._target, self._reached = (max_opening, 0.0), (self._measured[0], 0.0)
+        self._target = self._reached = self._measured
         self._changed, self._closing = Condition(), False
         self.fault = ""
         self._thread = Thread(target=self._run, name="franka hand", daemon=True)
