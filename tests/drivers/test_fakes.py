@@ -181,6 +181,38 @@ def test_connecting_moves_no_finger():
     assert driver.read().opening == pytest.approx(0.02)
 
 
+def write_until(trial, command, condition):
+    """Write `command` in every period until `condition(state)` holds, at most 20,000 times."""
+    for _ in range(20_000):
+        trial.driver.write(command)
+        trial.wait()
+        if condition(trial.state):
+            return trial.state
+        time.sleep(1e-4)  # for the thread of the hand
+    raise AssertionError("no state met the condition")
+
+
+@pytest.mark.parametrize("call", ["grasp", "read_once"])
+def test_an_error_of_the_hand_ends_the_motion_and_is_reported(call):
+    trial, sdk = enabled_franka()
+    works, close = getattr(sdk.hand, call), Command(np.zeros(7), 0.0, 20.0)
+
+    def fail(*_):
+        raise franka.NetworkException("libfranka gripper: TCP connection closed")
+
+    setattr(sdk.hand, call, fail)
+    state = write_until(trial, close, lambda state: not state.drive_enabled)
+    assert state.opening is None or call == "grasp", "the fingers may be anywhere"
+    assert trial.driver.faults() == ("hand: libfranka gripper: TCP connection closed",)
+    setattr(sdk.hand, call, works)
+    sdk.hand.object_width = 0.04
+    assert trial.switch_on()
+    assert trial.driver.faults() == ()
+    state = write_until(trial, close, lambda state: state.finger_forces == (20.0, 20.0))
+    assert (state.opening, state.drive_enabled) == (pytest.approx(0.02), True)
+    trial.driver.close()
+
+
 # --- the UR interface ---------------------------------------------------------------------------------------------
 
 

@@ -104,7 +104,7 @@ class FrankaDriver:
     def read(self) -> RobotState:
         """The newest state; the finger forces are the commanded force while an object is held, else 0.
 
-        Without a hand the opening is unknown.
+        Without a hand, and after an error of the hand, the opening is unknown.
         """
         return self._state
 
@@ -136,6 +136,8 @@ class FrankaDriver:
         """
         if self._control is not None:
             return
+        if self._hand:
+            self._hand.clear_fault()
         try:
             if self._raw.current_errors or self._raw.robot_mode == self._sdk.RobotMode.Reflex:
                 self._robot.automatic_error_recovery()
@@ -149,16 +151,19 @@ class FrankaDriver:
     # --- the driver interface -----------------------------------------------------------------------------------
 
     def wait(self) -> None:
-        """Wait for the next state; an exception of the library ends the motion."""
+        """Wait for the next state; an exception of the library, also for the hand, ends the motion."""
         try:
             raw = self._control.readOnce()[0] if self._control is not None else self._robot.read_once()
         except self._sdk_errors as error:
             self._record_abort(error)
             return
+        hand_fault = self._hand.fault if self._hand else ""  # before the opening is read, which is then unknown
         self._state = self._to_state(raw)
+        if self._control is not None and hand_fault:
+            self._end_motion(hand_fault)
 
     def faults(self) -> tuple[str, ...]:
-        """The message of the controller when it aborted the motion."""
+        """The message of the controller when it aborted the motion, or the error of the hand that ended it."""
         return self._faults
 
     def close(self) -> None:

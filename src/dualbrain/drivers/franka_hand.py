@@ -19,25 +19,40 @@ class FrankaHand:
     def __init__(self, gripper: Any, sdk_errors: tuple[type[Exception], ...]) -> None:
         """Start without a motion of the fingers; `sdk_errors` are the exceptions that `gripper` may raise."""
         self._gripper, self._sdk_errors = gripper, sdk_errors
-        self._measured = (0.5 * float(gripper.read_once().width), 0.0)
-        self._target = self._reached = self._measured
+        self._last_opening = 0.5 * float(gripper.read_once().width)
+        self._measured: tuple[float | None, float] = (self._last_opening, 0.0)
+        self._target, self._is_new = (self._last_opening, 0.0), False
         self._changed, self._closing = Condition(), False
-        self.fault = ""
+        self._fault = ""
         self._thread = Thread(target=self._run, name="franka hand", daemon=True)
         self._thread.start()
 
     @property
-    def measured(self) -> tuple[float, float]:
-        """Opening [m each], and the commanded grip force [N] if an object is held, else 0."""
+    def measured(self) -> tuple[float | None, float]:
+        """Opening [m each], and the commanded grip force [N] if an object is held, else 0.
+
+        After an error of the hand the opening is unknown, until the hand can be read again.
+        """
         return self._measured
+
+    @property
+    def fault(self) -> str:
+        """The last error of the hand since `clear_fault`; "" without one."""
+        return self._fault
+
+    def clear_fault(self) -> None:
+        """Forget the error; the next target is passed on even if it is the one that failed."""
+        with self._changed:
+            if self._fault:
+                self._fault, self._target = "", (self._last_opening, 0.0)
 
     def set_target(self, opening: float, force: float) -> None:
         """Set the target opening [m each] and the grip force limit [N]; returns at once."""
         if abs(opening - self._target[0]) > MIN_OPENING_CHANGE or (
-            force != self._target[1] and opening < self._measured[0] - MIN_OPENING_CHANGE
+            force != self._target[1] and opening < self._last_opening - MIN_OPENING_CHANGE
         ):
             with self._changed:
-                self._target = (opening, force)
+                self._target, self._is_new = (opening, force), True
                 self._changed.notify()
 
     def close(self) -> None:
@@ -50,25 +65,25 @@ class FrankaHand:
     def _run(self) -> None:
         while True:
             with self._changed:
-                if not self._closing and self._target == self._reached:
+                if not self._closing and not self._is_new:
                     self._changed.wait(POLL_INTERVAL_S)
                 if self._closing:
                     return
-                target = self._target
+                target, is_new, self._is_new = self._target, self._is_new, False
             try:
-                if target != self._reached:
+                if is_new:
                     self._move_fingers(*target)
-                    self._reached = target
                 state = self._gripper.read_once()
             except self._sdk_errors as error:
-                self.fault, self._reached = str(error), target
+                self._measured, self._fault = (None, 0.0), f"hand: {error}"
                 continue
-            self._measured = (0.5 * float(state.width), target[1] if state.is_grasped else 0.0)
+            self._last_opening = 0.5 * float(state.width)
+            self._measured = (self._last_opening, target[1] if state.is_grasped else 0.0)
 
     def _move_fingers(self, opening: float, force: float) -> None:
         """Move or grasp; a grasp succeeds at any width between the target and the present width of the fingers."""
         width = 2.0 * opening
-        if opening < self._measured[0] - MIN_OPENING_CHANGE and force > 0.0:
-            self._gripper.grasp(width, FINGER_SPEED, force, width, 2.0 * self._measured[0])
+        if opening < self._last_opening - MIN_OPENING_CHANGE and force > 0.0:
+            self._gripper.grasp(width, FINGER_SPEED, force, width, 2.0 * self._last_opening)
         else:
             self._gripper.move(width, FINGER_SPEED)
