@@ -185,6 +185,28 @@ def test_a_drive_that_comes_on_although_it_is_to_be_off_is_stopped():
     theirs.close()
 
 
+def test_a_fault_of_the_arm_is_logged_once(caplog):
+    ours, theirs = socket_pair()
+    driver = RecordedDriver()
+    process = DriverProcess(driver, Scene(robot="ur5e", stamp=0.0, version=1, objects=()), theirs)
+    reports = [(), ("protective stop",), ("protective stop",), (), ("emergency stop",)]
+
+    def report():
+        if len(reports) == 1:
+            process.lose_gatekeeper()
+        return reports.pop(0)
+
+    driver.wait = driver.close = lambda: None
+    driver.faults = report
+    process.serve()
+    assert [record.message for record in caplog.records] == [
+        "The arm has switched its drive off: protective stop",
+        "The arm has switched its drive off: emergency stop",
+    ]
+    ours.close()
+    theirs.close()
+
+
 # --- commands of a control thread -----------------------------------------------------------------------------------
 
 
@@ -207,6 +229,9 @@ class RecordedDriver:
 
     def stop(self):
         self.calls.append(("stop",))
+
+    def faults(self):
+        return ()
 
 
 class ThreadEnd:

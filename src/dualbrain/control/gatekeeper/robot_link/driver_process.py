@@ -8,6 +8,7 @@ in which no object may move. Its objects keep the stamp of their survey.
 
 from __future__ import annotations
 
+import logging
 import socket
 import time
 
@@ -30,6 +31,8 @@ from dualbrain.robots.interface import Command
 from dualbrain.robots.model import RobotModel
 from dualbrain.simulation.perception.noisy_perception import TABLE_OBJECT
 from dualbrain.simulation.scenes.scene_spec import SceneSpec
+
+logger = logging.getLogger(__name__)
 
 REPLY_FRACTION = 0.7
 """Fraction of a period that the process waits for the command for a state."""
@@ -63,6 +66,7 @@ class DriverProcess:
         self._packet_socket: PacketSocket[packets.ToRobot] = PacketSocket(link, packets.decode_to_robot)
         self._shutdown_requested = self._command_received = False
         self._last_command_at, self._drive_on = time.monotonic(), False
+        self._faults: tuple[str, ...] = ()
         self._ticks, self._n_joints = 0, len(driver.read().q)
         self._scene_period_ticks = perception_period_ticks(driver.timing.period)
 
@@ -82,8 +86,16 @@ class DriverProcess:
                 self._send_state()
                 self._await_command(time.monotonic() + REPLY_FRACTION * self._driver.timing.period)
                 self._check_drive()
+                self._log_faults()
         finally:
             self._driver.close()
+
+    def _log_faults(self) -> None:
+        """Log the reasons of the arm for a drive that is off, once."""
+        faults = self._driver.faults()
+        if faults and faults != self._faults:
+            logger.warning("The arm has switched its drive off: %s", "; ".join(faults))
+        self._faults = faults
 
     def _send_state(self) -> None:
         state = self._driver.read()
