@@ -330,6 +330,19 @@ def test_an_unusable_trajectory_is_refused(message, words):
     assert_rests(cell, Level.ERROR, *words)
 
 
+@pytest.mark.parametrize(("late", "refused"), [(0.9, False), (1.1, True), (60.0, True)])
+def test_a_trajectory_that_ended_before_it_came_moves_nothing(late, refused):
+    cell = Cell(make_core(command_type="trajectory"))
+    cell.run(0.1)
+    cell.command(trajectory((0.5, HOME + 0.5 * (GOAL - HOME), None), (1.0, GOAL, None), start=cell.now - late))
+    cell.run(0.3)
+    if refused:
+        assert np.array_equal(cell.q, HOME)
+        assert_rests(cell, Level.ERROR, "ended", "before it came")
+    else:
+        assert not np.array_equal(cell.q, HOME)
+
+
 def test_an_empty_trajectory_ends_the_motion():
     cell = Cell(make_core(command_type="trajectory"))
     cell.run(0.1)

@@ -79,6 +79,11 @@ def read_trajectory(message: TrajectoryMessage, order: JointOrder, q: Array, now
     )
     if not (np.isfinite(times).all() and (np.diff(times) > 0.0).all() and message.points[0].time >= 0.0):
         return "The times of the trajectory do not increase. Remedy: give each point a later time_from_start"
+    if times[-1] < now:
+        return (
+            f"The trajectory ended {now - times[-1]:.2f} s before it came. Remedy: plan a new one, and synchronise the "
+            "clocks of the machines, or send it with the stamp 0"
+        )
     if times[0] > now:  # it begins at the present position, at rest
         times, positions = np.concatenate([[now], times]), np.vstack([q, positions])
         velocities = None if velocities is None else np.vstack([np.zeros(len(q)), velocities])
