@@ -343,6 +343,22 @@ def test_a_trajectory_that_ended_before_it_came_moves_nothing(late, refused):
         assert not np.array_equal(cell.q, HOME)
 
 
+def test_a_trajectory_during_the_rest_after_an_unusable_input_is_reported_and_ignored():
+    cell = Cell(make_core(command_type="trajectory"))
+    cell.run(0.1)
+    cell.command(trajectory((1.0, GOAL * np.nan, None)))
+    cell.run(0.2)
+    cell.diagnose()
+    cell.command(trajectory())
+    assert cell.diagnose().level is Level.OK
+    cell.command(trajectory((1.0, GOAL, None)))
+    cell.run(0.5)
+    assert_rests(cell, Level.WARN, "while the arm rests", "send it again", "0.5 s")
+    cell.command(trajectory((1.0, GOAL, None)))
+    cell.run(2.0)
+    assert cell.q == pytest.approx(GOAL, abs=2e-3)
+
+
 def test_an_empty_trajectory_ends_the_motion():
     cell = Cell(make_core(command_type="trajectory"))
     cell.run(0.1)

@@ -95,8 +95,22 @@ class CommandFilter:
         if problem:
             self._counts["commands refused"] += 1
             self.refuse("command", problem, now)
+        elif self._source.may_be_silent and now < self._rest_until:
+            self._drop_while_resting(self._q, ros_now)
         else:
             self._command_time = now
+
+    def _drop_while_resting(self, q: Array, ros_now: float) -> None:
+        """Forget a command that is not repeated, and report it: the arm rests, and the motion would be another one."""
+        if self._source.action(q, ros_now) is None:  # it asks for no motion
+            return
+        self._source.cancel()
+        self._counts["commands refused"] += 1
+        text = (
+            "A trajectory came while the arm rests after an unusable input, and is ignored. Remedy: send it again when "
+            f"there has been no problem for {self.parameters.recovery_time:g} s (`recovery_time`)"
+        )
+        self.problems.note(Level.WARN, "resting", text)
 
     def receive_states(self, states: JointStates, now: float, ros_now: float) -> list[float] | None:
         """The safe velocities after a joint state, in the order of the controller; None if no step is due."""
