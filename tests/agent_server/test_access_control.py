@@ -137,6 +137,25 @@ def test_a_host_and_its_pages_have_access_with_and_without_the_default_port(sche
     assert refused.status_code == 403
 
 
+@pytest.mark.parametrize(
+    ("host", "sent"),
+    [
+        ("Robot.Lab", "robot.lab"),
+        ("robot.lab", "Robot.LAB"),
+        ("2001:DB8:0::7", "[2001:db8::7]"),
+        ("2001:db8:0::7", "[2001:DB8:0::7]"),
+    ],
+)
+def test_a_host_name_is_case_insensitive_and_an_address_may_be_shortened(host, sent):
+    """A browser writes the host of an address in lower case, and an IPv6 address in its short form."""
+    policy = AccessPolicy(token=TOKEN, hosts=(host,), port=PORT, scheme="https")
+    headers = {"host": f"{sent}:{PORT}", "origin": f"https://{sent}:{PORT}", "authorization": f"Bearer {TOKEN}"}
+    assert policy.refusal("POST", "/mcp", Headers(headers)) is None
+    refused = policy.refusal("POST", "/mcp", Headers(headers | {"host": f"x{sent}:{PORT}"}))
+    assert refused is not None
+    assert refused.status_code == 421
+
+
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "utf-32-le", "utf-8-sig", "latin-1"])
 def test_a_message_of_mcp_in_another_encoding_than_utf8_is_refused(encoding, client, received):
     body = '{"params": {"arguments": {"contract": {"a": "é", "a": 2}}}}'.encode(encoding)

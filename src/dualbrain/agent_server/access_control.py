@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import hmac
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
+from ipaddress import ip_address
 
 from starlette.datastructures import Headers
 from starlette.responses import JSONResponse, Response
@@ -40,17 +42,20 @@ class AccessPolicy:
 
     @property
     def authorities(self) -> frozenset[str]:
-        """The names of the server in a Host, and after the scheme in an Origin: without the default port, too."""
-        names = {f"[{host}]" if ":" in host and not host.startswith("[") else host for host in self.hosts}
+        """The names of the server in a Host, and after the scheme in an Origin: without the default port, too.
+
+        They are in lower case, because host names are case-insensitive (RFC 9110, 4.2.3) and browsers send them so.
+        """
+        names = {name for host in self.hosts for name in _names(host)}
         with_port = {f"{name}:{self.port}" for name in names}
         return frozenset(with_port | names if self.port == DEFAULT_PORTS[self.scheme] else with_port)
 
     def refusal(self, method: str, path: str, headers: Headers) -> Response | None:
         """The response to a request that has no access; None for one that has."""
         allowed = self.authorities
-        if headers.get("host", "") not in allowed:
+        if headers.get("host", "").lower() not in allowed:
             return _refused(421, "This server does not answer for this host.")
-        origin = headers.get("origin", "")
+        origin = headers.get("origin", "").lower()
         if origin and origin not in {f"{self.scheme}://{one}" for one in allowed}:
             return _refused(403, "Requests from other web pages are refused.")
         if self.is_public(path) and method in ("GET", "HEAD"):
@@ -92,6 +97,14 @@ class AccessControl:
             return
         content = contract_as_text(body or b"") if scope["path"] == MCP_PATH else body or b""
         await self._app(_with_length(scope, len(content)), _replay(content, receive), send)
+
+
+def _names(host: str) -> set[str]:
+    """The name or address `host` in a Host: an IPv6 address in brackets, as it is written and in its short form."""
+    plain = host.lower().removeprefix("[").removesuffix("]")
+    with suppress(ValueError):
+        return {f"[{one}]" if ":" in one else one for one in (plain, str(ip_address(plain)))}
+    return {plain}
 
 
 def _refused(status: int, reason: str) -> Response:
