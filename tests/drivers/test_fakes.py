@@ -2,6 +2,7 @@
 
 import inspect
 import re
+import threading
 import time
 
 import msgspec
@@ -24,6 +25,8 @@ from dualbrain.safety.cbf.filter import SafetyFilter
 from tests.drivers import drivers_under_test
 
 ONE = np.eye(7)
+TIMEOUT = 20.0
+"""Longest time [s] that a test waits for a thread."""
 
 
 def enabled_franka(sdk=None, robot_model=None):
@@ -182,13 +185,14 @@ def test_connecting_moves_no_finger():
 
 
 def write_until(trial, command, condition):
-    """Write `command` in every period until `condition(state)` holds, at most 20,000 times."""
-    for _ in range(20_000):
+    """Write `command` in every period until `condition(state)` holds, at most for `TIMEOUT`."""
+    end = time.monotonic() + TIMEOUT
+    while time.monotonic() < end:
         trial.driver.write(command)
         trial.wait()
         if condition(trial.state):
             return trial.state
-        time.sleep(1e-4)  # for the thread of the hand
+        time.sleep(1e-3)  # for the threads of the hand
     raise AssertionError("no state met the condition")
 
 
@@ -200,16 +204,35 @@ def test_an_error_of_the_hand_ends_the_motion_and_is_reported(call):
     def fail(*_):
         raise franka.NetworkException("libfranka gripper: TCP connection closed")
 
+    sdk.hand.object_width = 0.04
     setattr(sdk.hand, call, fail)
     state = write_until(trial, close, lambda state: not state.drive_enabled)
     assert state.opening is None or call == "grasp", "the fingers may be anywhere"
     assert trial.driver.faults() == ("hand: libfranka gripper: TCP connection closed",)
     setattr(sdk.hand, call, works)
-    sdk.hand.object_width = 0.04
     assert trial.switch_on()
     assert trial.driver.faults() == ()
     state = write_until(trial, close, lambda state: state.finger_forces == (20.0, 20.0))
     assert (state.opening, state.drive_enabled) == (pytest.approx(0.02), True)
+    trial.driver.close()
+
+
+def test_the_opening_is_read_while_the_fingers_move():
+    trial, sdk = enabled_franka()
+    may_arrive = threading.Event()
+
+    def move_slowly(width, speed):
+        del speed
+        sdk.hand._width = 0.05
+        assert may_arrive.wait(TIMEOUT)
+        sdk.hand._width = width
+        return True
+
+    sdk.hand.move = move_slowly
+    close = Command(np.zeros(7), 0.0, 0.0)
+    write_until(trial, close, lambda state: state.opening == pytest.approx(0.025))
+    may_arrive.set()
+    write_until(trial, close, lambda state: state.opening == 0.0)
     trial.driver.close()
 
 

@@ -1,4 +1,8 @@
-"""Driver of the Franka hand, in a separate thread because its calls block until the fingers have arrived."""
+"""Driver of the Franka hand, in threads of its own because its calls block until the fingers have arrived.
+
+One thread moves the fingers, and another one reads them, also while they move: the members of the vendor's class may be
+called from several threads.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,9 @@ FINGER_SPEED = 0.05
 MIN_OPENING_CHANGE = 5e-4
 """Change [m] of the target opening below which the target counts as unchanged."""
 POLL_INTERVAL_S = 0.05
-"""Interval of reading the hand while its target does not change [s]."""
+"""Longest interval between two readings of a hand whose target does not change [s]."""
+MOVING_POLL_INTERVAL_S = 0.01
+"""Interval between two readings while the fingers move [s]; at `FINGER_SPEED` the width then changes by 0.5 mm."""
 
 
 class FrankaHand:
@@ -22,16 +28,22 @@ class FrankaHand:
         self._last_opening = 0.5 * float(gripper.read_once().width)
         self._measured: tuple[float | None, float] = (self._last_opening, 0.0)
         self._target, self._is_new = (self._last_opening, 0.0), False
+        self._is_moving, self._applied_force = False, 0.0
         self._changed, self._closing = Condition(), False
         self._fault = ""
-        self._thread = Thread(target=self._run, name="franka hand", daemon=True)
-        self._thread.start()
+        self._threads = tuple(
+            Thread(target=run, name=name, daemon=True)
+            for run, name in ((self._move_newest, "franka hand"), (self._read, "franka hand state"))
+        )
+        for thread in self._threads:
+            thread.start()
 
     @property
     def measured(self) -> tuple[float | None, float]:
         """Opening [m each], and the commanded grip force [N] if an object is held, else 0.
 
-        After an error of the hand the opening is unknown, until the hand can be read again.
+        While the fingers move, the force is that from before the motion. After an error of the hand the opening is
+        unknown, until the hand can be read again.
         """
         return self._measured
 
@@ -53,32 +65,35 @@ class FrankaHand:
         ):
             with self._changed:
                 self._target, self._is_new = (opening, force), True
-                self._changed.notify()
+                self._changed.notify_all()
 
     def close(self) -> None:
-        """End the thread; the fingers stay at their position."""
+        """End the threads; the fingers stay at their position."""
         with self._changed:
             self._closing = True
-            self._changed.notify()
-        self._thread.join(timeout=2.0)
+            self._changed.notify_all()
+        for thread in self._threads:
+            thread.join(timeout=2.0)
 
-    def _run(self) -> None:
+    # --- the fingers ----------------------------------------------------------------------------------------------
+
+    def _move_newest(self) -> None:
+        """Move the fingers to the newest target until the hand is closed."""
         while True:
             with self._changed:
-                if not self._closing and not self._is_new:
-                    self._changed.wait(POLL_INTERVAL_S)
+                self._is_moving = False
+                self._changed.notify_all()
+                self._changed.wait_for(lambda: self._is_new or self._closing)
                 if self._closing:
                     return
-                target, is_new, self._is_new = self._target, self._is_new, False
+                target, self._is_new, self._is_moving = self._target, False, True
+                self._changed.notify_all()
             try:
-                if is_new:
-                    self._move_fingers(*target)
-                state = self._gripper.read_once()
+                self._move_fingers(*target)
             except self._sdk_errors as error:
-                self._measured, self._fault = (None, 0.0), f"hand: {error}"
-                continue
-            self._last_opening = 0.5 * float(state.width)
-            self._measured = (self._last_opening, target[1] if state.is_grasped else 0.0)
+                self._note_error(error)
+            else:
+                self._applied_force = target[1]
 
     def _move_fingers(self, opening: float, force: float) -> None:
         """Move or grasp; a grasp succeeds at any width between the target and the present width of the fingers."""
@@ -87,3 +102,26 @@ class FrankaHand:
             self._gripper.grasp(width, FINGER_SPEED, force, width, 2.0 * self._last_opening)
         else:
             self._gripper.move(width, FINGER_SPEED)
+
+    # --- the state ------------------------------------------------------------------------------------------------
+
+    def _read(self) -> None:
+        """Read the hand until it is closed."""
+        while True:
+            with self._changed:
+                if not self._closing:
+                    self._changed.wait(MOVING_POLL_INTERVAL_S if self._is_moving else POLL_INTERVAL_S)
+                if self._closing:
+                    return
+                is_moving = self._is_moving
+            try:
+                state = self._gripper.read_once()
+            except self._sdk_errors as error:
+                self._note_error(error)
+                continue
+            self._last_opening = 0.5 * float(state.width)
+            force = self._applied_force if state.is_grasped else 0.0
+            self._measured = (self._last_opening, self._measured[1] if is_moving or self._is_moving else force)
+
+    def _note_error(self, error: Exception) -> None:
+        self._measured, self._fault = (None, 0.0), f"hand: {error}"
