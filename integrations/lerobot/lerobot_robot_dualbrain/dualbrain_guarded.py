@@ -90,13 +90,17 @@ class DualbrainGuarded(Robot):
 
     def calibrate(self) -> None:
         """Calibrate the inner robot; the thread must not run."""
-        if self.bus.is_running:
-            raise ConfigurationError.stating("The bus thread runs.", fix="Disconnect before the calibration.")
+        self._require_stopped("calibration")
         self.inner.robot.calibrate()
 
     def configure(self) -> None:
-        """Configure the inner robot."""
+        """Configure the inner robot, which may switch its torque off; the thread must not run."""
+        self._require_stopped("configuration")
         self.inner.robot.configure()
+
+    def _require_stopped(self, purpose: str) -> None:
+        if self.bus.is_running:
+            raise ConfigurationError.stating("The bus thread runs.", fix=f"Disconnect before the {purpose}.")
 
     def get_observation(self) -> dict[str, Any]:
         """The observation of the inner robot, with the mark of interventions if it is recorded."""

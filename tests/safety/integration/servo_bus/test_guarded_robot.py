@@ -189,3 +189,17 @@ def test_the_bus_thread_continues_while_an_observation_waits_for_a_camera(guard)
     finally:
         robot.disconnect()
     assert found["front"] == "frame"
+
+
+@pytest.mark.parametrize("name", ["calibrate", "configure"])
+def test_no_servo_is_calibrated_or_configured_beside_the_thread(guard, name):
+    """Both may switch the torque off."""
+    inner, calls = Servos(), []
+    setattr(inner, name, lambda: calls.append(name))
+    robot = guard(inner)
+    getattr(robot, name)()
+    robot.connect()
+    with pytest.raises(ConfigurationError, match="Disconnect before"):
+        getattr(robot, name)()
+    robot.disconnect()
+    assert calls == [name]
