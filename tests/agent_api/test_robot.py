@@ -61,9 +61,17 @@ def test_contracts_are_checked_executed_once_and_remembered_under_their_client(h
         assert planned.rejected.stage == "syntax"
         assert [one["state"] for one in robot.recent()][:2] == ["rejected", "finished"]
         assert robot.call("get_outcome", {"id": "c-0001"})["outcome"]["succeeded"]
+        check_late_verdict(robot, monkeypatch)
         check_unsaved_episode(robot, monkeypatch)
         check_failed_report(robot, monkeypatch)
     check_memory(ledger, runs, first, other)
+
+
+def check_late_verdict(robot, monkeypatch):
+    """A contract whose verdict comes late moves the robot all the same, so `run` waits for its outcome."""
+    with monkeypatch.context() as patch:
+        patch.setattr("dualbrain.agent_api.executions.VERDICT_TIMEOUT", 0.0)
+        assert robot.run(hold(robot, 0.5, "late"), client="desk agent").state == "finished"
 
 
 def check_schemas(robot):

@@ -255,7 +255,7 @@ class Robot:
     ) -> SubmissionReport:
         """As `submit`, and wait for the outcome, at most `timeout` [s]; after a timeout the robot goes on."""
         report = self.submit(contract, instruction, client=client)
-        if not report.accepted:
+        if report.state == "rejected":
             return report
         ended = self._executions.wait(report.id, timeout) or report
         return msgspec.structs.replace(ended, repeated=report.repeated)
