@@ -190,11 +190,11 @@ class ControlLoop {
     return dbk_ring_push(&rings_->states, &state) != 0;
   }
 
-  // list of (tick, u, drive_enable)
+  // list of (tick, u, drive_enable), oldest first
   nb::list pop_commands() {
     nb::list all;
     dbk_joint_command command;
-    while (dbk_ring_pop(&rings_->commands, &command)) {
+    while (dbk_ring_driver_take_command(rings_.get(), &command)) {
       nb::list u;
       for (size_t k = 0; k < n_; ++k) { u.append(command.u[k]); }
       all.append(nb::make_tuple(command.tick, nb::tuple(u), command.drive_enable != 0));

@@ -163,7 +163,10 @@ class ControlThread:
         return self._loop.push_state(state.sequence, stamp, q, v, opening, state.drive_enabled, desired)
 
     def pop_commands(self) -> list[tuple[int, tuple[float, ...], bool]]:
-        """Commands since the last call: tick, control (n,) [rad/s], and whether the drive is enabled."""
+        """Commands since the last call: tick, control (n,) [rad/s], and whether the drive is enabled.
+
+        The last one is the command in force. Of more than 64 the oldest 64 and the newest one are returned.
+        """
         return self._loop.pop_commands()
 
     def estop(self, *, pressed: bool = True) -> None:

@@ -1,0 +1,69 @@
+"""The control thread and the program or process of the robot: commands, the drive, clocks, and bad states."""
+
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+
+from dualbrain.robots.interface import home_state
+from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.safety.control_thread import ControlThread, ControlThreadConfig
+from dualbrain.safety.supervisor.actions import SafetyAction
+
+PERIOD = 0.001003
+"""No multiple of it is a threshold of a check [s]."""
+ANY_SCHEDULING = ControlThreadConfig(priority=0)
+
+
+@pytest.fixture(scope="module")
+def arm(sparse_panda):
+    """Without the supervision of contact forces, which the loop in C does not have."""
+    return msgspec.structs.replace(sparse_panda, force_sensing=None)
+
+
+class Program:
+    """A robot program that passes states of an arm at home to a control loop on a virtual clock."""
+
+    def __init__(self, robot_model, **options):
+        self.model, self.now, self.sequence = robot_model, 1.0, 0
+        self.loop = ControlThread(SafetyFilter(robot_model), ANY_SCHEDULING, **options)
+
+    def state(self, **changes):
+        self.now, self.sequence = self.now + PERIOD, self.sequence + 1
+        values = {"stamp": round(self.now * 1e6) / 1e6, "sequence": self.sequence, "v": np.zeros(self.model.n)}
+        return replace(home_state(self.model), **values | changes)
+
+    def ticks(self, count, **changes):
+        for _ in range(count):
+            self.loop.push_state(self.state(**changes))
+            self.loop.submit_control(np.full(self.model.n, 0.1))
+            self.loop.tick(self.now)
+        return self.loop.read_log()
+
+
+def test_a_program_that_takes_commands_late_gets_the_newest_one(arm):
+    """The ring holds 64 commands; without the newest one the program would not know that the drive is to be off."""
+    program = Program(arm)
+    assert all(drive for _, _, drive in (program.ticks(10), program.loop.pop_commands())[1])
+    program.ticks(100)
+    program.loop.estop()
+    program.ticks(100)
+    commands = program.loop.pop_commands()
+    assert [tick for tick, _, _ in commands] == [*range(11, 75), 210]
+    assert commands[-1][1:] == ((0.0,) * arm.n, False)
+    assert program.loop.pop_commands() == []
+    program.ticks(2)
+    assert [tick for tick, _, _ in program.loop.pop_commands()] == [211, 212]
+
+
+def test_the_last_command_after_a_stop_switches_the_drive_off(arm):
+    """A stop of an arm that moves takes longer than the ring of commands holds."""
+    program = Program(arm)
+    program.loop.start()
+    for _ in range(10):
+        program.loop.push_state(program.state(stamp=program.loop.clock(), v=np.full(arm.n, 0.1)))
+    program.loop.stop()
+    assert program.loop.status().finished
+    assert program.loop.pop_commands()[-1][1:] == ((0.0,) * arm.n, False)
+    assert program.loop.read_log()["action"][-1] >= SafetyAction.CONTROLLED_STOP
