@@ -56,7 +56,8 @@ typedef struct {
   double u[DBK_MAX_DOF];     /* the control that is written */
   double speed_scale, delta, h_min;
   int32_t new_state, state_used; /* 1: a state arrived; 1: it was plausible */
-  int32_t drive_off, standstill; /* 1: the caller wants the drive off; 1: it wants the arm to stay at rest */
+  int32_t drive_off;             /* 1: the caller wants the drive off, or did and the arm is not at rest yet */
+  int32_t standstill;            /* 1: the caller wants the arm to stay at rest */
   int32_t continued;             /* 1: the robot executed another command than the last one */
   int32_t status, flags, certified, iterations, n_rows;
   int32_t action, check, drive_enable, at_standstill;

@@ -66,7 +66,8 @@ void dbk_control_loop_press(dbk_control_loop *l, uint64_t buttons);
 /* scale in (0, 1] of the nominal control; returns 0 if it is refused */
 int dbk_control_loop_set_speed(dbk_control_loop *l, double scale);
 
-/* Switches the drive off at the next tick, and on again; the caller knows why, so neither is a condition. */
+/* Switches the drive off at the next tick, and on again once the arm is at rest; the caller knows why, so neither is a
+ * condition. */
 void dbk_control_loop_set_drive(dbk_control_loop *l, int on);
 
 /* brings the arm to rest and switches the drive off */

@@ -66,6 +66,12 @@ static void set_joints(dbk_control_tick *t) {
   }
 }
 
+static int is_at_rest(const dbk_control_tick *t) {
+  int at_rest = 1;
+  for (int32_t k = 0; k < t->model.n; ++k) { at_rest &= fabs(t->state.v[k]) < t->limits.rest_velocity; }
+  return at_rest;
+}
+
 static void decide(dbk_control_tick *t, dbk_tick_record *record, double now) {
   const double stamp = seconds(t->state.stamp_us);
   uint64_t flags = t->cycle.pending | record->external | dbk_check_loop(&t->timing, &t->limits, now, stamp, is_moving(t));
@@ -76,6 +82,7 @@ static void decide(dbk_control_tick *t, dbk_tick_record *record, double now) {
   t->cycle.pending = 0;
   (void)dbk_cycle_decide(&t->cycle, t->model.n, record->now_us, t->state.stamp_us, flags, 0);
   record->conditions = flags;
+  if (t->drive_off && !is_at_rest(t)) { record->drive_off = 1; } /* as for the supervisor: the control begins at zero */
   const int comes_back = t->drive_off && !record->drive_off;
   t->drive_off = record->drive_off;
   if (!t->cycle.standstill.drive_wanted || t->drive_off) { return; }

@@ -28,7 +28,8 @@ void dbk_control_tick_init(dbk_control_tick *t);
 
 /* Runs the tick of `record`, whose inputs are set: now_us, new_state, state, u_nom, speed_scale, external, drive_off and
  * standstill. Sets its results. `drive_off` switches the drive off without a fault: its absence is no condition until the
- * drive is wanted again. Returns 0, without a result, before the first plausible state: no command may be written. */
+ * drive is wanted again. It comes on again only at rest; until then the result has `drive_off`, too. Returns 0, without a
+ * result, before the first plausible state: no command may be written. */
 int dbk_control_tick_run(dbk_control_tick *t, const dbk_stamped_scene *scene, dbk_tick_record *record);
 
 #endif

@@ -183,7 +183,10 @@ class ControlThread:
         self._loop.press(int(buttons) & BUTTONS)
 
     def set_drive(self, *, on: bool) -> None:
-        """Switch the drive off at the next tick without a fault, or permit the supervisor to switch it on again."""
+        """Switch the drive off at the next tick without a fault, or permit the supervisor to switch it on again.
+
+        As under a decision of the supervisor, it comes on only while the arm is at rest.
+        """
         self._loop.set_drive(on)
 
     def set_speed(self, scale: float) -> None:

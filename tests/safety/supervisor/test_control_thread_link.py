@@ -67,3 +67,30 @@ def test_the_last_command_after_a_stop_switches_the_drive_off(arm):
     assert program.loop.status().finished
     assert program.loop.pop_commands()[-1][1:] == ((0.0,) * arm.n, False)
     assert program.loop.read_log()["action"][-1] >= SafetyAction.CONTROLLED_STOP
+
+
+def test_a_drive_that_the_caller_switches_off_comes_on_again_only_at_rest(arm):
+    """The control begins at zero, so the drive of a moving arm would stop it beyond its limit of the acceleration."""
+    limits = np.array([joint.acceleration.value for joint in arm.joints])
+    thread, now = ControlThread(SafetyFilter(arm), ANY_SCHEDULING, simulated_at=arm.home), 1.0
+
+    def run(seconds):
+        nonlocal now
+        for _ in range(round(seconds / PERIOD)):
+            now += PERIOD
+            thread.submit_control(np.full(arm.n, 0.3))
+            thread.tick(now)
+        return thread.read_log()
+
+    assert run(0.3)["state_v"][-1, 0] == pytest.approx(0.3, rel=0.01)
+    thread.set_drive(on=False)
+    run(0.003)
+    thread.set_drive(on=True)
+    records = run(0.3)
+    assert not records["drive_enable"][0]
+    assert records["drive_enable"][-1]
+    assert np.abs(records["u"][-1]).max() > 0.1
+    assert (np.abs(np.diff(records["state_v"][:, : arm.n], axis=0)) <= 1.1 * limits * PERIOD).all()
+    assert (records["drive_off"] != records["drive_enable"]).all()
+    came_on = np.flatnonzero(records["drive_enable"])[0]
+    assert np.abs(records["state_v"][came_on]).max() < 0.01
