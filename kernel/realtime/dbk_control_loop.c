@@ -125,6 +125,7 @@ static uint64_t external_conditions(dbk_control_loop *l, const dbk_tick_record *
     l->has_called = 1;
     l->called_us = record->now_us;
   }
+  if (!l->tick.has_state) { l->called_us = record->now_us; } /* the robot's clock begins with its first state */
   const double since = l->has_called ? (double)(record->now_us - l->called_us) / 1e6 : 0.0;
   if (since > l->tick.limits.caller_lost_after) { flags |= DBK_CONDITION_TICK_LOST; }
   const uint64_t refused = __atomic_load_n(&l->refused, __ATOMIC_RELAXED);

@@ -47,7 +47,7 @@ void dbk_control_loop_tick(dbk_control_loop *l, uint64_t now_us, uint32_t wake_l
 int dbk_control_loop_submit_control(dbk_control_loop *l, const double *u, int standstill, uint64_t number);
 
 /* Shows that the caller runs. If a call is not followed by another one within `caller_lost_after`, the arm is stopped
- * (tick_lost). */
+ * (tick_lost). The time begins with the first plausible state. */
 void dbk_control_loop_call(dbk_control_loop *l);
 
 /* the conditions that the loop detected since the last call, without those from outside */

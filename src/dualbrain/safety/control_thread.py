@@ -49,8 +49,8 @@ class ControlThreadConfig(msgspec.Struct, frozen=True, kw_only=True):
     - `forces_supervised`: the program that supplies the nominal controls supervises contact forces. Without it a robot
       with force sensing is refused, because this thread does not.
     - `caller_lost_after` [s]: if a call of `read_log` is followed by no other within this time, the program above
-      the thread hangs: the arm is stopped and its drive switched off (check `tick_lost`). By default the arm holds
-      without limit.
+      the thread hangs: the arm is stopped and its drive switched off (check `tick_lost`). The time begins with the
+      first plausible state. By default the arm holds without limit.
     """
 
     control_valid: float = 0.05

@@ -1,6 +1,9 @@
 """The control thread and the program or process of the robot: commands, the drive, clocks, and bad states."""
 
+import socket
+import struct
 from dataclasses import replace
+from math import nan
 
 import msgspec
 import numpy as np
@@ -94,3 +97,58 @@ def test_a_drive_that_the_caller_switches_off_comes_on_again_only_at_rest(arm):
     assert (records["drive_off"] != records["drive_enable"]).all()
     came_on = np.flatnonzero(records["drive_enable"])[0]
     assert np.abs(records["state_v"][came_on]).max() < 0.01
+
+
+# --- a robot process behind a socket ------------------------------------------------------------------------------
+
+
+class Process:
+    """A robot process whose clock began long ago, and a control loop that calls on a virtual clock."""
+
+    def __init__(self, robot_model, **config):
+        link, self.socket = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self.model, self.sequence, self.now = robot_model, 0, 1.0
+        settings = ControlThreadConfig(priority=0, **config)
+        self.loop = ControlThread(SafetyFilter(robot_model), settings, link=link)
+
+    def send_state(self, stamp_us):
+        self.sequence += 1
+        head = struct.pack("=IIQQdII", 0x31534244, self.model.n, self.sequence, stamp_us, nan, True, False)
+        self.socket.send(head + np.concatenate((self.model.home, np.zeros(self.model.n))).tobytes())
+
+    def ticks(self, count):
+        for _ in range(count):
+            self.now += PERIOD
+            self.loop.tick(self.now)
+
+
+@pytest.fixture
+def process(arm):
+    made = Process(arm, caller_lost_after=0.3)
+    yield made
+    made.loop.stop()
+    made.socket.close()
+
+
+def test_a_caller_that_waits_for_the_first_state_of_the_robot_is_not_lost(process):
+    process.loop.read_log()
+    process.ticks(10)
+    for tick in range(200):
+        process.send_state(5_000_000_000 + 1003 * tick)
+        process.ticks(1)
+    records = process.loop.read_log()
+    assert records["now_us"][0] == 0
+    assert records["now_us"][-1] > 5_000_000_000
+    assert records["drive_enable"][-1]
+    assert records["action"].max() < SafetyAction.CONTROLLED_STOP
+
+
+def test_a_caller_that_hangs_since_the_first_state_of_the_robot_is_lost(process):
+    process.loop.read_log()
+    process.ticks(10)
+    for tick in range(400):
+        process.send_state(5_000_000_000 + 1003 * tick)
+        process.ticks(1)
+    records = process.loop.read_log()
+    assert records["action"][-1] == SafetyAction.CONTROLLED_STOP
+    assert not records["drive_enable"][-1]
