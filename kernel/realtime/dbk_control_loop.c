@@ -137,12 +137,21 @@ static uint64_t external_conditions(dbk_control_loop *l, const dbk_tick_record *
   return flags;
 }
 
-/* ends the loop after a request to stop: the drive is off, or the time is up */
-static void finish_if_stopped(dbk_control_loop *l, const dbk_tick_record *record, dbk_joint_command *command) {
-  if (!__atomic_load_n(&l->stop_requested, __ATOMIC_ACQUIRE)) { return; }
+/* 1 after a request to stop if the drive is off, or goes off now because the time is up */
+static int stop_ends(dbk_control_loop *l, dbk_tick_record *record) {
+  if (!__atomic_load_n(&l->stop_requested, __ATOMIC_ACQUIRE)) { return 0; }
   if (l->stop_us == 0) { l->stop_us = record->now_us; }
-  if (record->now_us - l->stop_us >= DBK_STOP_LIMIT_US) { command->drive_enable = 0; }
-  if (!command->drive_enable) { __atomic_store_n(&l->finished, 1u, __ATOMIC_RELEASE); }
+  if (record->now_us - l->stop_us >= DBK_STOP_LIMIT_US) {
+    record->drive_enable = 0;
+    for (int32_t k = 0; k < DBK_MAX_DOF; ++k) { record->u[k] = 0.0; }
+  }
+  return !record->drive_enable;
+}
+
+static void write_command(dbk_control_loop *l, const dbk_tick_record *record) {
+  dbk_joint_command command = {.tick = record->tick, .now_us = record->now_us, .drive_enable = record->drive_enable};
+  for (int32_t k = 0; k < DBK_MAX_DOF; ++k) { command.u[k] = record->u[k]; }
+  l->driver.write(l->driver.self, record->now_us, &command);
 }
 
 void dbk_control_loop_tick(dbk_control_loop *l, uint64_t now_us, uint32_t wake_late_us, uint32_t last_work_us) {
@@ -160,17 +169,11 @@ void dbk_control_loop_tick(dbk_control_loop *l, uint64_t now_us, uint32_t wake_l
   record.external |= external_conditions(l, &record);
   const dbk_stamped_scene *scene = &l->scene[l->scenes.reading];
   record.scene_number = scene->number;
-  dbk_joint_command command = {0};
-  command.tick = record.tick;
-  command.now_us = now_us;
-  const int has_result = dbk_control_tick_run(&l->tick, scene, &record);
-  if (has_result) {
-    command.drive_enable = record.drive_enable;
-    for (int32_t k = 0; k < DBK_MAX_DOF; ++k) { command.u[k] = record.u[k]; }
-  }
-  finish_if_stopped(l, &record, &command);
+  record.check = (int32_t)DBK_NO_CHECK;
+  const int has_result = dbk_control_tick_run(&l->tick, scene, &record), ends = stop_ends(l, &record);
   /* first the log: its reader knows the cause of a command before the effect */
   __atomic_fetch_or(&l->own_conditions, record.conditions & ~record.external, __ATOMIC_ACQ_REL);
   (void)dbk_ring_push(&l->log, &record);
-  if (has_result) { l->driver.write(l->driver.self, now_us, &command); }
+  if (has_result) { write_command(l, &record); }
+  if (ends) { __atomic_store_n(&l->finished, 1u, __ATOMIC_RELEASE); }
 }

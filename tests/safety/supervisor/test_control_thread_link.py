@@ -13,6 +13,7 @@ from dualbrain.robots.interface import home_state
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.control_thread import ControlThread, ControlThreadConfig
 from dualbrain.safety.supervisor.actions import SafetyAction
+from dualbrain.safety.supervisor.timing import SIMULATED
 
 PERIOD = 0.001003
 """No multiple of it is a threshold of a check [s]."""
@@ -70,6 +71,27 @@ def test_the_last_command_after_a_stop_switches_the_drive_off(arm):
     assert program.loop.status().finished
     assert program.loop.pop_commands()[-1][1:] == ((0.0,) * arm.n, False)
     assert program.loop.read_log()["action"][-1] >= SafetyAction.CONTROLLED_STOP
+
+
+def test_the_last_record_of_a_stop_that_takes_too_long_states_the_last_command(arm):
+    """A silent robot that is not at rest while its drive is being switched on: the drive goes off after 2 s."""
+    program = Program(arm, timing=msgspec.structs.replace(SIMULATED, drive_on_silence=5.0))
+    program.loop.push_state(program.state(stamp=program.loop.clock(), v=np.full(arm.n, 0.05), drive_enabled=False))
+    program.loop.start()
+    program.loop.stop()
+    records = program.loop.read_log()
+    assert records["drive_enable"].tolist() == [1] * (len(records) - 1) + [0]
+    assert int(records["now_us"][-1]) - int(records["now_us"][0]) >= 2_000_000
+    tick, u, drive = program.loop.pop_commands()[-1]
+    assert (tick, drive) == (records["tick"][-1], bool(records["drive_enable"][-1]))
+    assert np.array_equal(u, records["u"][-1, : arm.n])
+
+
+def test_a_tick_before_the_first_state_states_no_check(arm):
+    program = Program(arm)
+    program.loop.tick(program.now)
+    assert program.loop.read_log()["check"].tolist() == [255]
+    assert program.loop.pop_commands() == []
 
 
 def test_a_drive_that_the_caller_switches_off_comes_on_again_only_at_rest(arm):
