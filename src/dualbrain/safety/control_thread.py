@@ -34,6 +34,7 @@ Array = NDArray[np.float64]
 MAX_PRIORITY = 99
 _MEMORY_LOCKS: tuple[str, ...] = ("none", "loop", "process")
 _NO_STATE_OPENING = nan
+_MAX_SEQUENCE = 2**64 - 1
 
 
 class ControlThreadError(DualbrainError):
@@ -153,14 +154,27 @@ class ControlThread:
         return self._scenes
 
     def push_state(self, state: RobotState) -> bool:
-        """Pass a joint state of the robot to the loop; False if its ring is full. Stamps are by CLOCK_MONOTONIC."""
+        """Pass a joint state of the robot to the loop; False if its ring is full. Stamps are by CLOCK_MONOTONIC.
+
+        A state that lacks a value, or has a stamp that is no time, stops the arm (check `state_implausible`).
+        """
         opening = _NO_STATE_OPENING if state.opening is None else state.opening
-        q, v = (np.ascontiguousarray(values, float) for values in (state.q, state.v))
-        desired = np.empty(0)
+        motion = [state.q, state.v]
         if state.desired_v is not None and state.desired_a is not None:
-            desired = np.concatenate([state.desired_v, state.desired_a]).astype(float)
-        stamp = max(0, round(state.stamp * 1e6))
-        return self._loop.push_state(state.sequence, stamp, q, v, opening, state.drive_enabled, desired)
+            motion += [state.desired_v, state.desired_a]
+        n, stamp = self.safety.robot_model.n, state.stamp
+        if not (abs(stamp) <= validation.MAX_STAMP and all(np.shape(values) == (n,) for values in motion)):
+            motion, stamp = [np.full(n, nan)] * 2, 0.0
+        q, v, *desired = (np.ascontiguousarray(values, float) for values in motion)
+        return self._loop.push_state(
+            min(max(0, state.sequence), _MAX_SEQUENCE),
+            max(0, round(stamp * 1e6)),
+            q,
+            v,
+            opening,
+            state.drive_enabled,
+            np.concatenate(desired) if desired else np.empty(0),
+        )
 
     def pop_commands(self) -> list[tuple[int, tuple[float, ...], bool]]:
         """Commands since the last call: tick, control (n,) [rad/s], and whether the drive is enabled.

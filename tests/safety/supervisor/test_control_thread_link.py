@@ -3,7 +3,7 @@
 import socket
 import struct
 from dataclasses import replace
-from math import nan
+from math import inf, nan
 
 import msgspec
 import numpy as np
@@ -13,6 +13,7 @@ from dualbrain.robots.interface import home_state
 from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.safety.control_thread import ControlThread, ControlThreadConfig
 from dualbrain.safety.supervisor.actions import SafetyAction
+from dualbrain.safety.supervisor.conditions import Condition
 from dualbrain.safety.supervisor.timing import SIMULATED
 
 PERIOD = 0.001003
@@ -119,6 +120,33 @@ def test_a_drive_that_the_caller_switches_off_comes_on_again_only_at_rest(arm):
     assert (records["drive_off"] != records["drive_enable"]).all()
     came_on = np.flatnonzero(records["drive_enable"])[0]
     assert np.abs(records["state_v"][came_on]).max() < 0.01
+
+
+UNUSABLE_STATES = {
+    "stamp_nan": {"stamp": nan},
+    "stamp_infinite": {"stamp": inf},
+    "stamp_beyond_all_clocks": {"stamp": 1e300},
+    "too_few_positions": {"q": np.zeros(6)},
+    "a_velocity_for_all_joints": {"v": np.zeros(())},
+    "too_many_desired_velocities": {"desired_v": np.zeros(8), "desired_a": np.zeros(7)},
+}
+
+
+@pytest.mark.parametrize("name", UNUSABLE_STATES)
+def test_a_state_that_lacks_a_value_stops_the_arm(arm, name):
+    program = Program(arm)
+    assert program.ticks(20)["drive_enable"].all()
+    records = program.ticks(1, **UNUSABLE_STATES[name])
+    assert records["conditions"][-1] & int(Condition.STATE_IMPLAUSIBLE)
+    assert records["action"][-1] == SafetyAction.CONTROLLED_STOP
+
+
+@pytest.mark.parametrize("sequence", [-1, 2**70])
+def test_a_number_of_a_state_beyond_those_of_the_loop_is_no_error(arm, sequence):
+    program = Program(arm)
+    program.ticks(20)
+    repeated = int(Condition.STATE_REPEATED) if sequence < 0 else int(Condition.STATE_MISSED)
+    assert program.ticks(1, sequence=sequence)["conditions"][-1] & repeated
 
 
 # --- a robot process behind a socket ------------------------------------------------------------------------------
