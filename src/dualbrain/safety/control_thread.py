@@ -132,7 +132,7 @@ class ControlThread:
         fields, size = build.ControlLoop.record_layout()
         self._record_type = _record_type(fields, size)
         self._controls = self._scenes = 0
-        self._error_codes = (0, 0)
+        self._started = False
         self.submit_scene()
 
     # --- inputs -----------------------------------------------------------------------------------------------
@@ -222,11 +222,15 @@ class ControlThread:
         """Start the thread; `warnings` of the result name missing permissions.
 
         Raises:
-            ControlThreadError: the thread could not be created.
+            ControlThreadError: the thread could not be created, runs already, or was stopped.
         """
+        if self._started:
+            problem = "runs already" if self._loop.status()["running"] else "was stopped, and cannot be started again"
+            raise ControlThreadError(f"The control thread {problem}. Make a ControlThread for each start.")
         error = self._loop.start(self._period_us, self.config.priority, self.config.lock_process)
         if error:
             raise ControlThreadError(f"The control thread could not be created: {os.strerror(error)}.")
+        self._started = True
         return self.status()
 
     def stop(self) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from dualbrain.robots.interface import home_state
 from dualbrain.safety.cbf.filter import SafetyFilter
-from dualbrain.safety.control_thread import ControlThread, ControlThreadConfig
+from dualbrain.safety.control_thread import ControlThread, ControlThreadConfig, ControlThreadError
 from dualbrain.safety.supervisor.actions import SafetyAction
 from dualbrain.safety.supervisor.conditions import Condition
 from dualbrain.safety.supervisor.timing import SIMULATED
@@ -147,6 +147,16 @@ def test_a_number_of_a_state_beyond_those_of_the_loop_is_no_error(arm, sequence)
     program.ticks(20)
     repeated = int(Condition.STATE_REPEATED) if sequence < 0 else int(Condition.STATE_MISSED)
     assert program.ticks(1, sequence=sequence)["conditions"][-1] & repeated
+
+
+def test_a_thread_is_started_once(arm):
+    thread = ControlThread(SafetyFilter(arm), ANY_SCHEDULING, simulated_at=arm.home)
+    thread.start()
+    with pytest.raises(ControlThreadError, match="runs already"):
+        thread.start()
+    thread.stop()
+    with pytest.raises(ControlThreadError, match=r"stopped.*Make a ControlThread"):
+        thread.start()
 
 
 # --- a robot process behind a socket ------------------------------------------------------------------------------
