@@ -89,7 +89,8 @@ class ControlThreadStatus(msgspec.Struct, frozen=True, kw_only=True):
 class ControlThread:
     """Runs filter and supervisor of one arm in C, against a simulated arm, a robot process, or a driver in Python.
 
-    Use it as a context manager. All methods are for one thread of Python at a time.
+    Use it as a context manager, or call `stop`; a thread that is forgotten stops when its object is deleted. All
+    methods are for one thread of Python at a time.
     """
 
     def __init__(
@@ -245,6 +246,11 @@ class ControlThread:
 
     def __exit__(self, *_: object) -> None:
         self.stop()
+
+    def __del__(self) -> None:
+        """Stop a thread that was not stopped, before its socket is closed."""
+        if getattr(self, "_started", False):
+            self.stop()
 
     # --- outputs ----------------------------------------------------------------------------------------------
 

@@ -171,15 +171,20 @@ class Process:
         settings = ControlThreadConfig(priority=0, **config)
         self.loop = ControlThread(SafetyFilter(robot_model), settings, link=link)
 
-    def send_state(self, stamp_us):
+    def send_state(self, stamp_us, v=0.0):
         self.sequence += 1
         head = struct.pack("=IIQQdII", 0x31534244, self.model.n, self.sequence, stamp_us, nan, True, False)
-        self.socket.send(head + np.concatenate((self.model.home, np.zeros(self.model.n))).tobytes())
+        self.socket.send(head + np.concatenate((self.model.home, np.full(self.model.n, v))).tobytes())
 
     def ticks(self, count):
         for _ in range(count):
             self.now += PERIOD
             self.loop.tick(self.now)
+
+
+def is_drive_wanted(command):
+    """Whether a packet of a command wants the drive on."""
+    return struct.unpack_from("=IIQI", command)[3] == 1
 
 
 @pytest.fixture
@@ -188,6 +193,18 @@ def process(arm):
     yield made
     made.loop.stop()
     made.socket.close()
+
+
+def test_a_thread_that_is_forgotten_switches_the_drive_off_before_its_socket_is_closed(arm):
+    process = Process(arm)
+    process.loop.start()
+    process.send_state(round(process.loop.clock() * 1e6), v=0.1)
+    process.socket.settimeout(2.0)
+    assert is_drive_wanted(process.socket.recv(4096))
+    del process.loop
+    packets = [*iter(lambda: process.socket.recv(4096), b"")]
+    process.socket.close()
+    assert not is_drive_wanted(packets[-1])
 
 
 def test_a_caller_that_waits_for_the_first_state_of_the_robot_is_not_lost(process):
