@@ -1,5 +1,7 @@
 """The executive by its own clock, on the host: rates, resets, and messages that come too early."""
 
+import os
+import re
 from dataclasses import replace
 from itertools import pairwise
 
@@ -13,7 +15,10 @@ from dualbrain.safety.supervisor.actions import SafetyAction
 from dualbrain.safety.supervisor.checks import CHECKS
 from dualbrain.safety.supervisor.conditions import Condition
 from dualbrain.safety.supervisor.controller import SafetyController
+from dualbrain.safety.target.frames import encode_frame
+from dualbrain.safety.target.link import PipeLink
 from dualbrain.safety.target.messages import Message, pack_reset
+from dualbrain.safety.target.session import TargetLostError, TargetSession
 from dualbrain.safety.target.target_filter import TargetFilter
 from tests.firmware.hosted_firmware import HostedTarget, load_firmware, refused_by_pass
 
@@ -203,6 +208,51 @@ def test_the_host_stops_with_a_target_that_has_stopped_by_itself(target, silence
     assert decision.action == reply.action
     assert decision.action < SafetyAction.HOVER
     assert host.controller.safety.target.differences == 0
+
+
+def reply_of_another_form(session):
+    """An authenticated reply to the last CYCLE, shorter than those of this version."""
+    return encode_frame(Message.CYCLE_REPLY, session._sequence, bytes(79), session._key)
+
+
+def fail_to_read(session):
+    raise OSError("no such device")
+
+
+@pytest.mark.parametrize(
+    ("read", "lost"), [(fail_to_read, "no such device"), (reply_of_another_form, r"79 bytes.*firmware of this version")]
+)
+def test_a_link_that_fails_or_a_reply_of_another_form_is_a_lost_target(target, monkeypatch, read, lost):
+    host = Host(target)
+    host.tick()
+    monkeypatch.setattr(target, "read", lambda timeout: read(target.session))
+    host.tick()
+    assert re.search(lost, host.controller.safety.target.lost)
+    assert host.tick()[0].check == "program_error"
+
+
+def test_a_session_without_a_further_sequence_number_is_a_lost_target(target):
+    host = Host(target)
+    host.tick()
+    target.session._sequence = 2**32 - 2
+    assert host.tick()[1] is not None
+    host.tick()
+    assert "every sequence number" in host.controller.safety.target.lost
+    assert host.tick()[0].check == "program_error"
+
+
+def test_firmware_of_another_version_and_an_emulator_that_has_ended_are_lost_targets(target, monkeypatch):
+    short = encode_frame(Message.HELLO_REPLY, 1, bytes(42), bytes(range(16)))
+    monkeypatch.setattr(target, "read", lambda timeout: short)
+    with pytest.raises(TargetLostError, match="firmware of this version"):
+        target.open()
+    (to_target, unread), (read, closed) = os.pipe()[::-1], os.pipe()
+    os.close(closed)
+    link = PipeLink(to_target, read)
+    with pytest.raises(TargetLostError, match="the emulator has ended"):
+        TargetSession(link, bytes(16), 0)
+    link.close()
+    os.close(unread)
 
 
 def test_outputs_of_the_watchdog_are_kept_until_the_next_cycle_only(target):

@@ -21,7 +21,11 @@ class Link(Protocol):
         ...
 
     def read(self, timeout: float) -> bytes:
-        """The bytes received until now; waits up to `timeout` [s] for the first one."""
+        """The bytes received until now; waits up to `timeout` [s] for the first one.
+
+        Raises:
+            OSError: the link has failed.
+        """
         ...
 
     def close(self) -> None:
@@ -46,9 +50,16 @@ class PipeLink:
             data = data[os.write(self._to_target, data) :]
 
     def read(self, timeout: float) -> bytes:
-        """The bytes received until now."""
+        """The bytes received until now.
+
+        Raises:
+            OSError: the emulator has ended.
+        """
         ready, _, _ = select.select([self._to_host], [], [], timeout)
-        return os.read(self._to_host, 65536) if ready else b""
+        data = os.read(self._to_host, 65536) if ready else b""
+        if ready and not data:
+            raise ConnectionResetError("the emulator has ended")
+        return data
 
     def close(self) -> None:
         """Close both streams."""

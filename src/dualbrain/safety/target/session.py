@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
+import struct
 import time
+from collections.abc import Callable
+from typing import TypeVar
 
 from dualbrain.errors import ConfigurationError, DualbrainError
 from dualbrain.safety.target.frames import Frame, FrameReader, decode_frame, encode_frame, tag
@@ -21,6 +24,9 @@ HELLO_TIMEOUT_S, HELLO_PERIOD_S = 10.0, 0.5
 """Longest wait for a target [s], and the time between two attempts."""
 REPLY_TIMEOUT_S = 2.0
 """Longest wait for the reply of a cycle [s]; an emulator on a busy machine may be slow."""
+MAX_SEQUENCE = 2**32 - 1
+"""Largest sequence number of a message: 49 days of cycles at 1 kHz without scenes."""
+T = TypeVar("T")
 
 
 class TargetLostError(DualbrainError):
@@ -40,7 +46,7 @@ class TargetSession:
         """Open a session with the target behind `link`, which must have the robot tables with `robot_hash`.
 
         Raises:
-            TargetLostError: no target with this key answers.
+            TargetLostError: no target with this key answers, or its firmware is of another version.
             ConfigurationError: the target has the tables of another robot.
         """
         self.link, self._shared, self._reader = link, key, FrameReader()
@@ -63,7 +69,7 @@ class TargetSession:
             sequence = self.send(Message.HELLO, HELLO.pack(host_nonce, robot_hash), key=self._shared)
             reply = self._receive(Message.HELLO_REPLY, sequence, HELLO_PERIOD_S)
             if reply is not None:
-                description = parse_hello_reply(reply.payload)
+                description = _parsed(parse_hello_reply, reply.payload)
                 self._key = derive_session_key(self._shared, host_nonce, description.nonce)
                 return description
         raise TargetLostError(
@@ -74,8 +80,10 @@ class TargetSession:
         """Send a message; returns its sequence number.
 
         Raises:
-            TargetLostError: the link is closed, or the target does not read.
+            TargetLostError: the link is closed, the target does not read, or every sequence number was used.
         """
+        if self._sequence == MAX_SEQUENCE:
+            raise TargetLostError("The session with the target has used every sequence number. Open a new session.")
         self._sequence += 1
         try:
             self.link.write(encode_frame(kind, self._sequence, payload, key or self._key))
@@ -87,31 +95,52 @@ class TargetSession:
         """Send a CYCLE and wait for its reply; clears the outputs of the watchdog before it.
 
         Raises:
-            TargetLostError: there is no reply in time.
+            TargetLostError: there is no reply in time, or one of another form, or the link failed.
         """
         self.outputs.clear()
         sequence = self.send(Message.CYCLE, payload)
         reply = self._receive(Message.CYCLE_REPLY, sequence, REPLY_TIMEOUT_S)
         if reply is None:
             raise TargetLostError(f"The target did not answer within {REPLY_TIMEOUT_S:g} s.")
-        return parse_cycle_reply(reply.payload)
+        return _parsed(parse_cycle_reply, reply.payload)
 
     def _receive(self, kind: Message, sequence: int, timeout: float) -> Frame | None:
         """The next message of this type and sequence; collects outputs of the watchdog."""
         deadline = time.monotonic() + timeout
         while (left := deadline - time.monotonic()) > 0.0:
-            for piece in self._reader.feed(self.link.read(left)):
+            for piece in self._reader.feed(self._read(left)):
                 frame = decode_frame(piece, self._key)
                 if frame is None:
                     continue
                 if frame.type == Message.OUTPUT:
-                    self.outputs.append(parse_cycle_reply(frame.payload))
+                    self.outputs.append(_parsed(parse_cycle_reply, frame.payload))
                 elif (frame.type, frame.sequence) == (kind, sequence):
                     return frame
         return None
 
+    def _read(self, timeout: float) -> bytes:
+        try:
+            return self.link.read(timeout)
+        except OSError as error:
+            raise TargetLostError(f"The link to the target failed: {error}.") from None
+
     def listen(self, seconds: float) -> list[CycleReply]:
-        """Wait without sending; returns the outputs of the watchdog in this time, and clears them."""
+        """Wait without sending; returns the outputs of the watchdog in this time, and clears them.
+
+        Raises:
+            TargetLostError: the link failed.
+        """
         self._receive(Message.CYCLE_REPLY, -1, seconds)
         outputs, self.outputs = self.outputs, []
         return outputs
+
+
+def _parsed(parse: Callable[[bytes], T], payload: bytes) -> T:
+    """The parsed payload of an authenticated reply; firmware of another version may send one of another form."""
+    try:
+        return parse(payload)
+    except struct.error:
+        raise TargetLostError(
+            f"The target sent a reply of another form ({len(payload)} bytes). Build and load the firmware of this "
+            "version."
+        ) from None
