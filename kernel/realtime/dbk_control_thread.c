@@ -14,6 +14,7 @@
 #endif
 
 #define LATE_STATE_PERIODS 5u
+#define TICKS_AHEAD 4u /* most ticks that states may pace before their time */
 #define STACK_SIZE ((size_t)512 * 1024)
 
 static uint64_t lateness(uint64_t due, uint64_t started) { return started > due ? started - due : 0u; }
@@ -30,6 +31,20 @@ static uint64_t next_due(dbk_control_thread *t, uint64_t due, uint64_t started, 
   return due + (passed + 1u) * t->period_us;
 }
 
+/* Waits until a tick that a state paces is at most TICKS_AHEAD periods before its time; returns the time. Every tick may
+ * change the control by one period's acceleration, so a robot that sends states faster than its period would be
+ * accelerated beyond its limit. The clocks may differ by 1/64. */
+static uint64_t wait_for_turn(dbk_control_thread *t) {
+  const uint64_t ahead = (uint64_t)TICKS_AHEAD * t->period_us;
+  uint64_t now = dbk_monotonic_us();
+  if (t->turn_us > now + ahead) {
+    dbk_sleep_until(t->turn_us - ahead);
+    now = dbk_monotonic_us();
+  }
+  t->turn_us = (t->turn_us > now ? t->turn_us : now) + t->period_us - t->period_us / 64u;
+  return now;
+}
+
 static void *run(void *argument) {
   dbk_control_thread *t = (dbk_control_thread *)argument;
   const dbk_driver *driver = &t->loop->driver;
@@ -41,7 +56,8 @@ static void *run(void *argument) {
     } else {
       dbk_sleep_until(due);
     }
-    const uint64_t started = dbk_monotonic_us(), now = driver->clock ? driver->clock(driver->self, started) : started;
+    const uint64_t started = driver->wait ? wait_for_turn(t) : dbk_monotonic_us();
+    const uint64_t now = driver->clock ? driver->clock(driver->self, started) : started;
     dbk_control_loop_tick(t->loop, now, (uint32_t)lateness(due, started), work);
     const uint64_t ended = dbk_monotonic_us();
     __atomic_store_n(&t->last_tick_us, started, __ATOMIC_RELEASE);

@@ -19,8 +19,8 @@ typedef struct {
   int32_t priority, running;
   /* granted permissions, and errno of a refused one (0: none was refused) */
   int32_t fifo, fifo_error, memory_lock, lock_error;
-  /* written by the thread */
-  uint64_t last_tick_us, skipped, late, late_limit_us;
+  /* written by the thread; turn_us: time of the next tick if no state comes too early */
+  uint64_t turn_us, last_tick_us, skipped, late, late_limit_us;
   uint32_t max_late_us, max_work_us;
 } dbk_control_thread;
 

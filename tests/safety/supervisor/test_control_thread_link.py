@@ -2,6 +2,7 @@
 
 import socket
 import struct
+from contextlib import suppress
 from dataclasses import replace
 from math import inf, nan
 
@@ -229,3 +230,21 @@ def test_a_caller_that_hangs_since_the_first_state_of_the_robot_is_lost(process)
     records = process.loop.read_log()
     assert records["action"][-1] == SafetyAction.CONTROLLED_STOP
     assert not records["drive_enable"][-1]
+
+
+@pytest.mark.parametrize("malformed", [False, True])
+def test_packets_that_come_faster_than_the_period_do_not_pace_the_ticks(arm, malformed):
+    """Every tick may change the control by the acceleration of one period."""
+    process = Process(arm)
+    process.socket.setblocking(False)
+    process.loop.start()
+    began = process.loop.clock()
+    while process.loop.clock() - began < 0.3:
+        with suppress(BlockingIOError):
+            process.socket.send(b"no state") if malformed else process.send_state(round(process.loop.clock() * 1e6))
+        with suppress(BlockingIOError):
+            process.socket.recv(4096)
+    process.loop.stop()
+    elapsed = process.loop.clock() - began
+    process.socket.close()
+    assert len(process.loop.read_log()) <= elapsed / (arm.period * 63 / 64) + 6
