@@ -71,7 +71,7 @@ def check_late_verdict(robot, monkeypatch):
     """A contract whose verdict comes late moves the robot all the same, so `run` waits for its outcome."""
     with monkeypatch.context() as patch:
         patch.setattr("dualbrain.agent_api.executions.VERDICT_TIMEOUT", 0.0)
-        assert robot.run(hold(robot, 0.5, "late"), client="desk agent").state == "finished"
+        assert robot.run(hold(robot, 0.5, "c-0009"), client="desk agent").state == "finished"
 
 
 def check_schemas(robot):
