@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from datetime import UTC, datetime
 from pathlib import Path
@@ -10,10 +9,9 @@ from typing import Annotated, Any
 
 import msgspec
 from cyclopts import Parameter
-from rich.console import Console
 from rich.markup import escape
 
-from dualbrain.cli.common.console import StderrConsole, print_result, print_table
+from dualbrain.cli.common.console import StderrConsole, VisibleConsole, print_message, print_result, print_table
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.common.spinner import Spinner
 from dualbrain.core.paths import cache_folder, dualbrain_home
@@ -84,7 +82,7 @@ def add(
                 )
                 one = _unusable_templates(submission) or library.add(submission, now=time.time())
             if isinstance(one, DocumentRejected):
-                _print_stderr(f"{file}: rejected: {one}")
+                print_message(f"{file}: rejected: {one}")
                 done.append({"refused": one})
             else:
                 unshown = _unshown_passages(library, one.document)
@@ -148,7 +146,7 @@ def search(
     if json:
         print_result(msgspec.json.encode({"query": query, "hits": [_encode_hit(one) for one in hits]}).decode())
         return ExitCode.SUCCESS
-    console = Console(highlight=False)
+    console = VisibleConsole(highlight=False)
     for one in hits:
         parts = (("similarity", one.likeness), ("words", one.bm25_score))
         score = ", ".join(f"{part} {value:.2f}" for part, value in parts if value is not None)
@@ -156,7 +154,7 @@ def search(
         console.print(f"[bold]{one.citation}[/]  [dim]{one.kind}, {one.trust}, {score}[/]\n{escape(where)}")
         console.print(f"  {escape(' '.join(one.text.split()))}\n")
     if not hits:
-        _print_stderr("nothing found")
+        print_message("nothing found")
     return ExitCode.SUCCESS
 
 
@@ -175,7 +173,7 @@ def show(what: str, /, *, version: str = "", store: Store = None, json: Json = F
         if citation is not None:
             quoted = library.quote(citation)
             if isinstance(quoted, DocumentRejected):
-                _print_stderr(str(quoted))
+                print_message(str(quoted))
                 return ExitCode.SETUP
             print_result(msgspec.json.encode({"citation": what, "text": quoted}).decode() if json else quoted)
             return ExitCode.SUCCESS
@@ -186,9 +184,9 @@ def show(what: str, /, *, version: str = "", store: Store = None, json: Json = F
             return ExitCode.SUCCESS
         for when, one in history:
             change = _describe_document(one) if one else "removed"
-            _print_stderr(f"{datetime.fromtimestamp(when, UTC):%Y-%m-%d %H:%M} UTC  {change}")
+            print_message(f"{datetime.fromtimestamp(when, UTC):%Y-%m-%d %H:%M} UTC  {change}")
         for hidden in reading.hidden:
-            _print_stderr(f"removed: {hidden.characters} characters, {hidden.kind}: {hidden.sample}")
+            print_message(f"removed: {hidden.characters} characters, {hidden.kind}: {hidden.sample}")
         print_result(reading.text)
     return ExitCode.SUCCESS
 
@@ -206,7 +204,7 @@ def remove(*names: str, store: Store = None, json: Json = False) -> int:
     with _open_library(store, write=True) as library:
         removed = [library.remove(name, now=time.time()) for name in names]
     for one in removed:
-        _print_stderr(f"removed {_describe_document(one)}")
+        print_message(f"removed {_describe_document(one)}")
     if json:
         print_result(msgspec.json.encode({"removed": removed}).decode())
     return ExitCode.SUCCESS
@@ -217,7 +215,7 @@ def rebuild(*, store: Store = None, json: Json = False) -> int:
     spinner = Spinner(StderrConsole(), "rebuilding the index")
     with spinner, Library(_store_path(store), _encoder(), write=True) as library:
         count = library.rebuild()
-    _print_stderr(f"{count_noun(count, 'chunk')} indexed")
+    print_message(f"{count_noun(count, 'chunk')} indexed")
     if json:
         print_result(msgspec.json.encode({"chunks": count}).decode())
     return ExitCode.SUCCESS
@@ -277,15 +275,15 @@ def _unshown_passages(library: Library, document: Document) -> tuple[str, ...]:
 
 
 def _print_addition(done: Addition, unshown: tuple[str, ...]) -> None:
-    _print_stderr(f"{done.change}: {_describe_document(done.document)}")
+    print_message(f"{done.change}: {_describe_document(done.document)}")
     for hidden in done.document.hidden:
-        _print_stderr(f"  removed: {hidden.characters} characters, {hidden.kind}: {hidden.sample}")
+        print_message(f"  removed: {hidden.characters} characters, {hidden.kind}: {hidden.sample}")
     for passage in unshown:
-        _print_stderr(f"  never put into a prompt: {passage}")
+        print_message(f"  never put into a prompt: {passage}")
     if unshown:
-        _print_stderr("  Shorten such an entry or template, or split it, and add the document again.")
+        print_message("  Shorten such an entry or template, or split it, and add the document again.")
     if done.document.trust == "unknown":
-        _print_stderr(
+        print_message(
             "  trust unknown: the document can be searched, but is not put into prompts. "
             "Add it again with --trust site or vendor."
         )
@@ -303,7 +301,3 @@ def _describe_document(one: Document) -> str:
 
 def _encode_hit(one: ChunkHit) -> dict[str, Any]:
     return {**msgspec.to_builtins(one), "citation": str(one.citation), "version": one.citation.version}
-
-
-def _print_stderr(text: str) -> None:
-    print(text, file=sys.stderr)

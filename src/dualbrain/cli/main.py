@@ -9,10 +9,9 @@ from typing import cast
 
 from cyclopts import App, CycloptsError, CycloptsPanel, Parameter
 from cyclopts.exceptions import UnusedCliTokensError
-from rich.console import Console
 
 from dualbrain import __version__
-from dualbrain.cli.common.console import print_message, redirect_stdout_to_null
+from dualbrain.cli.common.console import StderrConsole, VisibleConsole, print_message, redirect_stdout_to_null
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.core.lazy_exports import missing_dependency
 from dualbrain.core.paths import secure_home
@@ -49,6 +48,7 @@ app = App(
     Exit codes: 0 success, 1 the task failed safely, 2 usage, 3 contract rejected or declined, 4 a safety violation was
     observed, 5 broken set-up, 6 not judged, 130 interrupted.""",
     help_format="markdown",
+    console=VisibleConsole(),
     default_parameter=Parameter(show_default=_format_default, negative_iterable=""),
     suppress_keyboard_interrupt=False,  # an interruption is reported by `run_command_line`
 )
@@ -358,8 +358,7 @@ def _print_usage_error(error: CycloptsError) -> ExitCode:
         sentence = f"The instruction must be one argument in quotes: dualbrain {arguments[0]} {quoted}"
         print_message(f"dualbrain: {sentence}")
     else:
-        console = error.console or Console(stderr=True)
-        console.print(CycloptsPanel(visible_text(str(error), keep_lines=True)))
+        StderrConsole().print(CycloptsPanel(visible_text(str(error), keep_lines=True)), soft_wrap=False)
     return ExitCode.USAGE
 
 

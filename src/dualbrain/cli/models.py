@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import sys
-
-from rich.console import Console
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
 
-from dualbrain.cli.common.console import print_table
+from dualbrain.cli.common.console import StderrConsole, print_message, print_table
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.common.planner_choice import base_model, is_downloaded
 from dualbrain.core import weights
@@ -96,12 +93,12 @@ def _fetch_one(name: str) -> None:
         TransferSpeedColumn(),
         TimeRemainingColumn(),
     )
-    console = Console(file=sys.stderr)
+    console = StderrConsole()
     if not console.is_terminal and not is_downloaded(name, cache_folder()):
-        console.print(f"downloading {name} ({file.size / 1e6:,.0f} MB)", highlight=False)
+        console.print(f"downloading {name} ({file.size / 1e6:,.0f} MB)")
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task(name, total=file.size)
         path = weights.fetch_weights(
             name, cache_folder(), progress=lambda done, total: bar.update(task, completed=done, total=total)
         )
-    print(f"{name}: {path} ({file.licence}, SHA-256 {file.sha256[:12]}… verified)", file=sys.stderr)
+    print_message(f"{name}: {path} ({file.licence}, SHA-256 {file.sha256[:12]}… verified)")

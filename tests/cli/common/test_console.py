@@ -3,14 +3,20 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
+
+import pytest
+
+import dualbrain.cli
 
 PROGRAM = """
 import sys
-from dualbrain.cli.common.console import StderrConsole, print_result
+from dualbrain.cli.common.console import StderrConsole, print_message, print_result
 console = StderrConsole()
 sys.stdin.readline()
 for _ in range(3):
     console.print("a message")
+    print_message("another one")
 print_result("{}")
 sys.exit(4)
 """
@@ -39,7 +45,45 @@ def test_a_closed_stderr_keeps_result_and_exit_code(tmp_path):
 def test_a_closed_stdout_keeps_messages_and_exit_code(tmp_path):
     with (tmp_path / "err").open("w") as err:
         assert exit_code_with_closed(stdout=subprocess.PIPE, stderr=err) == 4
-    assert (tmp_path / "err").read_text().splitlines() == ["a message"] * 3
+    assert (tmp_path / "err").read_text().splitlines() == ["a message", "another one"] * 3
+
+
+COMMAND_LINE = """
+import sys
+from dualbrain.cli.main import run_command_line
+sys.stdin.readline()
+sys.exit(run_command_line(sys.argv[1:]))
+"""
+
+
+@pytest.mark.parametrize("closed", ["stdout", "stderr"])
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        (["--help"], 0),
+        (["knowledge", "list", "--help"], 0),
+        (["run"], 2),
+        (["no_command"], 2),
+        (["check", "/none/c.json"], 5),
+        (["replay", "/none/episode.mcap"], 5),
+        (["robot", "inspect", "panda"], 0),
+    ],
+)
+def test_a_closed_pipe_changes_no_exit_code(arguments: list[str], code: int, closed: str) -> None:
+    pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL} | {closed: subprocess.PIPE}
+    process = subprocess.Popen(
+        [sys.executable, "-c", COMMAND_LINE, *arguments], stdin=subprocess.PIPE, text=True, **pipes
+    )
+    getattr(process, closed).close()
+    setattr(process, closed, None)
+    process.communicate("\n", timeout=60)
+    assert process.returncode == code
+
+
+def test_every_command_prints_its_messages_through_the_console():
+    folder = Path(dualbrain.cli.__file__).parent
+    direct = [file.name for file in folder.rglob("*.py") if "file=sys.stderr" in file.read_text(encoding="utf-8")]
+    assert direct == ["console.py"]
 
 
 def test_a_listing_into_a_closed_pipe_ends_without_error(tmp_path):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Collection, Iterable, Sequence
-from typing import Any
+from typing import IO, Any
 
 from rich.cells import cell_len
 from rich.console import Console
@@ -19,7 +19,15 @@ MIN_COLUMN_WIDTH = 24
 
 
 class VisibleConsole(Console):
-    """A console in which no text can control the terminal or hide: see `visible_text`."""
+    """A console in which no text can control the terminal or hide: see `visible_text`.
+
+    It stops printing when the pipe is closed; the default one ends the program.
+    """
+
+    def on_broken_pipe(self) -> None:
+        """Print nothing from now on."""
+        self.quiet = True
+        _redirect_to_null(self.file)
 
     def render_str(self, text: str, **options: Any) -> Text:
         """`text` with its markup, as the base class renders it, without hidden characters."""
@@ -27,15 +35,11 @@ class VisibleConsole(Console):
 
 
 class StderrConsole(VisibleConsole):
-    """A console for stderr that stops printing when the pipe is closed; the default one ends the program."""
+    """A console for stderr."""
 
     def __init__(self) -> None:
         """Print plain text to stderr; a terminal wraps long lines by itself, and a file has them whole."""
         super().__init__(file=sys.stderr, highlight=False, soft_wrap=True)
-
-    def on_broken_pipe(self) -> None:
-        """Print nothing from now on."""
-        self.quiet = True
 
 
 def print_result(text: str) -> None:
@@ -47,8 +51,11 @@ def print_result(text: str) -> None:
 
 
 def print_message(text: str) -> None:
-    """Print a message on stderr, without hidden characters."""
-    print(visible_text(text, keep_lines=True), file=sys.stderr)
+    """Print a message on stderr, without hidden characters; if that is impossible, stderr becomes the null device."""
+    try:
+        print(visible_text(text, keep_lines=True), file=sys.stderr, flush=True)
+    except OSError:  # a closed pipe or terminal, a full disk
+        _redirect_to_null(sys.stderr)
 
 
 def print_table(heads: Sequence[str], rows: Iterable[Sequence[str]], *, wrap_columns: Collection[str] = ()) -> None:
@@ -83,4 +90,10 @@ def sanitize_line(text: str) -> str:
 
 def redirect_stdout_to_null() -> None:
     """Redirect stdout to the null device, so that flushing the buffer at exit does not fail."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    _redirect_to_null(sys.stdout)
+
+
+def _redirect_to_null(stream: IO[str]) -> None:
+    null = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, stream.fileno())
+    os.close(null)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable
 from datetime import UTC, datetime
 from pathlib import Path
@@ -10,12 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 from cyclopts import Parameter
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from dualbrain import __version__
-from dualbrain.cli.common.console import VisibleConsole, print_message, print_result
+from dualbrain.cli.common.console import StderrConsole, VisibleConsole, print_message, print_result
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.core.storage.atomic_files import atomic_file
 from dualbrain.errors import ConfigurationError
@@ -109,7 +107,7 @@ def _written_robot(write: Path | None, robot_model: RobotModel) -> RobotModel:
 
 def _progress_bar() -> Progress:
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    return Progress(*columns, console=Console(file=sys.stderr), transient=True)
+    return Progress(*columns, console=StderrConsole(), transient=True)
 
 
 def _provenance(robot: str, drive: DriveKind, seeds: int, seconds: float, load: float) -> str:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 from cyclopts import Parameter
 
+from dualbrain.cli.common.console import print_message
 from dualbrain.cli.common.exit_codes import ExitCode
 
 if TYPE_CHECKING:
@@ -61,11 +61,9 @@ def node(
     core = make_command_filter(parameters, _scene_obstacles(scene, parameters.robot) if scene else ())
     running = DdsNode(core, name, domain if domain >= 0 else _domain())
     stopped: list[bool] = []
-    print(
+    print_message(
         f"{name} guards {parameters.command_topic} -> {parameters.safe_command_topic} ({parameters.command_type}, "
-        f"{1.0 / parameters.period:g} Hz). Ctrl-C brings the arm to rest and ends it.",
-        file=sys.stderr,
-        flush=True,
+        f"{1.0 / parameters.period:g} Hz). Ctrl-C brings the arm to rest and ends it."
     )
     with interrupt_handler(lambda: stopped.append(True)):
         running.run(lambda: bool(stopped))
@@ -94,10 +92,7 @@ def tables(*, out: Path, robot: str = "panda", site: Path | None = None, scene: 
 
     safety = make_filter(robot, site, period, _scene_obstacles(scene, robot) if scene else ())
     write_atomically(out, format_kernel_tables(safety).encode())
-    print(
-        f"{out}: {safety.robot_model.name} at {1.0 / period:g} Hz, {len(safety.tables.obstacles)} obstacles",
-        file=sys.stderr,
-    )
+    print_message(f"{out}: {safety.robot_model.name} at {1.0 / period:g} Hz, {len(safety.tables.obstacles)} obstacles")
     return ExitCode.SUCCESS
 
 

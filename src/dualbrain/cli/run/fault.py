@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from typing import Annotated, Literal
 
 from cyclopts import Parameter
@@ -53,7 +52,7 @@ def fault(
     """
     import msgspec
 
-    from dualbrain.cli.common.console import print_result
+    from dualbrain.cli.common.console import print_message, print_result
     from dualbrain.evaluation.fault_injection.faults import Fault, draw_moment
     from dualbrain.evaluation.fault_injection.trial import run_fault_trial
 
@@ -66,13 +65,13 @@ def fault(
     reaction = f"expected {report.expected}, reached {report.reached} ({', '.join(report.checks) or 'no check'})"
     if report.struck is not None and report.as_declared and report.reached != report.expected:
         reaction += " (at least as strong as expected)"
-    print(f"{report.fault}: {struck}; {reaction}; {report.outcome}: {report.reason}", file=sys.stderr)
+    print_message(f"{report.fault}: {struck}; {reaction}; {report.outcome}: {report.reason}")
     if (board := report.target) is not None:
         lost = f"; lost: {board.lost}" if board.lost else ""
         different = f"{board.differences} of {board.steps} steps with other bits than the host's"
-        print(f"board {board.board}: its supervisor reached {board.reached}, {different}{lost}", file=sys.stderr)
+        print_message(f"board {board.board}: its supervisor reached {board.reached}, {different}{lost}")
     for one in report.unsafe:
-        print(f"violation {one.kind} at {one.start:.2f} s: {' × '.join(one.bodies)}", file=sys.stderr)
+        print_message(f"violation {one.kind} at {one.start:.2f} s: {' × '.join(one.bodies)}")
     if not report.safe:
         return ExitCode.VIOLATION
     return ExitCode.SUCCESS if report.as_declared else ExitCode.FAILED_SAFELY

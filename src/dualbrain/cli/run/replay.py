@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import msgspec
 from cyclopts import Parameter
 
-from dualbrain.cli.common.console import StderrConsole, print_result
+from dualbrain.cli.common.console import StderrConsole, print_message, print_result
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.common.spinner import Spinner
 from dualbrain.errors import ConfigurationError
@@ -43,7 +42,7 @@ def replay(recording: Path, /, *, json: Annotated[bool, Parameter(negative="")] 
         comparison = f"{result.differing} differ, first at tick {result.first}"
     else:
         comparison = "the recording has none to compare"
-    print(f"{recording.name}: {result.ticks} controls recomputed: {comparison}", file=sys.stderr)
+    print_message(f"{recording.name}: {result.ticks} controls recomputed: {comparison}")
     if not result.complete:
-        print(f"The recording is incomplete: {result.problem or 'messages were lost'}.", file=sys.stderr)
+        print_message(f"The recording is incomplete: {result.problem or 'messages were lost'}.")
     return ExitCode.SUCCESS if result.identical else ExitCode.FAILED_SAFELY

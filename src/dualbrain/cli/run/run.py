@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from dualbrain.cli.common.arguments import parse_fraction
-from dualbrain.cli.common.console import StderrConsole
+from dualbrain.cli.common.console import StderrConsole, print_message
 from dualbrain.cli.common.spinner import Spinner
 from dualbrain.errors import UsageError
 from dualbrain.memory.plasticity.hebbian_update import EPSILON
@@ -232,7 +232,7 @@ def _stop_running_robots(instruction: str) -> int | None:
 
     lines = stop_running_robots(dualbrain_home())
     for line in lines:
-        print(line, file=sys.stderr)
+        print_message(line)
     if not lines:
         return None
     return ExitCode.SETUP if any("not stopped" in line for line in lines) else ExitCode.SUCCESS

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Literal
@@ -78,7 +77,7 @@ def gatekeeper(
     """
     import msgspec
 
-    from dualbrain.cli.common.console import print_result
+    from dualbrain.cli.common.console import print_message, print_result
     from dualbrain.cli.common.running_gatekeepers import STARTED_BY_PERSON
     from dualbrain.cli.common.signals import survive_closed_terminal
     from dualbrain.control.gatekeeper.config import GatekeeperConfig
@@ -108,16 +107,13 @@ def gatekeeper(
         control_thread=control_thread,
     )
     if notice := load_keys(secrets, PRINCIPALS).notice:
-        print(notice, file=sys.stderr)
+        print_message(notice)
     ready = f"The gatekeeper of {robot} listens at {where}. Ctrl-C shuts it down."
-    timing = run_gatekeeper(
-        config, lambda: print(ready, file=sys.stderr), on_warning=lambda text: print(text, file=sys.stderr)
-    )
+    timing = run_gatekeeper(config, lambda: print_message(ready), on_warning=print_message)
     p50, p99, _, worst = (1e3 * value for value in timing.interval)
-    print(
+    print_message(
         f"{timing.ticks} ticks: interval {p50:.2f} ms (median), {p99:.2f} ms (99 %), {worst:.1f} ms (longest); "
-        f"{timing.late} late, {timing.missed} states missed",
-        file=sys.stderr,
+        f"{timing.late} late, {timing.missed} states missed"
     )
     if json:
         print_result(msgspec.json.encode(timing).decode())
@@ -231,13 +227,14 @@ def _stop_all() -> int:
 
 def _stop(where: Path) -> int:
     """Send an emergency stop, which reads no file, and report whether the gatekeeper confirms it."""
+    from dualbrain.cli.common.console import print_message
     from dualbrain.control.gatekeeper.protocol.emergency_stop import send_emergency_stop
 
     problem = send_emergency_stop(where)
     advice = "Use the emergency stop of the robot itself."
     unconfirmed = f"dualbrain: The emergency stop is not confirmed: {problem}. {advice}"
     with suppress(OSError, ValueError, AttributeError):  # stderr may be closed or absent
-        print(unconfirmed if problem else f"estop: ESTOP, reported by the gatekeeper at {where}", file=sys.stderr)
+        print_message(unconfirmed if problem else f"estop: ESTOP, reported by the gatekeeper at {where}")
     return ExitCode.SETUP if problem else ExitCode.SUCCESS
 
 
@@ -245,6 +242,7 @@ def _send_command(where: Path, secrets: Path, act: OperatorAction, speed_scale: 
     """Send a command that needs the operator's key, and print the state of the gatekeeper after it."""
     import time
 
+    from dualbrain.cli.common.console import print_message
     from dualbrain.control.gatekeeper.protocol.authentication import read_keys
     from dualbrain.control.gatekeeper.protocol.client import GatekeeperClient
 
@@ -252,6 +250,6 @@ def _send_command(where: Path, secrets: Path, act: OperatorAction, speed_scale: 
     link.operate(act, speed_scale)
     time.sleep(0.2)
     status = link.status
-    print(f"{act}: {status.action} {status.check}".rstrip() if status else f"{act}: sent", file=sys.stderr)
     link.close()
+    print_message(f"{act}: {status.action} {status.check}".rstrip() if status else f"{act}: sent")
     return ExitCode.SUCCESS

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from dualbrain.cli.common.console import print_message
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.servers.http_options import HttpOptions, http_config
 from dualbrain.cli.servers.robot_options import RobotOptions, open_robot
@@ -31,9 +32,9 @@ def serve_robot(command: str, port: int, robot: RobotOptions, server: HttpOption
 
         def report() -> None:
             where = f"{config.url}{MCP_PATH} (token: {server.token_place})"
-            print(f"{command}: the robot {opened.name} is ready at {where}. Ctrl-C ends it.", file=sys.stderr)
+            print_message(f"{command}: the robot {opened.name} is ready at {where}. Ctrl-C ends it.")
             secret = f"#token={config.token}" if sys.stderr.isatty() else ""  # a log keeps no token
-            print(f"Console: {config.url}{CONSOLE_PATH}{secret}", file=sys.stderr)
+            print_message(f"Console: {config.url}{CONSOLE_PATH}{secret}")
 
         mcp_server = make_mcp_server(opened)
         serve_http(

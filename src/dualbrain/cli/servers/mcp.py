@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-
+from dualbrain.cli.common.console import print_message
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.servers.http_options import DEFAULT_HTTP, HttpOptions
 from dualbrain.cli.servers.http_service import serve_robot
@@ -33,6 +32,6 @@ def mcp(*, http: int = 0, robot: RobotOptions = DEFAULT_ROBOT, server: HttpOptio
         )
     streams = StandardStreams()  # before the gatekeeper starts, which inherits standard output
     with open_robot(robot) as opened:
-        print(f"dualbrain mcp: the robot {opened.name} is ready.", file=sys.stderr)
+        print_message(f"dualbrain mcp: the robot {opened.name} is ready.")
         serve_stdio(make_mcp_server(opened), streams, on_end=ServerEnd(opened).begin)
     return end_process(ExitCode.SUCCESS)

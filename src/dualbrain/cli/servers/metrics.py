@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from threading import Event
 
+from dualbrain.cli.common.console import print_message
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.common.signals import interrupt_handler
 from dualbrain.core.paths import dualbrain_home
@@ -50,7 +50,7 @@ def metrics(
         problem = f"The metrics cannot be served at {host}:{port}: {error.strerror or error}."
         raise ConfigurationError.stating(problem, fix="Name another --port.") from error
     observer.read()
-    print(f"Metrics: http://{host}:{server.server_port}/metrics, of {where}. Ctrl-C ends them.", file=sys.stderr)
+    print_message(f"Metrics: http://{host}:{server.server_port}/metrics, of {where}. Ctrl-C ends them.")
     ended = Event()
     with interrupt_handler(ended.set):
         ended.wait()
@@ -62,4 +62,4 @@ def metrics(
 
 
 def _print_problem(problem: str) -> None:
-    print(f"dualbrain metrics: {problem or 'the gatekeeper answers.'}", file=sys.stderr)
+    print_message(f"dualbrain metrics: {problem or 'the gatekeeper answers.'}")
