@@ -65,6 +65,19 @@ def test_the_keys_of_a_named_socket_are_found(tmp_path, monkeypatch):
     assert running_address(tmp_path, tmp_path / "unknown") == (tmp_path / "unknown", tmp_path / "keys")
 
 
+@pytest.mark.parametrize("act", ["pause", "resume", "hand_back", "reset"])
+def test_a_speed_that_a_command_would_ignore_is_refused(act, tmp_path, capsys):
+    """`operate resume --speed 10%` continued the motion at the former speed."""
+    arguments = ["operate", act, "--speed", "10%", "--socket", str(tmp_path / "socket"), "--keys", str(tmp_path)]
+    assert run_command_line(arguments) == 2
+    assert "dualbrain operate speed --speed 10%" in capsys.readouterr().err
+
+
+def test_an_emergency_stop_is_sent_with_any_other_option(tmp_path, capsys):
+    assert run_command_line(["operate", "estop", "--speed", "10%", "--socket", str(tmp_path / "socket")]) == 5
+    assert "The emergency stop is not confirmed" in capsys.readouterr().err
+
+
 def test_with_socket_and_keys_no_process_is_looked_for(tmp_path, monkeypatch, capsys):
     def refuse(*_):
         raise AssertionError("the list of processes was read")

@@ -152,6 +152,11 @@ def operate(
         raise UsageError.stating(
             "The command `speed` needs the speed scale.", fix="For example: dualbrain operate speed --speed 25%"
         )
+    if speed and act not in ("speed", "estop"):
+        raise UsageError.stating(
+            f"The command `{act}` changes no speed, so --speed has no effect.",
+            fix=f"First `dualbrain operate speed --speed {speed}`, then `dualbrain operate {act}`.",
+        )
     if act == "estop":
         return _stop_all() if socket is None and run is None else _stop(socket or run_address(run)[0])
     where, secrets = _command_address(socket, keys, run)
