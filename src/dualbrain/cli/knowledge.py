@@ -151,7 +151,9 @@ def search(
         parts = (("similarity", one.likeness), ("words", one.bm25_score))
         score = ", ".join(f"{part} {value:.2f}" for part, value in parts if value is not None)
         where = " › ".join(dict.fromkeys((one.title, *one.path)))
-        console.print(f"[bold]{one.citation}[/]  [dim]{one.kind}, {one.trust}, {score}[/]\n{escape(where)}")
+        console.print(
+            f"[bold]{escape(str(one.citation))}[/]  [dim]{one.kind}, {one.trust}, {score}[/]\n{escape(where)}"
+        )
         console.print(f"  {escape(' '.join(one.text.split()))}\n")
     if not hits:
         print_message("nothing found")

@@ -1,6 +1,7 @@
 """Untrusted text reaches the terminal without hidden characters, through every way of printing."""
 
 import sys
+from pathlib import Path
 
 import pytest
 from rich.console import Console
@@ -11,6 +12,7 @@ from rich.table import Table
 from dualbrain.cli.common import console as output
 from dualbrain.cli.main import run_command_line
 from dualbrain.errors import ConfigurationError
+from dualbrain.robots.loader import data_file
 from tests.core.untrusted.test_visible_text import TERMINAL_ATTACKS
 
 
@@ -61,3 +63,29 @@ def test_colours_of_the_program_remain(monkeypatch: pytest.MonkeyPatch, capsys: 
     console.print("[red]text\x1b[2J[/]")
     assert capsys.readouterr().out == "\x1b[31mtext\\u001b[2J\x1b[0m\n"
     assert isinstance(console, Console)
+
+
+MARKUP_FOLDER = Path("x[") / "red]" / "a[bold]c"
+"""A path with the brackets of an opening and of a closing style; no style begins before the closing one."""
+
+
+def test_a_run_names_its_folder_as_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The style `[bold]` was left out of the name, and `[/red]` ended the run with a traceback."""
+    (contract := tmp_path / "contract.json").write_text("{}")
+    out = tmp_path / MARKUP_FOLDER
+    arguments = ["run", "--contract", str(contract), "--headless", "--out", str(out)]
+    assert run_command_line([*arguments, "--ledger", str(tmp_path / "ledger.sqlite")]) == 3
+    printed = capsys.readouterr().err
+    assert f"panda, scene 0, {out}\n" in printed
+    assert f"report: {out / 'report.html'}\n" in printed
+
+
+@pytest.mark.parametrize("name", ["j4[conceal]", "j4[/x]", "a_joint_with_a_name_that_is_longer_than_a_narrow_column"])
+def test_inspect_shows_every_name_whole(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "60")
+    text = data_file("panda").read_text(encoding="utf-8")
+    (tmp_path / "body.json").write_text(text.replace('"panda_joint4"', f'"{name}"'), encoding="utf-8")
+    run_command_line(["robot", "inspect", str(tmp_path)])
+    assert f"\n{name} " in capsys.readouterr().out

@@ -118,7 +118,7 @@ def _write_dataset(ledger: Path | None, registry: Any, at_site: Any, settings: A
 
     if (folder / DATASET_FOLDER / "dataset.json").is_file():
         _require_same_dataset(read_dataset_card(folder / DATASET_FOLDER), settings, folder, ledger, at_site)
-        StderrConsole().print(f"using the data set in {folder}")
+        StderrConsole().print(f"using the data set in {folder}", markup=False)
     else:
         write_dataset(_curate(ledger, registry, at_site, settings, json=False), folder / DATASET_FOLDER)
 
@@ -269,7 +269,7 @@ def _print_dataset(card: Any, curated: Any) -> None:
         rows.append((row["id"][:8], row["part"], row["memory"], events, *numbers, steps[:60]))
     console.print(format_table(headers, rows, wrap_columns=("events", "contract")), markup=False, soft_wrap=True)
     for reason, count in card.left_out.items():
-        console.print(f"left out: {count} {reason}")
+        console.print(f"left out: {count} {reason}", markup=False)
     console.print(
         f"data set {card.hash[:16]}: {card.train} samples to train on ({card.shown} shown an epoch), {card.held_out} "
         f"held out, {card.scenes} scenes; {card.merged} near-duplicates merged, of {card.memories} memories up to "

@@ -63,7 +63,8 @@ def adapt_when_idle(
     if code < 0:
         StderrConsole().print(
             f"the training was ended by signal {-code} ({signal.strsignal(-code)}); the same command with --out {out} "
-            f"resumes from the last checkpoint"
+            f"resumes from the last checkpoint",
+            markup=False,
         )
     return ExitCode(code) if code in set(ExitCode) else ExitCode.SETUP
 

@@ -101,7 +101,7 @@ def write_explored_dataset(name: str, config: CycleConfig, folder: Path) -> Any:
         console.print("comparing the data set with the executions (minutes)")
         others = cycle.dataset_difference(read_dataset_card(folder / DATASET_FOLDER), config, folder)
         require_same_dataset(name, folder, others)
-        console.print(f"using the data set in {folder}")
+        console.print(f"using the data set in {folder}", markup=False)
     else:
         value_model = cycle.explore_places(config, folder, _place_printer(console, config.explored))
         on_episode = episode_printer(console, len(config.executed_seeds) * config.executions)

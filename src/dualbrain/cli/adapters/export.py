@@ -74,7 +74,7 @@ def export(
             from dualbrain.adaptation.conversion.merged_gguf import write_merged_gguf
 
             (write_gguf_lora if form == "gguf" else write_merged_gguf)(pairs, stack.gguf, out)
-    StderrConsole().print(f"written: {out}")
+    StderrConsole().print(f"written: {out}", markup=False)
     return ExitCode.SUCCESS
 
 

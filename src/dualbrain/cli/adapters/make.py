@@ -82,7 +82,7 @@ def _write_synthetic_dataset(folder: Path, registries: Mapping[str, SkillRegistr
         require_same_dataset(
             "base-135m", folder, synthetic_dataset_differences(read_dataset_card(folder / DATASET_FOLDER), registries)
         )
-        StderrConsole().print(f"using the data set in {folder}")
+        StderrConsole().print(f"using the data set in {folder}", markup=False)
     else:
         write_dataset(
             build_synthetic_dataset(
@@ -114,7 +114,7 @@ def _write_rollout_dataset(folder: Path) -> None:
     if (folder / DATASET_FOLDER / "dataset.json").is_file():
         others = starter.dataset_difference(read_dataset_card(folder / DATASET_FOLDER), day, starter.N_PROPOSALS)
         require_same_dataset("starter-135m", folder, others)
-        console.print(f"using the data set in {folder}")
+        console.print(f"using the data set in {folder}", markup=False)
     else:
         on_episode = episode_printer(console, starter.N_PROPOSALS)
         ledger_folder = starter.collect_rollouts(day, starter.N_PROPOSALS, cache=cache_folder(), on_episode=on_episode)
@@ -132,7 +132,7 @@ def _fit(base: str, settings: Any, registries: Mapping[str, SkillRegistry], fold
     from dualbrain.adaptation.synthetic.dataset import make_language_judge
 
     card = training.train_adapter(base, settings, make_language_judge(registries), folder, group)
-    console_of(group).print(f"adapter {card.id} in {folder / training.ADAPTER_FOLDER}")
+    console_of(group).print(f"adapter {card.id} in {folder / training.ADAPTER_FOLDER}", markup=False)
     return card
 
 

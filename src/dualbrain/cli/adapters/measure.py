@@ -126,7 +126,8 @@ def measure(
     if json:
         print_json(measured)
     StderrConsole().print(
-        f"written: {out}" if fly else f"written: {out}; without execution, so it cannot justify a promotion"
+        f"written: {out}" if fly else f"written: {out}; without execution, so it cannot justify a promotion",
+        markup=False,
     )
     return ExitCode.SUCCESS
 
@@ -187,14 +188,17 @@ def _measure_adapter(
             adapter=adapter_id,
             runtime=runtime_name(planner.model),
             execute=execute,
-            report=lambda done, of, trial: console.print(f"{label} {done}/{of}: {_describe_trial(trial)}"),
+            report=lambda done, of, trial: console.print(
+                f"{label} {done}/{of}: {_describe_trial(trial)}", markup=False
+            ),
         )
     finally:
         planner.close()
     rows = found.trials
     console.print(
         f"{label}: {sum(r.compliant for r in rows)} of {len(rows)} compliant, {sum(r.right for r in rows)} right, "
-        f"perplexity {found.perplexity:.2f}"
+        f"perplexity {found.perplexity:.2f}",
+        markup=False,
     )
     return found
 

@@ -68,9 +68,9 @@ def list_adapters(*, json: Flag = False) -> int:
         )
     print_table(("id", "robot", "base", "data set", "held out", "serves"), rows, wrap_columns=("base",))
     for one, fault in damaged.items():
-        StderrConsole().print(f"{one[:16]} is damaged{', and serves' if one in serving else ''}: {fault}")
+        StderrConsole().print(f"{one[:16]} is damaged{', and serves' if one in serving else ''}: {fault}", markup=False)
     for one, mismatch in mismatches.items():
-        StderrConsole().print(f"{one[:16]} {mismatch}")
+        StderrConsole().print(f"{one[:16]} {mismatch}", markup=False)
     return ExitCode.SUCCESS
 
 
@@ -251,23 +251,26 @@ def promote(name: str, /, *, measured: Path, shadow: Count = MIN_SHADOW_ANSWERS)
     for measure, found in decision.measures.items():
         interval = "" if found.low is None else f", 95 %: {found.low:+.4g} to {found.high:+.4g}"
         interval += "" if found.p is None else f", corrected p {found.p:.2g}"
-        StderrConsole().print(f"{measure}: {found.before:.4g} -> {found.after:.4g}, gain {found.gain:+.4g}{interval}")
+        StderrConsole().print(
+            f"{measure}: {found.before:.4g} -> {found.after:.4g}, gain {found.gain:+.4g}{interval}", markup=False
+        )
     count = count_shadow_answers(registry, one, decision.champion)
     if decision.promotes and (
         fault := shadow_shortfall(one, decision.champion, count, shadow) or canary_error(registry, one)
     ):
-        StderrConsole().print(f"not promoted: {fault}")
+        StderrConsole().print(f"not promoted: {fault}", markup=False)
         return ExitCode.FAILED_SAFELY
     reason = f"{count} answers in the shadow" if shadow else f"the shadow was waived, with {count} answers in it"
     try:
         registry.promote(one, decision, now=time.time(), reason=reason)
     except NotPromotedError as why:
-        StderrConsole().print(str(why))
+        StderrConsole().print(str(why), markup=False)
         return ExitCode.FAILED_SAFELY
     card = registry.card(one)
     StderrConsole().print(
         f"promoted: adapter {one[:16]} on {card.base} is the champion of {card.robot} now. Select it with "
-        f"`--planner adapter:champion`; the default of --planner is still {DEFAULT_PLANNER}."
+        f"`--planner adapter:champion`; the default of --planner is still {DEFAULT_PLANNER}.",
+        markup=False,
     )
     return ExitCode.SUCCESS
 
@@ -294,7 +297,9 @@ def rollback(*, reason: str, robot: str = "panda", base: str = "") -> int:
     now = registry.roll_back(place, reason, now=time.time())
     StderrConsole().print(f"{now[:16] or 'the bare base'} serves again")
     if now and (fault := canary_error(registry, now)):
-        StderrConsole().print(f"but it will make no proposals: {fault}. Roll back again, or remove the fault.")
+        StderrConsole().print(
+            f"but it will make no proposals: {fault}. Roll back again, or remove the fault.", markup=False
+        )
         return ExitCode.FAILED_SAFELY
     if now:
         StderrConsole().print("its canary answers are the recorded ones")

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 from cyclopts import Parameter
+from rich.markup import escape
 
 from dualbrain.cli.common.console import StderrConsole, print_result
 from dualbrain.cli.common.exit_codes import ExitCode
@@ -231,7 +232,9 @@ def _run(
         )
         console.print(f"{n_rows} episodes in {runner.out / RESULTS_FILE}; {following}", markup=False, soft_wrap=True)
     if not complete:
-        console.print(f"incomplete: see {runner.out / 'errors.jsonl'}; the same command retries the failed episodes")
+        console.print(
+            f"incomplete: see {runner.out / 'errors.jsonl'}; the same command retries the failed episodes", markup=False
+        )
     if as_json:
         print_result(msgspec.json.encode({"out": str(runner.out), "episodes": n_rows, "whole": complete}).decode())
     return ExitCode.SUCCESS if complete else ExitCode.FAILED_SAFELY
@@ -327,7 +330,8 @@ def _rerun(folder: Path, key: str, no_rendering: str, *, as_json: bool) -> int:
     for event in run.trace.events:
         console.print(f"{event.t:7.2f} s  {event.text}", markup=False)
     for violation in run.episode.judgement.violations if run.episode.judgement else ():
-        console.print(f"violation {violation.kind} at {violation.start:.2f} s: {' × '.join(violation.bodies)}")
+        bodies = " × ".join(violation.bodies)
+        console.print(f"violation {violation.kind} at {violation.start:.2f} s: {bodies}", markup=False)
     result = "; ".join(differences) if differences else "as recorded"
     console.print(f"{failure_class_of(row) or 'success'}: {result}", markup=False)
     if as_json:
@@ -342,12 +346,12 @@ def _format_progress(progress: Any) -> str:
     line, left = progress.line, progress.seconds_left
     words = f"{STAGE_TITLES[progress.stage]} {progress.done}/{progress.total}  {line['key']}"
     if progress.error:
-        return f"[red]{words}: {progress.error.splitlines()[0]}[/]"
+        return f"[red]{escape(f'{words}: {progress.error.splitlines()[0]}')}[/]"
     if "outcome" in line:
         words += f": {'success' if line['success'] else line['failure']}"
         words += f", Δ {line['Delta']:.4f}" if line["Delta"] is not None else ""
         words += f", {len(line['violations'])} violations" if line["violations"] else ""
-    return f"{words}  [dim]{_format_duration(left)} left[/]"
+    return f"{escape(words)}  [dim]{_format_duration(left)} left[/]"
 
 
 def _format_duration(seconds: float | None) -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 from cyclopts import Parameter
+from rich.markup import escape
 
 from dualbrain.cli.common.console import StderrConsole, print_result
 from dualbrain.cli.common.exit_codes import ExitCode
@@ -65,7 +66,7 @@ def report(folder: Path, /, *, gallery: int = -1, page: Path | None = None, json
     count = suite.gallery if gallery < 0 else gallery
     images = [] if no_rendering or not count else _failure_images(rows, suite, count, console)
     if no_rendering and count:
-        console.print(f"no images of failures: {no_rendering}")
+        console.print(f"no images of failures: {no_rendering}", markup=False)
     answers = AnswerCache(folder / ANSWERS_FOLDER).read_all(omissions.append)
     if not answers:
         omissions.append(f"Decision times of single requests: the folder contains no answer cache ({ANSWERS_FOLDER}/).")
@@ -87,8 +88,8 @@ def report(folder: Path, /, *, gallery: int = -1, page: Path | None = None, json
     for line in omissions:
         print_omission(line)
     for one in data.hypotheses:
-        console.print(f"{one.name}: {one.verdict} ({one.description})")
-    console.print(f"report: {folder / 'report.html'}, and as a Markdown page: {page_folder / PAGE_FILE}")
+        console.print(f"{one.name}: {one.verdict} ({one.description})", markup=False)
+    console.print(f"report: {folder / 'report.html'}, and as a Markdown page: {page_folder / PAGE_FILE}", markup=False)
     if json:
         verdicts = [{"name": one.name, "verdict": one.verdict, "claims": one.claims} for one in data.hypotheses]
         print_result(msgspec.json.encode(verdicts).decode())
@@ -175,5 +176,5 @@ def _failure_images(rows: list[EpisodeRow], suite: Suite, count: int, console: S
         start = time.monotonic()
         with Spinner(console, f"running {row.key} again for its image"):
             images.append(capture_failure_image(row, suite, time.perf_counter))
-        console.print(f"image of {row.key}  [dim]{time.monotonic() - start:.0f} s[/]")
+        console.print(f"image of {escape(row.key)}  [dim]{time.monotonic() - start:.0f} s[/]")
     return images

@@ -192,9 +192,10 @@ def replay(
     if json:
         print_json(finding)
     for kind, size in zip(finding.outcomes, finding.Deltas, strict=True):
-        StderrConsole().print(f"  {kind}, Δ {'-' if size is None else f'{size:.4f}'}")
+        StderrConsole().print(f"  {kind}, Δ {'-' if size is None else f'{size:.4f}'}", markup=False)
     StderrConsole().print(
-        f"{name} ({finding.remembered}): {'confirmed' if finding.agrees else 'contradicted'}; {finding.reason}"
+        f"{name} ({finding.remembered}): {'confirmed' if finding.agrees else 'contradicted'}; {finding.reason}",
+        markup=False,
     )
     return ExitCode.SUCCESS if finding.agrees else ExitCode.FAILED_SAFELY
 
@@ -219,7 +220,7 @@ def compact(*, ledger: Path | None = None, json: Flag = False) -> int:
     sizes = {"before": before, "after": path.stat().st_size, "archive": str(archive)}
     if json:
         print_json(sizes)
-    StderrConsole().print(f"{before / 1e6:.1f} MB -> {sizes['after'] / 1e6:.1f} MB; archive: {archive}")
+    StderrConsole().print(f"{before / 1e6:.1f} MB -> {sizes['after'] / 1e6:.1f} MB; archive: {archive}", markup=False)
     return ExitCode.SUCCESS
 
 
@@ -289,6 +290,8 @@ def _print_weight_changes(
         print_json({"command": what, "memories": names, "weights": msgspec.to_builtins(changed)})
     for name, (old, new) in list(changed.items())[:20]:
         StderrConsole().print(
-            f"  {name}: {'-' if old is None else f'{old:.3f}'} -> {'-' if new is None else f'{new:.3f}'}"
+            f"  {name}: {'-' if old is None else f'{old:.3f}'} -> {'-' if new is None else f'{new:.3f}'}", markup=False
         )
-    StderrConsole().print(f"{what}: {len(names) or 'no'} memories selected, {len(changed)} weights changed")
+    StderrConsole().print(
+        f"{what}: {len(names) or 'no'} memories selected, {len(changed)} weights changed", markup=False
+    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import shutil
+import shlex
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -203,8 +203,7 @@ def _print_summary(folder: Path, imported: ImportResult, written: FolderWriteRes
             print_result(f"  {title}: {line}")
     if not written.is_new and not written.generator_changes:
         print_result("  imported again: nothing changed")
-    width = shutil.get_terminal_size().columns
-    print_result(f"Next: dualbrain robot inspect {folder} --view"[:width])
+    print_result(f"Next: dualbrain robot inspect {shlex.quote(str(folder))} --view")
 
 
 def _print_progress(text: str) -> None:

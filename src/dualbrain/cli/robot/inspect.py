@@ -7,15 +7,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
-from rich.table import Table
+from rich.markup import escape
 
-from dualbrain.cli.common.console import VisibleConsole, print_message, print_result
+from dualbrain.cli.common.console import VisibleConsole, print_message, print_result, print_table
 from dualbrain.cli.common.exit_codes import ExitCode
 
 if TYPE_CHECKING:
     from dualbrain.robots.assets.meshes import Mesh
-    from dualbrain.robots.importer.report import ImportReport
+    from dualbrain.robots.importer.report import LinkReport
     from dualbrain.robots.model import RobotModel
+
+COVERAGE_HEADS = ("link", "group", "spheres", "coverage", "excess [mm]: mean", "maximum")
 
 
 def inspect(
@@ -38,7 +40,7 @@ def inspect(
     port
         Port of the view.
     """
-    from dualbrain.robots.importer.output.markdown import missing_information
+    from dualbrain.robots.importer.output.markdown import bound_rows, missing_information
     from dualbrain.robots.importer.output.robot_folder import find_edits, read_import_files
     from dualbrain.robots.loader import load_robot
 
@@ -46,9 +48,9 @@ def inspect(
     folder = Path(robot)
     report, _ = read_import_files(folder) if folder.is_dir() else (None, None)
     console = VisibleConsole()
-    console.print(_bounds_table(robot_model))
+    print_table(("joint", "bound", "value", "from"), bound_rows(robot_model), wrap_columns=("from",))
     if report:
-        console.print(_coverage_table(report))
+        print_table(COVERAGE_HEADS, map(_coverage_row, report.links))
     kept = len(robot_model.self_pairs.kept)
     console.print(
         f"{len(robot_model.spheres)} spheres, {kept} link pairs checked for self-collision, "
@@ -58,33 +60,15 @@ def inspect(
         console.print(f"edited: {change}", markup=False)
     missing = missing_information(robot_model, report)
     for line in missing:
-        console.print(f"[red]missing[/]: {line}")
+        console.print(f"[red]missing[/]: {escape(line)}")
     if view:
         _serve_view(robot_model, folder, port)
     return ExitCode.SETUP if missing else ExitCode.SUCCESS
 
 
-def _bounds_table(robot_model: RobotModel) -> Table:
-    from dualbrain.robots.importer.output.markdown import bound_rows
-
-    table = Table("joint", "bound", "value", "from", box=None, pad_edge=False)
-    for row in bound_rows(robot_model):
-        table.add_row(*row)
-    return table
-
-
-def _coverage_table(report: ImportReport) -> Table:
-    table = Table("link", "group", "spheres", "coverage", "excess [mm]: mean", "maximum", box=None, pad_edge=False)
-    for link in report.links:
-        table.add_row(
-            link.link,
-            link.group,
-            str(link.spheres),
-            f"{link.coverage:.2%}",
-            f"{link.mean * 1e3:.1f}",
-            f"{link.worst * 1e3:.1f}",
-        )
-    return table
+def _coverage_row(link: LinkReport) -> tuple[str, ...]:
+    excess = (f"{link.mean * 1e3:.1f}", f"{link.worst * 1e3:.1f}")
+    return (link.link, link.group, str(link.spheres), f"{link.coverage:.2%}", *excess)
 
 
 def _serve_view(robot_model: RobotModel, folder: Path, port: int) -> None:

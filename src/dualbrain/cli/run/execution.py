@@ -133,7 +133,7 @@ def print_title(console: Console, session: Session) -> None:
     config = session.config
     title = escape(storable_text(config.instruction, 400)) or "a given contract"
     where = f"continues {config.after}" if config.after else f"scene {config.scene}"
-    console.print(f"[bold]{title}[/]  [dim]{config.robot}, {escape(where)}, {config.out}[/]")
+    console.print(f"[bold]{title}[/]  [dim]{escape(f'{config.robot}, {where}, {config.out}')}[/]")
     if not config.guard:
         console.print(f"[bold yellow]{FILTER_OFF_NOTICE}[/]")
     if _has_documents_to_read(config) and (reason := no_documents_reason(session.planner)):
@@ -168,7 +168,7 @@ def run_session(
         path = session.config.out / "report.html"
         memories = project_memories(session.memory)
         write_report(path, result.episode, result.trace, camera.snapshots, memories, result.earlier_episodes)
-        console.print(f"[dim]report: {path}[/]")
+        console.print(f"[dim]report: {escape(str(path))}[/]")
 
     return result, report
 
@@ -295,9 +295,8 @@ def _print_result(console: Console, result: RunResult) -> None:
         console.print(words)
     if episode.judgement:
         for violation in episode.judgement.violations:
-            console.print(
-                f"[red]violation[/] {violation.kind} at {violation.start:.2f} s: {' × '.join(violation.bodies)}"
-            )
+            bodies = escape(" × ".join(violation.bodies))
+            console.print(f"[red]violation[/] {violation.kind} at {violation.start:.2f} s: {bodies}")
     console.print(escape(describe_judgement(episode)))
     moved = episode.contract is not None and episode.outcome.kind != "declined"
     for one in episode.senses if moved else ():
@@ -305,5 +304,5 @@ def _print_result(console: Console, result: RunResult) -> None:
     if is_not_judged(episode):
         console.print("[yellow]It was not judged whether the instruction was carried out.[/]")
     if episode.uses:
-        console.print(f"retrieval utility: {summarize_uses(episode.uses)}")
-    console.print(f"[dim]{result.store_report}[/]")
+        console.print(f"retrieval utility: {summarize_uses(episode.uses)}", markup=False)
+    console.print(f"[dim]{escape(str(result.store_report))}[/]")

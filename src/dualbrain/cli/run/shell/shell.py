@@ -197,7 +197,7 @@ class Shell:
         elif self._stops(words):
             self._stop()
         elif reason := self.worker.submit(words):
-            self.console.print(f"[yellow]{reason}[/]")
+            self.console.print(f"[yellow]{escape(reason)}[/]")
 
     def _moves(self) -> bool:
         """Whether an instruction is being carried out."""
