@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 
 from dualbrain import __version__
@@ -17,7 +18,23 @@ INSTALL_HINT = (
 
 def main() -> None:
     """Run the command line and exit with its exit code; without the extra `cli`, name it and exit with 2."""
+    open_closed_streams()
     sys.exit(run_program(sys.argv[1:]))
+
+
+def open_closed_streams() -> None:
+    """Open the null device in place of each standard stream that the caller closed (`dualbrain … <&-`).
+
+    Otherwise the first file that is opened, such as a recording, has the number of a standard stream, and libraries
+    write their messages into it.
+    """
+    for number, (name, mode) in enumerate((("stdin", "r"), ("stdout", "w"), ("stderr", "w"))):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest free number, which is this one
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115  (until the process ends)
 
 
 def run_program(arguments: list[str]) -> int:

@@ -103,3 +103,27 @@ def test_a_listing_into_a_closed_pipe_ends_without_error(tmp_path):
     _, err = process.communicate(b"\n", timeout=60)
     assert process.returncode == 0
     assert err == b""
+
+
+CLOSED = ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"]
+
+
+@pytest.mark.parametrize("closed", CLOSED)
+def test_a_closed_stream_is_the_null_device(closed: str) -> None:
+    """Without a standard input, `check -`, `run` and `shell` ended with a traceback."""
+    command = f'exec "$0" -m dualbrain check - {closed}'
+    arguments = ["sh", "-c", command, sys.executable]
+    done = subprocess.run(arguments, input="", capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 3
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("closed", CLOSED)
+def test_no_file_gets_the_number_of_a_closed_stream(closed: str, tmp_path: Path) -> None:
+    program = (
+        "import sys; from dualbrain.__main__ import open_closed_streams; open_closed_streams(); "
+        "sys.exit(open(sys.argv[1], 'w').fileno() > 2)"
+    )
+    command = f'exec "$0" -c "$1" "$2" {closed}'
+    arguments = ["sh", "-c", command, sys.executable, program, str(tmp_path / "file")]
+    assert subprocess.run(arguments, input=b"", timeout=60, check=False).returncode == 1
