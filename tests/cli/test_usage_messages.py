@@ -4,6 +4,15 @@ import pytest
 
 from dualbrain.cli.main import run_command_line
 
+SEEDED_COMMANDS = [
+    [*command, "--seed", "-1"]
+    for command in (["run", "x"], ["shell"], ["gatekeeper"], ["mcp"], ["console"], ["fault", "state", "off"])
+]
+COMMANDS_WITH_A_PORT = [
+    [*command, "--port", "99999"]
+    for command in (["run", "x"], ["shell"], ["scene", "new", "a.json"], ["robot", "inspect", "--view"])
+]
+
 
 @pytest.mark.parametrize(
     ("arguments", "expected"),
@@ -26,6 +35,22 @@ def test_a_usage_error_states_the_correct_call(arguments, expected, capsys):
     assert expected in printed.err
     assert "Unused Tokens" not in printed.err
     assert not printed.out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        *((command, '"-1" for --seed. Must be >= 0.') for command in SEEDED_COMMANDS),
+        *((command, '"99999" for --port. Must be <= 65535.') for command in COMMANDS_WITH_A_PORT),
+        (["run", "x", "--port", "0"], '"0" for --port. Must be >= 1.'),
+        (["scene", "show", "8", "--image", "scene.txt"], "--image: got 'scene.txt', allowed: the name of a PNG file"),
+        (["robot", "init", "arm.urdf", "--lock", "elbow=nan"], "--lock: got 'elbow=nan', allowed: JOINT=VALUE"),
+    ],
+)
+def test_a_number_out_of_range_is_a_usage_error(arguments, expected, capsys):
+    """Each of them ended with a traceback, some of them after the run folder and the ledger were written."""
+    assert run_command_line(arguments) == 2
+    assert expected in " ".join(capsys.readouterr().err.replace("│", " ").split())
 
 
 def test_an_unknown_option_is_reported_by_name(capsys):

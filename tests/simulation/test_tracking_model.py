@@ -1,5 +1,7 @@
 """The tracking model: a known lag is recovered, and the leaky integral bounds the decrease of a barrier."""
 
+from math import inf, nan
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -149,7 +151,9 @@ def test_velocity_actuators_have_a_larger_error():
     assert len(found.largest) == 7
 
 
-@pytest.mark.parametrize("bad", [{"seeds": ()}, {"seconds": 0.1}, {"load": -1.0}])
+@pytest.mark.parametrize(
+    "bad", [{"seeds": ()}, {"seconds": 0.1}, {"seconds": nan}, {"seconds": inf}, {"load": -1.0}, {"load": nan}]
+)
 def test_invalid_identification_settings_are_rejected(bad):
     with pytest.raises(ConfigurationError, match="at least"):
         identify_plant(PANDA, **bad)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from dualbrain.contracts.contract import Action, Context, Contract
+from dualbrain.errors import ConfigurationError
 from dualbrain.robots.loader import load_robot
 from dualbrain.simulation.perception.noisy_perception import NO_NOISE, NoisyPerception
 from dualbrain.simulation.plant.factory import make_plant
@@ -117,3 +118,8 @@ def test_the_goal_of_a_contract_with_perceived_names_is_that_of_the_true_objects
     world.start_contract(steps(("orange_block", "dish")))
     assert world.judgement().judged
     assert world._judge.goal == PlacementGoal("red_cube", "blue_bowl")
+
+
+def test_a_negative_seed_is_refused():
+    with pytest.raises(ConfigurationError, match="seed: got -1, allowed: 0 or more"):
+        world_of_scene(open_scene("bare:0"), load_robot("panda"), seed=-1)

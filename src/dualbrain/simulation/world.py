@@ -9,6 +9,7 @@ import numpy as np
 
 from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.gate.authorization import PLANNER
+from dualbrain.errors import ConfigurationError
 from dualbrain.records import Judgement, JudgementBasis, Scene, Violation
 from dualbrain.robots.model import RobotModel
 from dualbrain.simulation.monitoring.handling import is_unharmed
@@ -256,8 +257,11 @@ def make_world(
 
     `perception` makes the perception model of a plant; by default the declared noise, drawn from `seed`.
     `instruction_judge` judges the instruction on ground truth. `start` is the state of the robot at the beginning, by
-    default at home with open fingers; raises `ConfigurationError` if it is the state of another robot.
+    default at home with open fingers; raises `ConfigurationError` if it is the state of another robot, or if `seed` is
+    negative.
     """
+    if seed < 0:
+        raise ConfigurationError("seed", got=seed, allowed="0 or more")
     plant = make_plant(spec, robot_model, visuals=visuals)
     if start is not None:
         plant.restore(start)

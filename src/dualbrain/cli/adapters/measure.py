@@ -10,6 +10,7 @@ import msgspec
 from cyclopts import Parameter
 
 from dualbrain.cli.adapters.registry import open_adapter_registry
+from dualbrain.cli.common.arguments import Seed
 from dualbrain.cli.common.console import StderrConsole
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.memory.open_memory import ledger_path, open_reader, print_json
@@ -35,7 +36,7 @@ def measure(
     most: HiddenDefault = 0,
     fly: bool = True,
     ledger: Path | None = None,
-    seed: int = 0,
+    seed: Seed = 0,
     threads: int = 1,
     json: Flag = False,
 ) -> int:

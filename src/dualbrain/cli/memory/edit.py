@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import msgspec
 from cyclopts import Parameter
 
+from dualbrain.cli.common.arguments import Seed
 from dualbrain.cli.common.console import StderrConsole, print_result, print_table
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.memory.open_memory import (
@@ -155,7 +156,7 @@ def rollback(event: int, /, *, reason: str, ledger: Path | None = None, json: Fl
 
 
 def replay(
-    name: str, /, *, tries: int = 5, seed: int = 0, note: Note = True, ledger: Path | None = None, json: Flag = False
+    name: str, /, *, tries: int = 5, seed: Seed = 0, note: Note = True, ledger: Path | None = None, json: Flag = False
 ) -> int:
     """Run a remembered contract again in simulation, through gate and filter, and compare outcome and Δ.
 

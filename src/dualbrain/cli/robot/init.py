@@ -5,11 +5,13 @@ from __future__ import annotations
 import shlex
 import time
 from collections.abc import Mapping, Sequence
+from math import isfinite, nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
+from dualbrain.cli.common.arguments import Seed
 from dualbrain.cli.common.console import print_message, print_result
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.errors import UsageError
@@ -42,7 +44,7 @@ def init(
     turn_acceleration: float | None = None,
     spheres: int = 96,
     quick: Annotated[bool, Parameter(negative="")] = False,
-    seed: int = 0,
+    seed: Seed = 0,
     discard_edits: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
     """Import a robot from its description into a folder with robot model, README and image.
@@ -235,7 +237,9 @@ def _parse_locks(given: Sequence[str]) -> dict[str, float]:
         try:
             locks[joint] = float(value if sign else "none")
         except ValueError:
-            raise UsageError("--lock", got=one, allowed="JOINT=VALUE, in rad or m") from None
+            locks[joint] = nan
+        if not isfinite(locks[joint]):
+            raise UsageError("--lock", got=one, allowed="JOINT=VALUE, in rad or m")
     return locks
 
 

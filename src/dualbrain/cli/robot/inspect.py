@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 from rich.markup import escape
 
+from dualbrain.cli.common.arguments import Port
 from dualbrain.cli.common.console import VisibleConsole, print_message, print_result, print_table
 from dualbrain.cli.common.exit_codes import ExitCode
 
@@ -25,7 +26,7 @@ def inspect(
     /,
     *,
     view: Annotated[bool, Parameter(negative="")] = False,
-    port: int = 8081,
+    port: Port = 8081,
 ) -> int:
     """Show the robot model that the filter uses: bounds with provenance, spheres, link pairs, missing information.
 

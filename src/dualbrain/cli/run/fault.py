@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from dualbrain.cli.common.arguments import Seed
 from dualbrain.cli.common.exit_codes import ExitCode
 
 FaultSource = Literal["state", "scene", "clock", "qp", "drive", "planner", "socket", "target"]
@@ -21,7 +22,7 @@ def fault(
     moment: FaultMoment = "closing",
     scene: str = "tabletop:1",
     robot: str = "panda",
-    seed: int = 0,
+    seed: Seed = 0,
     target: str = "",
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:

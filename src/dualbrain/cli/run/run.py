@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from dualbrain.cli.common.arguments import parse_fraction
+from dualbrain.cli.common.arguments import Port, Seed, parse_fraction
 from dualbrain.cli.common.console import StderrConsole, print_message
 from dualbrain.cli.common.spinner import Spinner
 from dualbrain.errors import UsageError
@@ -35,9 +35,9 @@ def run(
     headless: bool = False,
     out: Path | None = None,
     ledger: Path | None = None,
-    seed: int = 0,
+    seed: Seed = 0,
     tries: int = DEFAULT_TRIES,
-    port: int = 8080,
+    port: Port = 8080,
     knowledge: Literal["on", "site", "off"] = "site",
     image_memory: Annotated[bool, Parameter(negative="")] = False,
     reuse_contracts: Annotated[bool, Parameter(negative="")] = False,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+from dualbrain.cli.common.arguments import PortOrAny
 from dualbrain.cli.common.console import StderrConsole, print_result, print_table
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.errors import ConfigurationError, MissingDependencyError, UsageError
@@ -64,6 +65,8 @@ def show_scene(scene: str = "0", /, *, robot: str = "panda", image: Path | None 
     from dualbrain.cli.scenes.scene_table import scene_lines
     from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
+    if image is not None and image.suffix.lower() != ".png":
+        raise UsageError("--image", got=str(image), allowed="the name of a PNG file, such as scene.png")
     _require_scenes(robot)
     spec = open_scene(scene, robot)
     for line in scene_lines(spec):
@@ -101,7 +104,7 @@ def _write_image(spec: SceneSpec, robot: str, path: Path) -> None:
         imsave(path, camera.capture())
 
 
-def new_scene(file: Path, /, *, scene: str = "bare:0", robot: str = "panda", port: int = 8090) -> int:
+def new_scene(file: Path, /, *, scene: str = "bare:0", robot: str = "panda", port: PortOrAny = 8090) -> int:
     """Open a page in which objects are dragged, and save the scene as a file for `--scene FILE`.
 
     The page cannot be reached from other machines. It saves only a scene without problems: no overlaps, nothing beside

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from dualbrain.cli.common.arguments import parse_fraction
+from dualbrain.cli.common.arguments import Seed, parse_fraction
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.core.paths import dualbrain_home
 
@@ -24,7 +24,7 @@ def gatekeeper(
     socket: Path | None = None,
     keys: Path | None = None,
     speed: str = "100%",
-    seed: int = 0,
+    seed: Seed = 0,
     record: Path | None = None,
     site: Path | None = None,
     driver: str = "",

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from cyclopts import Parameter
 
-from dualbrain.cli.common.arguments import parse_fraction
+from dualbrain.cli.common.arguments import Seed, parse_fraction
 
 if TYPE_CHECKING:
     from dualbrain.agent_api.robot import Robot
@@ -25,7 +25,7 @@ class RobotOptions:
     scene: str = "0"
     """Scene of the simulated robot: a number, FAMILY:SEED or a scene file."""
 
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the perception noise."""
 
     speed: str = "100%"

@@ -12,7 +12,7 @@ y = q + lag v, so that max_k,t e_k is convex in the lag and ternary search finds
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from math import ceil
+from math import ceil, inf
 
 import msgspec
 import numpy as np
@@ -86,7 +86,7 @@ def identify_plant(
     `seconds` is the duration of each run; `progress` receives the finished share and a description. Raises
     `ConfigurationError` for runs that are too short, for an empty list of seeds, and for a negative load.
     """
-    if not seeds or seconds < MIN_DURATION or load < 0.0:
+    if not seeds or not MIN_DURATION <= seconds < inf or not 0.0 <= load < inf:
         raise ConfigurationError(
             "identification",
             got=f"{len(seeds)} seeds, {seconds:g} s, {load:g} kg",

@@ -13,7 +13,7 @@ from cyclopts import Parameter
 from rich.console import Console
 from rich.markup import escape
 
-from dualbrain.cli.common.arguments import parse_fraction
+from dualbrain.cli.common.arguments import Port, Seed, parse_fraction
 from dualbrain.cli.common.console import StderrConsole
 from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.run.run import DEFAULT_TRIES, MAX_TRIES
@@ -34,9 +34,9 @@ def shell(
     headless: bool = False,
     out: Path = Path("runs"),
     ledger: Path | None = None,
-    seed: int = 0,
+    seed: Seed = 0,
     tries: int = DEFAULT_TRIES,
-    port: int = 8080,
+    port: Port = 8080,
     knowledge: Literal["on", "site", "off"] = "site",
     reuse_contracts: Annotated[bool, Parameter(negative="")] = False,
     live: Annotated[bool, Parameter(negative="")] = False,
