@@ -11,11 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dualbrain.control.recording.trace import Trace
+from dualbrain.control.recording.trace import Event, Trace
 from dualbrain.memory.maintenance.projection import MemoryProjection
 from dualbrain.records import Attempt, Episode, Outcome, SceneObject
 from dualbrain.robots.interface import RobotState
 from dualbrain.safety.barriers import BARRIERS
+from dualbrain.visualization.html import memory_map
 from dualbrain.visualization.html.attempts import combine
 from dualbrain.visualization.html.key_numbers import key_numbers
 from dualbrain.visualization.html.memory_map import memory_map_section
@@ -23,6 +24,7 @@ from dualbrain.visualization.html.page import Html, element, table
 from dualbrain.visualization.html.plot_style import image_figure, light_colours
 from dualbrain.visualization.html.run_report import (
     FILTER_OFF_NOTICE,
+    MAX_EVENTS,
     Snapshot,
     intervention_in_words,
     render_report,
@@ -220,6 +222,32 @@ def test_numbers_that_were_not_measured_are_dashes(rejected: Episode, episode: E
     }
     assert all(isinstance(one.value, float | int) for one in key_numbers(episode))
     assert isinstance(element("p"), Html)
+
+
+def test_a_report_states_that_not_all_events_are_listed(episode: Episode) -> None:
+    """It named the number of all events, listed the first 400, and left out the end of a long run without a word."""
+    trace = Trace(7)
+    for k in range(MAX_EVENTS + 100):
+        trace.events.append(Event(0.1 * k, "phase", f"event number {k}"))
+    page = render_report(episode, trace)
+    assert f"{MAX_EVENTS + 100} events, of which the first and the last {MAX_EVENTS // 2} are listed" in page
+    assert page.count("event number ") == MAX_EVENTS
+    assert f"event number {MAX_EVENTS + 99}<" in page
+    del trace.events[MAX_EVENTS:]
+    assert f"{MAX_EVENTS} events<" in render_report(episode, trace)
+
+
+def test_the_memory_map_states_that_only_the_newest_are_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(memory_map, "MAX_POINTS", 3)
+    drawn = MemoryProjection(
+        points=np.random.default_rng(0).standard_normal((5, 2)),
+        weights=np.full(5, 0.5),
+        episode_ids=tuple("abcde"),
+        kinds=("succeeded",) * 5,
+        statuses=("active",) * 5,
+        explained_variance=0.61,
+    )
+    assert "the newest 3 of 5 memories;" in memory_map_section(drawn, "e")
 
 
 def test_the_memory_map_needs_three_memories():

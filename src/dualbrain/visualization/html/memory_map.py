@@ -23,12 +23,17 @@ def memory_map_section(projection: MemoryProjection, newest: str) -> Html:
     if len(projection.episode_ids) < 3:
         return section("Memory map", element("p", "Too few memories for a map.", class_="muted"))
     legend = (
-        f"{len(projection.episode_ids)} memories; similar memories are near each other. The two axes show "
+        f"{_count_in_words(len(projection.episode_ids))}; similar memories are near each other. The two axes show "
         f"{projection.explained_variance:.0%} of the variance. Circles succeeded, crosses failed, points had other "
         "outcomes; hollow markers are excluded or not confirmed. The colour is w: red below 0.2, amber below 0.4, grey "
         "below 0.6, light blue below 0.8, blue above. The ring marks this run."
     )
     return section("Memory map", element("p", legend, class_="muted"), _chart(projection, newest))
+
+
+def _count_in_words(count: int) -> str:
+    """The number of memories, and that of the drawn ones if it is less."""
+    return f"{count} memories" if count <= MAX_POINTS else f"the newest {MAX_POINTS} of {count} memories"
 
 
 def _chart(drawn: MemoryProjection, newest: str) -> Html:

@@ -37,6 +37,8 @@ IMAGE_WIDTH = 960
 """Largest width of an image [pixel]: a click enlarges it to this width."""
 NO_INSTRUCTION_TITLE = "a given contract"
 MAX_TEXT_CHARACTERS = 4000
+MAX_EVENTS = 400
+"""Largest number of listed events: of more, the first and the last half of this number."""
 NO_CONTROL = "No control was executed, so there is nothing to plot."
 TICKS_ELSEWHERE = (
     "The control ticks are not in this report; the gatekeeper records them if it is started with --record."
@@ -373,10 +375,17 @@ def _barriers(episode: Episode) -> Html:
 def _events(events: Sequence[Event]) -> Html:
     if not events:
         return Html("")
-    rows = [(f"{event.t:.3f}", event.kind, event.text) for event in events[:400]]
+    count = len(events)
+    shown = [*events[: MAX_EVENTS // 2], *events[count - MAX_EVENTS // 2 :]] if count > MAX_EVENTS else events
+    words = (
+        f"{count} events"
+        if count <= MAX_EVENTS
+        else f"{count} events, of which the first and the last {MAX_EVENTS // 2} are listed"
+    )
+    rows = [(f"{event.t:.3f}", event.kind, event.text) for event in shown]
     listed = element(
         "details",
-        element("summary", f"{len(events)} events"),
+        element("summary", words),
         table(("t [s]", "kind", "event"), rows, right_aligned=(0,)),
     )
     return section("Events", listed)
