@@ -129,6 +129,16 @@ def test_without_gatekeepers_doctor_states_that_none_is_running(monkeypatch, tmp
     assert [(one.state, one.text) for one in doctor._gatekeepers()] == [("ok", "none is running")]
 
 
+def test_a_relative_data_folder_is_that_of_the_process(tmp_path):
+    """Its socket was looked for in the folder of the command, so an emergency stop did not reach the gatekeeper."""
+    sleeper = [sys.executable, "-c", "input()"]
+    environ = os.environ | {"DUALBRAIN_HOME": "data"}
+    with subprocess.Popen(sleeper, stdin=subprocess.PIPE, cwd=tmp_path, env=environ) as process:
+        found = wait_for(lambda: module._started_by_person(process.pid, ["dualbrain", "gatekeeper"]))
+        process.communicate(b"\n")
+    assert (found.socket, found.keys) == (str(tmp_path / "data" / "gatekeeper.sock"), str(tmp_path / "data" / "keys"))
+
+
 # --- real processes -------------------------------------------------------------------------------------------------
 
 

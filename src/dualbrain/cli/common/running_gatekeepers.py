@@ -168,7 +168,7 @@ def _started_by_person(pid: int, arguments: list[str]) -> Registration | None:
     if at == 0 or Path(arguments[at - 1]).name not in ("dualbrain", "__main__.py"):
         return None
     options, folder = _options(arguments[at + 1 :]), Path(f"/proc/{pid}/cwd").readlink()
-    home = _home(pid)
+    home = folder / _home(pid)
     socket, keys = (
         str(folder / options[name]) if name in options else str(home / default)
         for name, default in (("socket", "gatekeeper.sock"), ("keys", "keys"))
