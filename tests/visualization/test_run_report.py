@@ -3,6 +3,7 @@
 import html
 import re
 from html.parser import HTMLParser
+from math import nan
 from pathlib import Path
 
 import msgspec
@@ -79,13 +80,18 @@ def test_plain_text_is_escaped(text: str) -> None:
     assert table(("a",), [(text,)]).count("<td") == 1
 
 
-@given(st.lists(st.floats(-1, 1), min_size=1, max_size=300), st.integers(1, 20))
-def test_downsampling_keeps_order_ends_and_extremes(values: list[float], buckets: int) -> None:
+@given(st.lists(st.floats(-1, 1) | st.just(nan), min_size=1, max_size=300), st.integers(1, 20))
+def test_downsampling_keeps_order_ends_extremes_and_gaps(values: list[float], buckets: int) -> None:
     t, y = np.arange(len(values)) * 0.1, np.array(values)
     thin_t, thin_y = min_max_downsample(t, y, buckets)
     assert np.all(np.diff(thin_t) > 0)
-    assert len(thin_t) <= 2 * buckets + 2
-    assert (thin_y.min(), thin_y.max(), thin_t[0], thin_t[-1]) == (y.min(), y.max(), t[0], t[-1])
+    assert len(thin_t) <= 3 * buckets + 2
+    assert (thin_t[0], thin_t[-1], np.isnan(thin_y).any()) == (t[0], t[-1], np.isnan(y).any())
+    known, thin_known = y[~np.isnan(y)], thin_y[~np.isnan(thin_y)]
+    assert (thin_known.min(initial=2.0), thin_known.max(initial=-2.0)) == (
+        known.min(initial=2.0),
+        known.max(initial=-2.0),
+    )
 
 
 @pytest.fixture(scope="module")

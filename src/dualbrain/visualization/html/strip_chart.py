@@ -49,16 +49,20 @@ STATUS_COLOURS: Mapping[str, str] = {
 
 
 def min_max_downsample(t: Array, y: Array, buckets: int = MAX_BUCKETS) -> tuple[Array, Array]:
-    """`y(t)` reduced to the least and the greatest value of each bucket in time order, so that peaks remain."""
+    """`y(t)` reduced to the least, the greatest and a missing value of each bucket, so that peaks and gaps remain."""
     if len(t) <= 2 * buckets:
         return t, y
     edges = np.linspace(0, len(t), buckets + 1).astype(int)
-    kept = np.empty(2 * buckets, int)
-    for k, (first, end) in enumerate(pairwise(edges)):
-        part = np.nan_to_num(y[first:end], nan=np.inf)
-        kept[2 * k : 2 * k + 2] = np.sort([first + part.argmin(), first + part.argmax()])
-    kept = np.unique(np.r_[0, kept, len(t) - 1])
+    found = [first + one for first, end in pairwise(edges) for one in _extremes(y[first:end])]
+    kept = np.unique([0, *found, len(t) - 1])
     return t[kept], y[kept]
+
+
+def _extremes(part: Array) -> tuple[int, ...]:
+    """Indices of the least and of the greatest value of `part`, and of a NaN if there is one."""
+    missing = np.isnan(part)
+    extremes = (int(np.where(missing, np.inf, part).argmin()), int(np.where(missing, -np.inf, part).argmax()))
+    return (*extremes, int(missing.argmax())) if missing.any() else extremes
 
 
 def strip_chart(episode: Episode, trace: Trace) -> Html:
