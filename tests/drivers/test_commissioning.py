@@ -115,6 +115,8 @@ def test_acceptable_answers_are_recorded_and_open_the_arm(lab, capsys):
         ("bolted = true", "bolted = false", "mounting.bolted"),
         ("[0.7, 0.0, -0.002]", "[0.7, 0.0, 0.004]", "table.points"),
         ("[0.7, 0.0, -0.002]", "[0.4, 0.0, 0.0]", "table.points"),
+        ("[0.7, 0.0, -0.002]", "[0.7, nan, -0.002]", "table.points"),
+        ("[0.4, 0.3, -0.001]", "[inf, 0.3, -0.001]", "table.points"),
         ("[[0.4, 0.3, -0.001], [0.4, -0.3, 0.0], [0.7, 0.0, -0.002]]", "[]", "table.points"),
         ("rest = 0.2", "rest = 0.8", "estop.rest [s]"),
         ("speed = 0.3", "speed = 0.0", "estop.speed [rad/s]"),

@@ -242,8 +242,10 @@ def _check_mounting(mounting: MountingAnswer) -> list[ChecklistFlaw]:
 
 def _check_table(answers: Checklist, site: Site) -> list[ChecklistFlaw]:
     points = np.array(answers.table.points, dtype=float).reshape(-1, 3)
-    spans_plane = np.linalg.matrix_rank(points - points[0], tol=0.05) >= 2 if len(points) >= 3 else False
-    if not (spans_plane and np.isfinite(points).all()):
+    if not np.isfinite(points).all():
+        got = [tuple(point) for point in points.tolist()]
+        return [ChecklistFlaw("table.points", got, "finite coordinates [m]")]
+    if not (len(points) >= 3 and np.linalg.matrix_rank(points - points[0], tol=0.05) >= 2):
         allowed = "three points or more, at least 5 cm apart and not on one line"
         return [ChecklistFlaw("table.points", len(points), allowed)]
     if any(_are_on_plane(plane, points) for plane in site.plane):
