@@ -8,13 +8,15 @@ import numpy as np
 import pytest
 
 from dualbrain.drivers.ros2 import dds_types as ros
-from dualbrain.drivers.ros2.dds_node import RELIABLE, RELIABLE_NEWEST
+from dualbrain.drivers.ros2.dds_node import RELIABLE, RELIABLE_NEWEST, DdsNode
+from dualbrain.drivers.ros2.joint_order import JointStates
 from dualbrain.drivers.ros2.problems import Level
 from tests.drivers.ros2.dds_peer import COMMANDS, LOCAL, SAFE, Peer, running_node, take_markers
-from tests.drivers.ros2.node_under_test import NAMES, PANDA, urdf_of
+from tests.drivers.ros2.node_under_test import HOME, NAMES, PANDA, PERIOD, make_core, urdf_of
 
 pytestmark = pytest.mark.realtime
 SLOW = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.3]
+ACCELERATIONS = np.array([joint.acceleration.value for joint in PANDA.joints])
 
 
 @pytest.fixture
@@ -76,3 +78,42 @@ def test_silent_joint_states_and_a_simulated_clock(tmp_path, domain):
         peer.wait_for(Level.ERROR, "The clock jumped", command=SLOW)
         peer.wait_for_motion(SLOW)
         assert peer.v == pytest.approx(SLOW, abs=1e-5)
+
+
+class Recorder:
+    """Records the safe commands of a node with the times at which they are sent."""
+
+    def __init__(self, writer):
+        self.guid, self.sent, self.times = writer.guid, [], []
+
+    def write(self, message):
+        self.sent.append(list(message.data))
+        self.times.append(time.monotonic())
+
+
+def moving_node(domain, **changes):
+    """A node in this process whose arm moves at `SLOW`, and the record of its safe commands."""
+    node = DdsNode(make_core(**changes), "dualbrain_filter", domain)
+    node._safe = Recorder(node._safe)
+    for step in range(40):
+        now = 50.0 + step * PERIOD
+        node._core.receive_command(SLOW, now, now)
+        node._turn_begin = time.monotonic()
+        node._send(node._core.receive_states(JointStates(NAMES, HOME.tolist(), node._last or [0.0] * 7, now), now, now))
+    assert node._last == pytest.approx(SLOW, abs=1e-5)
+    del node._safe.sent[:-1], node._safe.times[:-1]
+    return node, node._safe
+
+
+def test_without_a_clock_the_node_brakes_one_step_per_period_however_often_it_wakes_up(domain):
+    node, record = moving_node(domain, use_sim_time=True)
+    node._clock.receive(50.0 + 40 * PERIOD, time.monotonic() - 10.0)
+    for _ in range(60):
+        node._turn()
+        time.sleep(0.001)
+    assert len(record.sent) - 1 <= 1.0 + (record.times[-1] - record.times[0]) / PERIOD
+    assert np.all(np.abs(np.diff(np.array(record.sent), axis=0)) <= 1.0001 * ACCELERATIONS * PERIOD)
+    assert record.sent[-1] == [0.0] * 7
+    diagnosis = node._core.diagnose(node._clock.elapsed)
+    assert diagnosis.level is Level.STALE
+    assert "/clock is silent" in diagnosis.message

@@ -121,6 +121,7 @@ class DdsNode:
         self._due = {"diagnostics": 0.0, "markers": 0.0, "discovery": 0.0}
         self._latencies: list[float] = []
         self._last: list[float] = []
+        self._turn_begin, self._sent_at = -inf, -inf  # of this turn, and of the one that sent `_last` [s, monotonic]
 
     def _reader(self, topic: str, kind: Any, quality: Qos) -> Any:
         name = ros.topic_name(absolute_topic(topic))
@@ -144,7 +145,7 @@ class DdsNode:
 
     def _turn(self) -> None:
         """Take all messages, step, and report."""
-        begin = time.monotonic()
+        begin = self._turn_begin = time.monotonic()
         clock_problem = self._read_clock(begin)
         if text := _newest(self._descriptions):
             self._core.description.receive(text.data)
@@ -154,7 +155,7 @@ class DdsNode:
         if clock_problem and not self._clock.started:
             self._core.problems.note(Level.STALE, "clock", clock_problem)
         elif clock_problem:
-            self._send(self._core.brake("clock", clock_problem, self._clock.elapsed, Level.STALE))
+            self._brake_without_clock(clock_problem)
         elif self._clock.started:
             self._send(self._core.idle(self._clock.elapsed))
         self._report(time.monotonic())
@@ -185,9 +186,17 @@ class DdsNode:
             self._latencies.append(time.monotonic() - begin)
         return velocities
 
+    def _brake_without_clock(self, problem: str) -> None:
+        """Brake one step if a period has passed since the last command: messages may wake the node more often."""
+        now, period = self._clock.elapsed, self._core.parameters.period
+        if self._turn_begin - self._sent_at < period:
+            self._core.refuse("clock", problem, now, Level.STALE)
+        else:
+            self._send(self._core.brake("clock", problem, now, Level.STALE))
+
     def _send(self, velocities: list[float] | None) -> None:
         if velocities is not None:
-            self._last = velocities
+            self._last, self._sent_at = velocities, self._turn_begin
             self._safe.write(ros.Float64MultiArray(data=velocities))
 
     def _stop(self) -> None:
