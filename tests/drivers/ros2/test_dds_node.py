@@ -3,6 +3,7 @@
 import os
 import signal
 import time
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -117,3 +118,28 @@ def test_without_a_clock_the_node_brakes_one_step_per_period_however_often_it_wa
     diagnosis = node._core.diagnose(node._clock.elapsed)
     assert diagnosis.level is Level.STALE
     assert "/clock is silent" in diagnosis.message
+
+
+@pytest.mark.parametrize("fault", [None, RuntimeError("the filter failed")])
+def test_the_last_command_of_a_node_that_cannot_brake_to_rest_is_zero(domain, monkeypatch, fault):
+    node, record = moving_node(domain)
+
+    def brake(*arguments):
+        if fault is not None:
+            raise fault
+        return SLOW
+
+    monkeypatch.setattr(node._core, "brake", brake)
+    monkeypatch.setattr("dualbrain.drivers.ros2.dds_node.MIN_STOP_TIME", 0.02)
+    with pytest.raises(RuntimeError) if fault else nullcontext():
+        node.run(lambda: True)
+    assert record.sent[-1] == [0.0] * 7
+
+
+def test_a_node_that_ends_brakes_within_the_limits_also_if_that_takes_longer(domain, monkeypatch):
+    node, record = moving_node(domain)
+    monkeypatch.setattr("dualbrain.drivers.ros2.dds_node.MIN_STOP_TIME", 0.0)
+    node.run(lambda: True)
+    assert record.sent[-1] == [0.0] * 7
+    assert np.all(np.abs(np.diff(np.array(record.sent), axis=0)) <= 1.0001 * ACCELERATIONS * PERIOD)
+    assert np.all(np.diff(record.times[:-1]) > 0.9 * PERIOD)

@@ -43,8 +43,10 @@ from dualbrain.drivers.ros2.trajectory import TrajectoryMessage, TrajectoryPoint
 
 DIAGNOSTICS_INTERVAL, MARKERS_INTERVAL, DISCOVERY_INTERVAL = 1.0, 0.2, 0.2
 """Times [s] between two diagnostic messages, marker messages and searches for other publishers."""
-STOP_TIME = 3.0
-"""Longest time [s] that the node brakes the arm before it ends."""
+MIN_STOP_TIME = 3.0
+"""Time [s] for which the node may brake the arm before it ends, also if the limits need less."""
+STOP_TIME_FACTOR = 2.0
+"""Longest time of braking, relative to that from the velocity limits to rest."""
 MAX_SAMPLES, MAX_ENDPOINTS = 64, 4096
 LINE_LIST = 5
 """`visualization_msgs/Marker.LINE_LIST`."""
@@ -200,13 +202,20 @@ class DdsNode:
             self._safe.write(ros.Float64MultiArray(data=velocities))
 
     def _stop(self) -> None:
-        """Brake without joint states until the last command is zero."""
-        end = time.monotonic() + STOP_TIME
-        while any(self._last) and time.monotonic() < end:
-            text = "The node ends; the arm comes to rest. Remedy: none"
-            self._send(self._core.brake("end", text, self._clock.elapsed, Level.WARN))
-            time.sleep(self._core.parameters.period)
-        self._send(self._last or None)
+        """Brake without joint states until the last command is zero, and end with zero: the controller keeps it."""
+        text = "The node ends; the arm comes to rest. Remedy: none"
+        end = time.monotonic() + self._stop_time()
+        try:
+            while any(self._last) and time.monotonic() < end:
+                time.sleep(self._core.parameters.period)
+                self._send(self._core.brake("end", text, self._clock.elapsed, Level.WARN))
+        finally:
+            self._send([0.0] * len(self._last) or None)
+
+    def _stop_time(self) -> float:
+        """Longest time [s] of braking at the end."""
+        joints = self._core.safety.robot_model.joints
+        return max(MIN_STOP_TIME, STOP_TIME_FACTOR * max(one.velocity.value / one.acceleration.value for one in joints))
 
     # --- reports ------------------------------------------------------------------------------------------------
 
