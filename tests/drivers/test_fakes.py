@@ -328,6 +328,38 @@ def test_after_an_emergency_stop_the_script_does_not_restart_by_itself():
     assert trial.switch_on()
 
 
+def test_a_closed_ur_driver_has_disconnected_both_interfaces():
+    trial, controller = enabled_ur()
+    assert controller.connections == 2
+    trial.driver.close()
+    trial.driver.close()
+    assert controller.connections == 0
+    assert not controller.script_running
+
+
+@pytest.mark.parametrize("name", ["getTimestamp", "getActualQ", "isEmergencyStopped"])
+def test_joint_states_of_a_ur_that_cannot_be_read_end_the_motion_and_raise_nothing(name, monkeypatch):
+    trial, controller = enabled_ur()
+    before = trial.state
+
+    def fail():
+        raise RuntimeError("unable to get state data")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(trial.driver._receive, name, fail)
+        trial.write(np.zeros(6), 3)
+        assert not trial.driver.read().drive_enabled
+        assert not controller.script_running
+        assert trial.driver.read().sequence >= before.sequence
+        assert "cannot be read" in trial.driver.faults()[0]
+        assert "unable to get state data" in trial.driver.faults()[0]
+        if name == "isEmergencyStopped":
+            trial.driver.enable()
+            assert "check the connection" in trial.driver.faults()[0]
+    assert trial.switch_on()
+    assert trial.driver.faults() == ()
+
+
 # --- the vendors' libraries ---------------------------------------------------------------------------------------
 
 

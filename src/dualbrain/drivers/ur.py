@@ -7,6 +7,7 @@ pendant, never by the driver.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from importlib import import_module
 from threading import Lock, Thread
@@ -32,6 +33,9 @@ MAX_START_TIME = 3.0
 """Maximum time [s] that `close` waits for the end of a switch-on."""
 MAX_WAIT_PERIODS = 3
 """Maximum number of periods that `wait` waits for a state with a new time stamp."""
+
+UNREADABLE = "the safety status cannot be read"
+"""Beginning of the fault of a connection that does not give the safety stops of the controller."""
 
 
 class UrSdk:
@@ -116,7 +120,8 @@ class UrDriver:
         if self._is_enabled or self._closed:
             return
         if safety_stop := self._safety_stop():
-            self._faults = (f"{safety_stop}: clear it at the pendant",)
+            remedy = "check the connection" if safety_stop.startswith(UNREADABLE) else "clear it at the pendant"
+            self._faults = (f"{safety_stop}: {remedy}",)
             return
         with self._lock:
             if self._is_enabled:  # since the first check
@@ -129,13 +134,12 @@ class UrDriver:
     # --- the driver interface -----------------------------------------------------------------------------------
 
     def wait(self) -> None:
-        """Wait for a state with a new time stamp, for at most `MAX_WAIT_PERIODS` periods."""
-        before = self._receive.getTimestamp()
-        for _ in range(MAX_WAIT_PERIODS):
-            self._receive.waitPeriod(self._receive.initPeriod())
-            if self._receive.getTimestamp() != before:
-                break
-        self._state = self._read_state()
+        """Wait for a state with a new time stamp, for at most `MAX_WAIT_PERIODS` periods; an error ends the motion."""
+        try:
+            self._state = self._wait_for_state()
+        except RuntimeError as error:
+            self._end_script(f"the joint states cannot be read: {error}")
+            return
         if self._is_enabled and not self._state.drive_enabled:
             self._end_script(
                 self._safety_stop() or "the controller's script has ended: its watchdog was not kicked in time"
@@ -152,7 +156,9 @@ class UrDriver:
             self._closed = True
             if self._start_thread is not None:
                 self._start_thread.join(MAX_START_TIME)
-            self._control.disconnect()
+            for interface in (self._control, self._receive):
+                with suppress(RuntimeError):  # of a connection that is lost already
+                    interface.disconnect()
 
     # --- private ------------------------------------------------------------------------------------------------
 
@@ -191,9 +197,22 @@ class UrDriver:
             self._faults = (*self._faults, str(error))
 
     def _safety_stop(self) -> str:
-        if self._receive.isEmergencyStopped():
-            return "emergency stop"
-        return "protective stop" if self._receive.isProtectiveStopped() else ""
+        """The safety stop of the controller, or that it cannot be read; "" without one."""
+        try:
+            if self._receive.isEmergencyStopped():
+                return "emergency stop"
+            return "protective stop" if self._receive.isProtectiveStopped() else ""
+        except RuntimeError as error:
+            return f"{UNREADABLE} ({error})"
+
+    def _wait_for_state(self) -> RobotState:
+        """The state with the next time stamp, or the present one after `MAX_WAIT_PERIODS`; raises `RuntimeError`."""
+        before = self._receive.getTimestamp()
+        for _ in range(MAX_WAIT_PERIODS):
+            self._receive.waitPeriod(self._receive.initPeriod())
+            if self._receive.getTimestamp() != before:
+                break
+        return self._read_state()
 
     def _read_state(self) -> RobotState:
         """A consistent state: it is read again if the thread of the library replaced it in the meantime."""

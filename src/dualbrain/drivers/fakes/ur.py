@@ -37,6 +37,8 @@ class FakeUrController:
         """The arm is powered on in the home posture of `robot_model`, brakes released, in remote control."""
         self.arm, self.limits = FakeArm(robot_model.home, BRAKING_ACCELERATION, pace), limits
         self.script_running, self.protective_stopped, self.emergency_stopped = False, False, False
+        self.connections = 0
+        """Number of control and receive interfaces that are connected."""
         self.watchdog_timeout, self.last_kick = inf, 0.0
         self._stopped_at = -inf
         self._u = self._goal = np.zeros(robot_model.n)
@@ -127,6 +129,7 @@ class Control:
     def __init__(self, controller: FakeUrController) -> None:
         """The control interface of `controller`."""
         self._controller = controller
+        controller.connections += 1
 
     def speedJ(self, qd: list[float], acceleration: float = 0.5, time: float = 0.0) -> bool:
         """Accelerate linearly in joint space and continue at that speed."""
@@ -161,6 +164,7 @@ class Control:
 
     def disconnect(self) -> None:
         """Disconnect, which ends the script."""
+        self._controller.connections -= 1
         self._controller.end_script()
 
 
@@ -170,6 +174,7 @@ class Receive:
     def __init__(self, controller: FakeUrController) -> None:
         """The receive interface of `controller`."""
         self._controller = controller
+        controller.connections += 1
 
     def initPeriod(self) -> timedelta:
         """The start time of a period."""
@@ -199,3 +204,7 @@ class Receive:
     def isEmergencyStopped(self) -> bool:
         """Whether the emergency stop is pressed."""
         return self._controller.emergency_stopped
+
+    def disconnect(self) -> None:
+        """Disconnect."""
+        self._controller.connections -= 1
