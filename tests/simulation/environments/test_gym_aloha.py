@@ -1,5 +1,7 @@
 """Two guarded arms, as in gym-aloha: they never touch each other or the table under hostile policies."""
 
+import dataclasses
+
 import gymnasium
 import numpy as np
 import pytest
@@ -203,21 +205,50 @@ def test_a_wrapper_that_clips_joint_positions_is_refused():
     assert "ClipAction" in found.value.fix
 
 
+def place_of(side, **changes):
+    """The place of one arm of `TwoArmEnv`."""
+    place = ArmPlace(
+        name=side,
+        joints=tuple(f"vx300s_{side}/{joint.name}" for joint in VX300S.joints),
+        base=f"vx300s_{side}",
+        entries=tuple(range(13))[ENTRIES[side]],
+    )
+    return dataclasses.replace(place, **changes)
+
+
+def wide_env():
+    """The environment with an action space that contains the joint limits."""
+    env = TwoArmEnv()
+    env.action_space = gymnasium.spaces.Box(-3.2, 3.2, (14,), np.float64)
+    return env
+
+
 def test_other_arms_whose_action_space_is_too_narrow_are_refused():
-    places = [
-        ArmPlace(
-            name=side,
-            joints=tuple(f"vx300s_{side}/{joint.name}" for joint in VX300S.joints),
-            base=f"vx300s_{side}",
-            entries=tuple(range(13))[ENTRIES[side]],
-        )
-        for side in SIDES
-    ]
+    places = [place_of(side) for side in SIDES]
     with pytest.raises(ConfigurationError, match="must not be clipped"):
         GuardedArms(TwoArmEnv(), VX300S, places, config=EXACT)
-    wide = TwoArmEnv()
-    wide.action_space = gymnasium.spaces.Box(-3.2, 3.2, (14,), np.float64)
-    GuardedArms(wide, VX300S, places, config=EXACT)
+    GuardedArms(wide_env(), VX300S, places, config=EXACT)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"name": "left"}, "left more than once"),
+        ({"joints": place_of("left").joints}, "vx300s_left/.* more than once"),
+        ({"entries": place_of("left").entries}, "entries .* more than once"),
+        ({"entries": tuple(range(5, 11))}, "5 more than once"),
+    ],
+    ids=["name", "joints", "entries", "one entry"],
+)
+def test_places_that_share_a_name_a_joint_or_an_entry_are_refused(changes, words):
+    places = [place_of("left"), place_of("right", **changes)]
+    with pytest.raises(ConfigurationError, match=words):
+        GuardedArms(wide_env(), VX300S, places, config=EXACT)
+
+
+def test_no_place_at_all_is_refused():
+    with pytest.raises(ConfigurationError, match="places"):
+        GuardedArms(wide_env(), VX300S, [], config=EXACT)
 
 
 @pytest.mark.parametrize(("servo_range", "fits"), [((-1.0, 1.0), False), ((-1.76278, 1.6057), True)])

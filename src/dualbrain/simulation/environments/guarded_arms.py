@@ -14,6 +14,7 @@ import gymnasium
 import numpy as np
 from msgspec.structs import replace
 
+from dualbrain.errors import ConfigurationError
 from dualbrain.robots.model import RobotModel
 from dualbrain.safety.cbf.config import FilterConfig
 from dualbrain.safety.cbf.filter import SafetyFilter
@@ -82,12 +83,14 @@ class GuardedArms(gymnasium.Wrapper[Any, Any, Any, Any]):
         - `clips`: whether `env` clips actions to its action space. A `ClipAction` in `env` is recognised in any case.
 
         Raises:
-            ConfigurationError: the environment has no MuJoCo simulation, an arm is not that of `robot_model`, the time
-                of one step is unknown or no multiple of the period of `robot_model`, or actions or servos of an arm
-                are clipped to less than the joint limits of `robot_model`.
+            ConfigurationError: the environment has no MuJoCo simulation, an arm is not that of `robot_model`, two
+                places have the same name, joint or entry, the time of one step is unknown or no multiple of the period
+                of `robot_model`, or actions or servos of an arm are clipped to less than the joint limits of
+                `robot_model`.
             UnknownNameError: the MuJoCo model has no joint or body of a name.
         """
         super().__init__(env)
+        _check_places(places)
         self._robot_model, self._places, self._config = robot_model, tuple(places), config or FilterConfig()
         self._ignored, self._margin = ignored, margin
         self._obstacle_parts, self._arm_parts = dict(obstacle_parts), dict(arm_parts)
@@ -168,6 +171,21 @@ class GuardedArms(gymnasium.Wrapper[Any, Any, Any, Any]):
         }
         self._spheres = {name: ArmSpheres(name, arm, self._config, self._arm_parts) for name, arm in self._arms.items()}
         self._handles = (model, data)
+
+
+def _check_places(places: Sequence[ArmPlace]) -> None:
+    """Refuse no place at all, and places that share a name, a joint or an entry: an arm would be unguarded."""
+    if not places:
+        raise ConfigurationError("places", got="none", allowed="one place for each arm")
+    shared = (
+        ("names", [place.name for place in places]),
+        ("joints", [joint for place in places for joint in place.joints]),
+        ("entries", [str(entry) for place in places for entry in place.entries]),
+    )
+    for key, values in shared:
+        if twice := sorted({value for value in values if values.count(value) > 1}):
+            got = f"{', '.join(twice)} more than once"
+            raise ConfigurationError(f"{key} of the places", got=got, allowed="each one once: every arm has its own")
 
 
 def _all_arms(arms: dict[str, dict[str, Any]]) -> dict[str, Any]:
