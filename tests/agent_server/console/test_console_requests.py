@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import socket
 import threading
 from contextlib import ExitStack
@@ -15,6 +16,7 @@ from starlette.routing import Route
 
 from dualbrain.agent_api.saved_runs import SavedRuns
 from dualbrain.agent_api.tools import verdict_view
+from dualbrain.agent_server.console import run_list
 from dualbrain.agent_server.console.console_robot import ConsoleRobot
 from dualbrain.agent_server.console.report_tickets import LIFETIME, MAX_TICKETS, ReportTickets
 from dualbrain.agent_server.console.routes import console_routes, is_public
@@ -238,6 +240,21 @@ def test_runs_are_listed_with_their_citations_and_other_entries_are_counted(tmp_
         False,
     )
     assert list_runs(tmp_path / "none") == {"runs": [], "omitted": 0}
+
+
+def test_a_run_that_is_deleted_while_the_runs_are_listed_hides_no_other(tmp_path, monkeypatch) -> None:
+    for name in ("first", "second", "third"):
+        write_run(tmp_path, name)
+
+    def delete_second(entry):
+        if entry.name == "second":
+            shutil.rmtree(entry.path)
+        return True
+
+    monkeypatch.setattr(run_list, "_is_folder", delete_second)
+    found = list_runs(tmp_path)
+    assert {one["name"] for one in found["runs"]} == {"first", "third"}
+    assert found["omitted"] == 0
 
 
 @pytest.mark.parametrize("kind", ["succeeded", "failed", "rejected", "aborted", "stopped"])

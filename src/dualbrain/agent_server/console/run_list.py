@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -54,11 +55,12 @@ class _Episode(msgspec.Struct, frozen=True, kw_only=True):
 
 def list_runs(folder: Path) -> dict[str, Any]:
     """The runs in `folder`, the newest first, and the number of those that are not listed or cannot be read."""
-    try:
-        with os.scandir(folder) as entries:
-            names = {one.name: one.stat(follow_symlinks=False).st_mtime for one in entries if _is_folder(one)}
-    except OSError:
-        names = dict[str, float]()
+    names = dict[str, float]()
+    with suppress(OSError), os.scandir(folder) as entries:
+        for one in entries:
+            with suppress(OSError):  # a run may be deleted meanwhile
+                if _is_folder(one):
+                    names[one.name] = one.stat(follow_symlinks=False).st_mtime
     newest = sorted(names, key=lambda name: (names[name], name), reverse=True)
     found = [_entry(folder, name) for name in newest[:MAX_RUNS]]
     listed = [one for one in found if one is not None]
