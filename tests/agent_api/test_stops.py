@@ -1,5 +1,6 @@
 """A stop counts as confirmed only if the gatekeeper reports it after it was sent."""
 
+import json
 import time
 from concurrent.futures import ThreadPoolExecutor
 from threading import Event
@@ -73,6 +74,22 @@ def test_an_instruction_to_stop_ends_the_running_contract_and_reports_it(words, 
     report = robot.do(words, timeout=5.0)
     assert client.sent[0] == "abort"
     assert (report.id, report.state, report.outcome.kind) == ("c-0001", "finished", "aborted")
+
+
+def test_a_contract_after_the_connection_was_lost_is_rejected_and_its_id_is_free(cell, monkeypatch, tmp_path):
+    client, path = StubClient(cell), tmp_path / "submissions.jsonl"
+    with open_robot(client, cell, monkeypatch, retries=path) as opened:
+        contract = opened.contract([{"skill": "hold", "params": {"duration": 0.5}}], "c-0001")
+        with monkeypatch.context() as patch:
+            lose_scenes(client, patch)
+            report = opened.run(contract, timeout=5.0)
+        assert (report.state, report.outcome, client.executed) == ("rejected", None, [])
+        assert "no SceneReport" in str(report.rejected.got)
+        assert "nothing was sent" in report.rejected.hint
+        again = opened.run(contract, timeout=5.0)
+        assert (again.state, again.repeated, client.executed) == ("finished", False, ["c-0001"])
+    ends = [line["report"] for line in map(json.loads, path.read_text().splitlines()) if line["report"]]
+    assert [end["state"] for end in ends] == ["rejected", "finished"]
 
 
 def test_an_instruction_to_stop_ends_a_contract_whose_submission_is_lost(robot, client):

@@ -22,6 +22,7 @@ from dualbrain.agent_api.saved_runs import ReportingMemory
 from dualbrain.agent_api.submission import State, Submission, SubmissionReport
 from dualbrain.contracts.gate.strict_json import MAX_BYTES, parse
 from dualbrain.contracts.verdict import Rejected
+from dualbrain.control.gatekeeper.protocol.client import ConnectionLostError
 from dualbrain.control.gatekeeper.remote_executor import RemoteExecutor
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.trace import Trace
@@ -250,36 +251,55 @@ class Executions:
         return dataclasses.replace(request, max_shots=1, max_exemplars=0, instruction_check="given_contract")
 
     def _run(self, submission: Submission, request: EpisodeRequest, agent: Agent, *, retried: str) -> None:
-        """Run one episode to its end; an exception before its outcome is known ends the submission as lost."""
-        model, before = self._connection.robot_model, self._feed.newest
-        memory = ReportingMemory(agent.memory)
+        """Run one episode to its end; an exception before its outcome is known ends the submission as lost.
+
+        If the gatekeeper does not even send a scene, the submission is rejected: nothing of it was sent.
+        """
+        before = self._feed.newest
+        try:
+            if (executor := self._connect(submission)) is not None:
+                self._run_episode(submission, request, agent, executor, before)
+        except Exception as error:  # every failure is reported to the client; the robot stays behind its gatekeeper
+            submission.lose(f"{type(error).__name__}: {error}")
+        if retried:
+            self._record_end(retried, submission)
+
+    def _connect(self, submission: Submission) -> RemoteExecutor | None:
+        """The executor of a submission, with the present scene; None if the submission is rejected without it."""
+        model = self._connection.robot_model
         log = FlightLog(
             Trace(model.n),
             None,
             lambda event: self._feed.add(event.t, event.kind, event.text, event.data),
             submission.on_attempt,
         )
-        truth = GroundTruth(start_contract=lambda contract: None, judge=lambda: None, versions=self._resources.versions)
         try:
-            executor = RemoteExecutor(
+            return RemoteExecutor(
                 model,
                 self._connection.client,
                 log,
                 lambda: submission.interrupted,
                 interruption=lambda: submission.interruption,
             )
-            own = agent.planner is self._resources.planner
-            clock = PlanningClock(time.monotonic, measured=True, exclusive=self._asking if own else nullcontext())
-            episode, stored = run_episode(request, dataclasses.replace(agent, memory=memory), executor, clock, truth)
-            log_weight_changes(log, executor.state.stamp, stored)
-            unsaved = self._save_report(episode, before, executor.state.stamp)
-            if memory.problem:
-                self._feed.add(executor.state.stamp, "memory", memory.problem)
-            submission.finish(episode, " ".join(filter(None, (unsaved, memory.problem))))
-        except Exception as error:  # every failure is reported to the client; the robot stays behind its gatekeeper
-            submission.lose(f"{type(error).__name__}: {error}")
-        if retried:
-            self._record_end(retried, submission)
+        except ConnectionLostError as error:
+            hint = "nothing was sent, and nothing moved; open the robot again before the next try"
+            submission.reject(_reject(f"no scene from the gatekeeper: {error}", "a gatekeeper that answers", hint))
+            return None
+
+    def _run_episode(
+        self, submission: Submission, request: EpisodeRequest, agent: Agent, executor: RemoteExecutor, before: int
+    ) -> None:
+        """Run one episode through `executor`; its report has the events after the one with the number `before`."""
+        memory = ReportingMemory(agent.memory)
+        truth = GroundTruth(start_contract=lambda contract: None, judge=lambda: None, versions=self._resources.versions)
+        own = agent.planner is self._resources.planner
+        clock = PlanningClock(time.monotonic, measured=True, exclusive=self._asking if own else nullcontext())
+        episode, stored = run_episode(request, dataclasses.replace(agent, memory=memory), executor, clock, truth)
+        log_weight_changes(executor.log, executor.state.stamp, stored)
+        unsaved = self._save_report(episode, before, executor.state.stamp)
+        if memory.problem:
+            self._feed.add(executor.state.stamp, "memory", memory.problem)
+        submission.finish(episode, " ".join(filter(None, (unsaved, memory.problem))))
 
     def _record_end(self, contract_id: str, submission: Submission) -> None:
         """Write the end of a submission to the file of the contracts; a failure changes no outcome, and is an event."""

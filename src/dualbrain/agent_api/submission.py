@@ -13,8 +13,8 @@ from dualbrain.records import Attempt, Episode, Outcome
 
 State = Literal["planning", "checking", "running", "finished", "rejected", "lost"]
 """planning: the planner works. checking: the gate checks the contract. running: the gate accepted it, and the robot
-executes it. finished: it has an outcome. rejected: the gate rejected it, and nothing moved. lost: the connection ended,
-and its outcome is not known."""
+executes it. finished: it has an outcome. rejected: the gate rejected it, or it was not sent, and nothing moved. lost:
+the connection ended, and its outcome is not known."""
 ENDED: tuple[State, ...] = ("finished", "rejected", "lost")
 """States that do not change any more."""
 
