@@ -7,6 +7,7 @@ import msgspec
 import pytest
 
 from dualbrain.drivers.ros2.assembly import make_command_filter
+from dualbrain.drivers.ros2.problems import Level
 from dualbrain.drivers.ros2.robot_description import DescriptionCheck, source_digest
 from dualbrain.robots.loader import encode_robot, load_robot
 from dualbrain.robots.model import Bound
@@ -127,6 +128,26 @@ def test_the_digest_is_that_of_the_robot_folder(tmp_path):
     core = make_command_filter(parameters(robot=str(tmp_path), check_description="exact"), (TABLE,))
     core.description.receive(urdf_of(PANDA))
     assert "imported from abababababab" in core.description.problem
+
+
+@pytest.mark.parametrize("record", [None, "{", '{"sha256": 3}', "{}"])
+def test_an_imported_robot_without_a_readable_import_record_is_a_warning(record, tmp_path):
+    (tmp_path / "body.json").write_bytes(encode_robot(PANDA))
+    if record is not None:
+        (tmp_path / "recipe.json").write_text(record)
+    core = make_command_filter(parameters(robot=str(tmp_path), check_description="exact"), (TABLE,))
+    core.description.receive(urdf_of(PANDA))
+    assert core.description.problem == ""
+    diagnosis = core.diagnose(0.0)
+    assert diagnosis.level is Level.WARN
+    assert "recipe.json" in diagnosis.message
+    core.description.receive(urdf_of(with_joint(3, velocity=Bound(0.1, "rad/s", ""))))
+    assert "limits panda_joint4 to" in core.description.warning
+    assert "recipe.json" in core.description.warning
+    for robot, mode in ((str(tmp_path), "kinematics"), (str(tmp_path), "none"), ("panda", "exact")):
+        core = make_command_filter(parameters(robot=robot, check_description=mode), (TABLE,))
+        core.description.receive(urdf_of(PANDA))
+        assert core.description.warning == ""
 
 
 def test_without_a_check_every_description_is_ignored():

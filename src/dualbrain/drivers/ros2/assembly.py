@@ -61,7 +61,7 @@ def make_command_filter(parameters: NodeParameters, obstacles: Sequence[Obstacle
         safety.robot_model,
         JointOrder(safety.robot_model, parameters).names_of_robot,
         mode=parameters.check_description,
-        digest=source_digest(Path(parameters.robot)) if imported else "",
+        digest=source_digest(Path(parameters.robot)) if imported else None,
         base_frame=parameters.base_frame,
     )
     return CommandFilter(safety, parameters, description)

@@ -33,8 +33,8 @@ class NodeParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     - `recovery_time` [s]: the arm rests this long after the last unusable input.
     - `trajectory_gain` [1/s] and `path_tolerance` [rad]: u_nom = v_d + gain (q_d − q); beyond the tolerance the
       trajectory is cancelled.
-    - `check_description`: "exact" (the URDF file that the robot was imported from; of a packaged robot its kinematics),
-      "kinematics", or "none".
+    - `check_description`: "exact" (the URDF file that the robot was imported from; of a packaged robot, and with a
+      warning of one without an import record, its kinematics), "kinematics", or "none".
     - `one_source`: whether the arm rests while more than one publisher of commands exists.
     - `deviation`: as for `PolicyGuard`.
     """

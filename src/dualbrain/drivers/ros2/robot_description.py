@@ -38,7 +38,7 @@ class _Record(msgspec.Struct, frozen=True):
 
 
 def source_digest(folder: Path) -> str:
-    """SHA-256 of the description from which the robot folder `folder` was imported; "" without an import record."""
+    """SHA-256 of the description from which `folder` was imported; "" without a readable import record."""
     data = read_regular_file(folder / "recipe.json", MAX_FILE_BYTES)
     if not isinstance(data, bytes):
         return ""
@@ -66,7 +66,8 @@ class DescriptionCheck:
     """Whether the robot description on a topic is that of the robot model.
 
     `problem`: why the arm must rest, with a remedy; `warning`: a limit of the description that is below that of the
-    model; `base_frame`: the link whose frame is that of the robot model.
+    model, or that an imported robot has no import record to compare with; `base_frame`: the link whose frame is that of
+    the robot model.
     """
 
     def __init__(
@@ -75,16 +76,26 @@ class DescriptionCheck:
         names: tuple[str, ...],
         *,
         mode: Literal["exact", "kinematics", "none"],
-        digest: str = "",
+        digest: str | None = None,
         base_frame: str = "",
     ) -> None:
         """Check for `robot_model` with joints called `names` in the description.
 
         `digest` is the SHA-256 of the file that the model was imported from; the mode "exact" then accepts this file
-        only. `base_frame`, if it is given, must be a link whose frame is that of the robot model.
+        only. It is "" for an imported robot whose file is unknown, of which the kinematics are checked with a warning,
+        and None for a packaged robot. `base_frame`, if it is given, must be a link whose frame is that of the robot
+        model.
         """
         self._model, self._names, self._mode, self._digest, self._base = robot_model, names, mode, digest, base_frame
-        self.base_frame, self.warning = base_frame, ""
+        self.base_frame = base_frame
+        self._unknown_source = (
+            f"The robot folder of {robot_model.name} has no readable recipe.json with the SHA-256 of the imported "
+            "description, so only kinematics and limits are compared with the robot description. Remedy: import the "
+            'description with `dualbrain robot init`, or set `check_description` to "kinematics"'
+            if mode == "exact" and digest == ""
+            else ""
+        )
+        self.warning = self._unknown_source
         self._text: str | None = None
         self.summary = "not checked" if mode == "none" else "not received"
         self.problem = (
@@ -102,7 +113,7 @@ class DescriptionCheck:
         if self._mode == "none" or text == self._text:
             return
         self._text = text
-        self.warning = ""
+        self.warning = self._unknown_source
         data = text.encode(errors="replace")
         digest = hashlib.sha256(data).hexdigest()
         exact = digest == self._digest
@@ -123,7 +134,7 @@ class DescriptionCheck:
         self.summary += ", the imported file" if exact else ""
         if not self.problem:
             self.summary += ", kinematics agree"
-            self.warning = self._narrower_limit(joints)
+            self.warning = " ".join(filter(None, (self._narrower_limit(joints), self._unknown_source)))
 
     def _compare(self, joints: dict[str, UrdfJoint]) -> str:
         """Why `joints` are not those of the robot model, or ""; finds the base frame."""
