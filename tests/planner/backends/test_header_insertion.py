@@ -33,7 +33,7 @@ IDLE_MS = {"prompt_ms": 1.0, "predicted_ms": 1.0, "cache_n": 0}
 class Worker:
     """A worker that is ready, at the address of a server."""
 
-    key, is_ready, pid, state = "key", True, 1, None
+    key, is_ready, pid, state, loaded_file = "key", True, 1, None, None
 
     def __init__(self, address: str) -> None:
         self._address = address
