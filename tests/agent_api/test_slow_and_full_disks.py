@@ -4,6 +4,7 @@ import errno
 import os
 import threading
 import time
+from contextlib import contextmanager
 
 import pytest
 
@@ -44,18 +45,25 @@ def refuse_to_sync(descriptor):
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-@pytest.mark.parametrize("emergency", [True, False])
-def test_a_stop_waits_for_no_write_before_the_motion(emergency, robot, client, monkeypatch):
+@contextmanager
+def stalled_submission(robot, monkeypatch):
+    """A contract whose line is being written until the end of the block."""
     disk = StalledDisk()
     monkeypatch.setattr(jsonl_log.os, "fsync", disk.sync)
     submitting = threading.Thread(target=robot.submit, args=(hold(robot, "c-0001"),))
     submitting.start()
     try:
         assert disk.begun.wait(10.0)
-        check_stop_and_reports(robot, client, emergency=emergency)
+        yield
     finally:
         disk.release.set()
         submitting.join()
+
+
+@pytest.mark.parametrize("emergency", [True, False])
+def test_a_stop_waits_for_no_write_before_the_motion(emergency, robot, client, monkeypatch):
+    with stalled_submission(robot, monkeypatch):
+        check_stop_and_reports(robot, client, emergency=emergency)
     assert robot.outcome(timeout=10.0).outcome.kind == "aborted"
     assert client.executed == []
 
@@ -104,16 +112,8 @@ def test_a_contract_that_cannot_be_recorded_is_rejected_and_blocks_no_other(robo
 
 def test_a_contract_that_the_end_of_the_program_refuses_is_rejected_in_the_file(robot, client, tmp_path, monkeypatch):
     """Its line is written, and the end of the program begins before its episode does."""
-    disk = StalledDisk()
-    monkeypatch.setattr(jsonl_log.os, "fsync", disk.sync)
-    submitting = threading.Thread(target=robot.submit, args=(hold(robot, "c-0001"),))
-    submitting.start()
-    try:
-        assert disk.begun.wait(10.0)
+    with stalled_submission(robot, monkeypatch):
         robot._executions.begin_close()
-    finally:
-        disk.release.set()
-        submitting.join()
     assert client.executed == []
     now = time.time()
     assert RetryLog(tmp_path / "submissions.jsonl", now=now).find("c-0001", "another contract", now) is None

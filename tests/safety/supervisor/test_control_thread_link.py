@@ -208,13 +208,18 @@ def test_a_thread_that_is_forgotten_switches_the_drive_off_before_its_socket_is_
     assert not is_drive_wanted(packets[-1])
 
 
-def test_a_caller_that_waits_for_the_first_state_of_the_robot_is_not_lost(process):
+def records_after_a_late_start(process, n_states):
+    """The log of a caller that reads it once before the first state of the robot, and again after `n_states`."""
     process.loop.read_log()
     process.ticks(10)
-    for tick in range(200):
+    for tick in range(n_states):
         process.send_state(5_000_000_000 + 1003 * tick)
         process.ticks(1)
-    records = process.loop.read_log()
+    return process.loop.read_log()
+
+
+def test_a_caller_that_waits_for_the_first_state_of_the_robot_is_not_lost(process):
+    records = records_after_a_late_start(process, 200)
     assert records["now_us"][0] == 0
     assert records["now_us"][-1] > 5_000_000_000
     assert records["drive_enable"][-1]
@@ -222,12 +227,7 @@ def test_a_caller_that_waits_for_the_first_state_of_the_robot_is_not_lost(proces
 
 
 def test_a_caller_that_hangs_since_the_first_state_of_the_robot_is_lost(process):
-    process.loop.read_log()
-    process.ticks(10)
-    for tick in range(400):
-        process.send_state(5_000_000_000 + 1003 * tick)
-        process.ticks(1)
-    records = process.loop.read_log()
+    records = records_after_a_late_start(process, 400)
     assert records["action"][-1] == SafetyAction.CONTROLLED_STOP
     assert not records["drive_enable"][-1]
 

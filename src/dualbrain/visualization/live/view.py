@@ -181,7 +181,7 @@ class LiveView:
             self._closing.wait(max(0.0, start + 1.0 / FRAME_RATE_HZ - time.monotonic()))
 
     def _publish_safely(self, state: ViewState | None, episode: Episode | None) -> None:
-        """Publish what is new, so that the age of the words is that of the state; a failure is stated on the page."""
+        """Publish each new state at once; its words are as old as it is. A failure is stated on the page."""
         if self._published is not None and self._published[0] is state and self._published[1] is episode:
             return
         try:
