@@ -85,6 +85,7 @@ typedef struct {
   dbk_real reach[DBK_MAX_DOF][DBK_SPHERE_CAPACITY]; /* maximum lever arm of joint k on a sphere over all postures [m] */
   dbk_real link_reach[DBK_MAX_DOF][DBK_ALL_LINKS];  /* maximum over the spheres of a link */
   dbk_real tracking_max, tracking_share[DBK_MAX_DOF]; /* maximum of tracking, and tracking relative to it */
+  dbk_real braking_gain, arc_share; /* 2 g [1/s] and 1/(2 g dt) with g = min a/v, see dbk_approach_speed */
   int32_t sphere_frame[DBK_ALL_SPHERES];
   dbk_bounding_sphere bounding_sphere[DBK_MAX_LINKS];
 } dbk_model;
@@ -219,7 +220,9 @@ typedef struct {
   dbk_real joint_max_speed[DBK_MAX_DOF];  /* maximum |u| within the trust region, plus the tracking error */
   dbk_real joint_half_width[DBK_MAX_DOF]; /* half width of the trust region, plus the tracking error */
   dbk_real joint_excess[DBK_MAX_DOF];     /* distance from the trust region to the farther control bound */
-  dbk_real twist[DBK_MAX_DOF + 1][6];     /* of every frame about the base origin: angular, linear */
+  /* of every frame about the base origin (angular, linear): velocity at the centre of the trust region, velocity and
+   * acceleration at the centre of the control bounds */
+  dbk_real twist[DBK_MAX_DOF + 1][6], bound_twist[DBK_MAX_DOF + 1][6], bound_acceleration[DBK_MAX_DOF + 1][6];
   /* per link: bounding sphere at the current posture */
   dbk_real bound_x[DBK_ALL_LINKS], bound_y[DBK_ALL_LINKS], bound_z[DBK_ALL_LINKS], bound_r[DBK_ALL_LINKS];
   dbk_real inner_distance[DBK_ALL_LINKS], centres_radius[DBK_ALL_LINKS]; /* see dbk_bounding_sphere */

@@ -9,6 +9,7 @@
  */
 #include "distance/dbk_broadphase.h"
 
+#include "distance/dbk_approach_speed.h"
 #include "distance/dbk_point_distance.h"
 #include "model/dbk_model.h"
 #include "model/dbk_scene.h"
@@ -93,13 +94,15 @@ DBK_SIMD_CLONES static void mark_relevant(const dbk_model *model, const dbk_scen
                                           dbk_real h_min, uint32_t *restrict relevant) {
   const dbk_obstacle_capsules *c = &scene->capsules;
   const dbk_real trust_speed = m->trust_speed[link], max_speed = m->max_speed[link], sampling = model->sampling,
-                 period = model->period;
+                 period = model->period, braking_gain = model->braking_gain, arc_share = model->arc_share,
+                 sampling_term = m->sampling_term[link];
   const uint32_t bit = 1u << link;
   const int32_t lanes = DBK_PADDED(p->lanes);
   for (int32_t o = 0; o < lanes; ++o) {
-    /* h decreases by at most `travel` within this period; a row holds if alpha h covers both maximum speeds */
+    /* h decreases by at most `travel` within this period; a row holds if its speed covers both maximum speeds */
     const dbk_real h = gap[o], travel = period * (c->max_speed[o] + max_speed) + DBK_CULL_FLOOR;
-    const int32_t safe = (h > travel) & (p->alpha[o] * h >= c->max_speed[o] + trust_speed) & (h + sampling >= h_min);
+    const dbk_real speed = dbk_approach_speed(p->alpha[o], braking_gain, arc_share, h, sampling_term);
+    const int32_t safe = (h > travel) & (speed >= c->max_speed[o] + trust_speed) & (h + sampling >= h_min);
     relevant[o] |= p->link_mask[o] & bit & ((uint32_t)safe - 1u);
   }
 }

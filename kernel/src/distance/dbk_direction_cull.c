@@ -8,11 +8,12 @@
  */
 #include "distance/dbk_direction_cull.h"
 
+#include "distance/dbk_approach_speed.h"
 #include "distance/dbk_distance.h"
 
 /* a link: centre of its bounding sphere, velocity there, and the closing speed that does not depend on the direction */
 typedef struct {
-  dbk_real centre[3], velocity[3], speed, turn, radius, change, max_speed, surface;
+  dbk_real centre[3], velocity[3], speed, turn, radius, change, max_speed, surface, sampling_term;
 } link_motion;
 
 static link_motion motion_of(const dbk_model *model, const dbk_ctx *ctx, const dbk_link_candidates *link) {
@@ -27,7 +28,8 @@ static link_motion motion_of(const dbk_model *model, const dbk_ctx *ctx, const d
                    m->centres_radius[l],
                    m->sampling_term[l] + DBK_RHS_ROUNDING,
                    m->max_speed[l],
-                   m->bound_r[l] + link->held_error};
+                   m->bound_r[l] + link->held_error,
+                   m->sampling_term[l]};
   b.speed = dbk_length(b.velocity[0], b.velocity[1], b.velocity[2]);
   b.change += DBK_VELOCITY_ROUNDING * b.turn * (dbk_abs(x) + dbk_abs(y) + dbk_abs(z));
   for (int32_t k = 0; k < link->frame; ++k) { b.change += m->joint_half_width[k] * model->link_reach[k][l]; }
@@ -53,7 +55,9 @@ static int32_t relevant(const dbk_model *model, const dbk_scene *scene, const db
   dbk_distance(shape, 1, at, at + 1, at + 2, &d, n, n + 1, n + 2);
   const dbk_real h = d - b->surface - p->margin[o], core = shape->shape == DBK_CAPSULE ? d + shape->radius : d;
   const dbk_real travel = model->period * (max_speed + b->max_speed) + DBK_CULL_FLOOR;
-  return !(h > travel && p->alpha[o] * h >= max_speed + closing_speed(b, core, n) &&
+  const dbk_real speed =
+      dbk_approach_speed(p->alpha[o], model->braking_gain, model->arc_share, h, b->sampling_term);
+  return !(h > travel && speed >= max_speed + closing_speed(b, core, n) &&
            h + model->sampling >= ctx->h_min);
 }
 

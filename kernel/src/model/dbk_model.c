@@ -1,6 +1,10 @@
 /* Preparation of a model: maximum lever arms of the joints, bounding spheres of the links, shares of the tracking. */
 #include "model/dbk_model.h"
 
+/* [1/s] bounds of min a/v, so that its square and its inverse are finite */
+#define MIN_BRAKING_RATE ((dbk_real)1e-3)
+#define MAX_BRAKING_RATE ((dbk_real)1e6)
+
 /* maximum distance between the origin of frame k and its parent's origin over the range of joint k */
 static dbk_real joint_offset_max(const dbk_model *model, int32_t k) {
   const dbk_real fixed = dbk_length(model->joint_offset[k][0], model->joint_offset[k][1], model->joint_offset[k][2]);
@@ -97,11 +101,23 @@ static void prepare_tracking(dbk_model *model) {
   }
 }
 
+/* With the braking time 1/g of the slowest joint, g = min a/v: 2 g, and 1/(2 g dt). */
+static void prepare_braking(dbk_model *model) {
+  dbk_real rate = MAX_BRAKING_RATE;
+  for (int32_t k = 0; k < model->n; ++k) {
+    if (model->a_max[k] < rate * model->v_max[k]) { rate = model->a_max[k] / model->v_max[k]; }
+  }
+  rate = dbk_max(rate, MIN_BRAKING_RATE);
+  model->braking_gain = (dbk_real)2 * rate;
+  model->arc_share = (dbk_real)0.5 / (rate * model->period);
+}
+
 /* Computes reach[k][s], an upper bound over all postures of the speed of sphere s per unit speed of joint k. For a
  * revolute joint it is the sum of the lengths of all offsets between the joint and the sphere. */
 void dbk_prepare(dbk_model *model) {
   clear_unused_scale(model);
   prepare_tracking(model);
+  prepare_braking(model);
   /* the spheres of the links: accumulate the offsets from the sphere's frame toward the base */
   for (int32_t l = 0; l < model->n_links; ++l) {
     const int32_t frame = model->link_frame[l];

@@ -132,6 +132,10 @@ DBK_SIMD_CLONES void dbk_set_sphere_motion(const dbk_model *model, const dbk_sce
     for (int32_t e = 0; e < 3; ++e) {
       out->twist[k][e] = chain[k].tw[e];
       out->twist[k][3 + e] = chain[k].tv[e];
+      out->bound_twist[k][e] = chain[k].w[e];
+      out->bound_twist[k][3 + e] = chain[k].v[e];
+      out->bound_acceleration[k][e] = chain[k].dw[e];
+      out->bound_acceleration[k][3 + e] = chain[k].dv[e];
     }
   }
   move_all_spheres(model, scene, chain, ctx);

@@ -31,6 +31,8 @@ static link_obstacle link_obstacle_of(const dbk_model *model, const dbk_scene *s
   for (int32_t e = 0; e < 3; ++e) { shape->position[e] += shape->velocity[e] * predicted->age; }
   const dbk_row_terms t = {predicted->margin[index] + link->held_error,
                            predicted->alpha[index],
+                           model->braking_gain,
+                           model->arc_share,
                            permitted ? -permit : model->recovery,
                            permitted ? (dbk_real)0 : shape->velocity_error,
                            (dbk_real)0.5 * model->period,

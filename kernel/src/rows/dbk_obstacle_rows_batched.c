@@ -81,6 +81,7 @@ static inline int32_t bound_sphere(const dbk_model *model, const dbk_ctx *ctx, i
   const dbk_point_motion m = dbk_point_motion_of(ctx, sphere);
   const dbk_real x = ctx->spheres.x[sphere], y = ctx->spheres.y[sphere], z = ctx->spheres.z[sphere];
   const dbk_real half_period = (dbk_real)0.5 * model->period, recovery = model->recovery;
+  const dbk_real braking_gain = model->braking_gain, arc_share = model->arc_share;
   const int32_t count = c->count;
   int32_t any = 0;
   for (int32_t base = 0; base < count; base += DBK_LANES) {
@@ -92,8 +93,9 @@ static inline int32_t bound_sphere(const dbk_model *model, const dbk_ctx *ctx, i
       const dbk_real distance =
           static_spheres ? dbk_point_distance(dx, dy, dz, &nx, &ny, &nz)
                          : dbk_segment_distance(dx, dy, dz, b->ax[l], b->ay[l], b->az[l], b->half[l], &nx, &ny, &nz);
-      const dbk_row_terms t = {b->margin[l], b->alpha[l], recovery, b->velocity_error[l],
-                               half_period,  b->vx[l],    b->vy[l], b->vz[l]};
+      const dbk_row_terms t = {
+          b->margin[l], b->alpha[l], braking_gain, arc_share, recovery, b->velocity_error[l],
+          half_period,  b->vx[l],    b->vy[l],     b->vz[l]};
       const dbk_row_bound bound = dbk_bound_row(&m, &t, static_spheres, distance - b->radius[l], nx, ny, nz);
       const int32_t keep = (at < count) & dbk_row_may_bind(&bound, 0);
       batch->h[at] = bound.h;

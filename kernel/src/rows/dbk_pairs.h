@@ -3,6 +3,7 @@
 #define DBK_PAIRS_H
 
 #include "dbk_math.h"
+#include "distance/dbk_approach_speed.h"
 
 #define DBK_BATCH_CAPACITY (DBK_SPHERE_CAPACITY > DBK_OBSTACLE_CAPACITY ? DBK_SPHERE_CAPACITY : DBK_OBSTACLE_CAPACITY)
 enum { DBK_MANY_SPHERES = -1 }; /* value of dbk_pair_batch.sphere if the sphere varies within the batch */
@@ -32,9 +33,9 @@ static inline dbk_point_motion dbk_point_motion_of(const dbk_ctx *ctx, int32_t s
   return motion;
 }
 
-/* row parameters of the other body; `recovery` limits the right side for h < 0 */
+/* row parameters of the other body and of the model; `recovery` limits the right side for h < 0 */
 typedef struct {
-  dbk_real margin, alpha, recovery, velocity_error, half_period, vx, vy, vz;
+  dbk_real margin, alpha, braking_gain, arc_share, recovery, velocity_error, half_period, vx, vy, vz;
 } dbk_row_terms;
 
 typedef struct {
@@ -43,17 +44,18 @@ typedef struct {
 
 /* Computes h, the right side and the headroom of the row of a sphere at distance d along the outward normal n:
  *
- *   rhs = min(-alpha h, recovery) + n'v_o + velocity_error + max(0, -dt/2 n'a)
+ *   rhs = min(-s, recovery) + n'v_o + velocity_error + max(0, -dt/2 n'a),   s = dbk_approach_speed
  *
  * If the other body is `at_rest`, its velocity and velocity error are ignored. */
 static inline dbk_row_bound dbk_bound_row(const dbk_point_motion *m, const dbk_row_terms *t, int32_t at_rest,
                                           dbk_real d, dbk_real nx, dbk_real ny, dbk_real nz) {
   const dbk_real h = d - m->r - t->margin;
-  const dbk_real linear = -t->alpha * h;
-  const dbk_real barrier = linear < t->recovery ? linear : t->recovery;
-  const dbk_real sampling_term = -t->half_period * (nx * m->ax + ny * m->ay + nz * m->az);
+  const dbk_real along_normal = -t->half_period * (nx * m->ax + ny * m->ay + nz * m->az);
+  const dbk_real sampling_term = along_normal > (dbk_real)0 ? along_normal : (dbk_real)0;
+  const dbk_real away = -dbk_approach_speed(t->alpha, t->braking_gain, t->arc_share, h, sampling_term);
+  const dbk_real barrier = away < t->recovery ? away : t->recovery;
   const dbk_real with_drift = at_rest ? barrier : barrier + (nx * t->vx + ny * t->vy + nz * t->vz) + t->velocity_error;
-  const dbk_real rhs = with_drift + (sampling_term > (dbk_real)0 ? sampling_term : (dbk_real)0);
+  const dbk_real rhs = with_drift + sampling_term;
   const dbk_real rate = nx * m->vx + ny * m->vy + nz * m->vz;
   const dbk_row_bound bound = {h, rhs, rate - m->spread - rhs};
   return bound;

@@ -17,7 +17,10 @@ typedef struct {
   int32_t number; /* index in model->pair; after the last one: n_pairs + index in model->held_link */
   int32_t proximal, distal, first_joint, end_joint, first, count;
   dbk_real margin;
-  dbk_real twist[6]; /* of the distal link relative to the proximal one at the centre of the trust region: w, v */
+  /* of the distal link relative to the proximal one (angular, linear): velocity at the centre of the trust region,
+   * velocity and acceleration at the centre of the control bounds, as seen from the proximal link */
+  dbk_real twist[6], bound_twist[6], bound_acceleration[6];
+  dbk_real bend;     /* maximum sampling term dt/2 |a| of the relative acceleration a of the spheres */
   dbk_real change;   /* maximum change of the closing speed within the trust region, plus the sampling term */
   dbk_real speed;    /* maximum closing speed within the trust region, including the sampling term, by joints and links */
   dbk_real closing;  /* the same for the rows, also by the direction of the motion */
@@ -33,10 +36,15 @@ typedef struct {
   dbk_real vx[DBK_SPHERE_CAPACITY], vy[DBK_SPHERE_CAPACITY], vz[DBK_SPHERE_CAPACITY], spread[DBK_SPHERE_CAPACITY];
 } relative_motion;
 
+/* speed at which the pair may approach at distance h, by the maximum of the relative acceleration */
+static inline dbk_real approach_speed(const dbk_model *model, const link_pair *p, dbk_real h) {
+  return dbk_approach_speed(model->alpha_self, model->braking_gain, model->arc_share, h, p->bend);
+}
+
 /* 1 unless all of the following hold at distance h: no control within the trust region can violate the row, no control
  * within the control bounds can reach h = 0 within this period, and another pair is closer */
 static int32_t relevant(const dbk_model *model, const dbk_ctx *ctx, const link_pair *p, dbk_real closing, dbk_real h) {
-  return !(h > p->travel && model->alpha_self * h >= closing && h + model->sampling >= ctx->h_min);
+  return !(h > p->travel && approach_speed(model, p, h) >= closing && h + model->sampling >= ctx->h_min);
 }
 
 /* velocity v + w x c of the distal link at a point, relative to the proximal link */
@@ -55,22 +63,72 @@ static inline dbk_real closing_within(const link_pair *p, dbk_real product, dbk_
   return dbk_min(p->closing, (product < (dbk_real)0 ? -product / nearest : (dbk_real)0) + p->change);
 }
 
-/* Bounds of the closing speeds, by the joints between the links, and by the speeds of both links in space. */
+/* Bounds of the closing speeds by the joints between the links, and of the relative acceleration: joint k contributes
+ * u_k z_k x v to the acceleration of a point that the joints after it move with v, twice, and once with its own v. */
 static void bound_speeds(const dbk_model *model, const dbk_sphere_motion *m, link_pair *p) {
-  const dbk_real sampling_term = m->sampling_term[p->proximal] + m->sampling_term[p->distal];
-  dbk_real speed = sampling_term;
-  p->change = sampling_term + DBK_RHS_ROUNDING;
+  dbk_real speed = (dbk_real)0, acceleration = (dbk_real)0, turn = (dbk_real)0;
+  p->excess = (dbk_real)0;
+  p->change = DBK_RHS_ROUNDING;
   for (int32_t k = p->first_joint; k < p->end_joint; ++k) {
-    const dbk_real reach = model->link_reach[k][p->distal];
+    const dbk_real reach = model->link_reach[k][p->distal], most = m->joint_max_speed[k] + m->joint_excess[k];
+    const dbk_real own_turn = model->joint_kind[k] == DBK_REVOLUTE ? most : (dbk_real)0;
     speed += m->joint_max_speed[k] * reach;
+    acceleration += ((dbk_real)2 * turn + own_turn) * most * reach;
+    turn += own_turn;
     p->excess += m->joint_excess[k] * reach;
     p->change += m->joint_half_width[k] * reach;
   }
-  p->speed = p->closing = dbk_min(speed, m->trust_speed[p->proximal] + m->trust_speed[p->distal]);
+  p->bend = (dbk_real)0.5 * model->period * acceleration;
+  p->change += p->bend;
+  p->speed = p->closing = dbk_min(speed, m->trust_speed[p->proximal] + m->trust_speed[p->distal]) + p->bend;
   p->travel = model->period * (p->speed + p->excess) + DBK_CULL_FLOOR;
 }
 
-/* Sets the relative twist, and tightens the closing speed by the directions. With the difference c_s - c_i of the
+/* c += sign a x b */
+static inline void add_cross(const dbk_real a[3], const dbk_real b[3], dbk_real sign, dbk_real c[3]) {
+  c[0] += sign * (a[1] * b[2] - a[2] * b[1]);
+  c[1] += sign * (a[2] * b[0] - a[0] * b[2]);
+  c[2] += sign * (a[0] * b[1] - a[1] * b[0]);
+}
+
+/* velocity v + w x c and acceleration dv + dw x c + w x (v + w x c) of the distal link at a point c, as seen from the
+ * proximal link */
+static inline void relative_motion_at(const link_pair *p, dbk_real x, dbk_real y, dbk_real z, dbk_real v[3],
+                                      dbk_real a[3]) {
+  const dbk_real *w = p->bound_twist, *dw = p->bound_acceleration;
+  v[0] = w[3] + (w[1] * z - w[2] * y);
+  v[1] = w[4] + (w[2] * x - w[0] * z);
+  v[2] = w[5] + (w[0] * y - w[1] * x);
+  a[0] = dw[3] + (dw[1] * z - dw[2] * y) + (w[1] * v[2] - w[2] * v[1]);
+  a[1] = dw[4] + (dw[2] * x - dw[0] * z) + (w[2] * v[0] - w[0] * v[2]);
+  a[2] = dw[5] + (dw[0] * y - dw[1] * x) + (w[0] * v[1] - w[1] * v[0]);
+}
+
+/* Sets the relative acceleration, and tightens its bound. With the spatial velocities V and accelerations A of the
+ * proximal link p and the distal link d, it is A_d - A_p - V_p x (V_d - V_p). The common motion of both links changes no
+ * distance and has no part in it. */
+static void bound_acceleration(const dbk_model *model, const dbk_sphere_motion *m, link_pair *p) {
+  const dbk_real *near = m->bound_twist[p->first_joint];
+  const int32_t b = p->distal;
+  for (int32_t i = 0; i < 6; ++i) {
+    p->bound_twist[i] = m->bound_twist[p->end_joint][i] - near[i];
+    p->bound_acceleration[i] = m->bound_acceleration[p->end_joint][i] - m->bound_acceleration[p->first_joint][i];
+  }
+  add_cross(near, p->bound_twist, (dbk_real)-1, p->bound_acceleration);
+  add_cross(near, p->bound_twist + 3, (dbk_real)-1, p->bound_acceleration + 3);
+  add_cross(near + 3, p->bound_twist, (dbk_real)-1, p->bound_acceleration + 3);
+  const dbk_real *w = p->bound_twist, *dw = p->bound_acceleration;
+  dbk_real v[3], a[3];
+  relative_motion_at(p, m->bound_x[b], m->bound_y[b], m->bound_z[b], v, a);
+  const dbk_real turn = dbk_length(dw[0], dw[1], dw[2]) + (w[0] * w[0] + w[1] * w[1] + w[2] * w[2]);
+  const dbk_real most = dbk_length(a[0], a[1], a[2]) + turn * m->centres_radius[b];
+  const dbk_real less = p->bend - dbk_min(p->bend, (dbk_real)0.5 * model->period * most);
+  p->bend -= less;
+  p->change -= less;
+  p->closing -= less;
+}
+
+/* Sets the relative twist, the relative acceleration and its bound, and tightens the closing speed by the directions. With the difference c_s - c_i of the
  * centres of a distal and a proximal sphere, W the difference of the centres of the bounding spheres, V the relative
  * velocity at the centre of each, and the distances e and f of the centres from those of the bounding spheres,
  *
@@ -106,7 +164,7 @@ DBK_SIMD_CLONES static dbk_real set_relative_motion(const dbk_model *model, cons
   const int32_t count = DBK_PADDED(p->count);
   const dbk_real *t = p->twist;
   const dbk_real wx = t[0], wy = t[1], wz = t[2], vx = t[3], vy = t[4], vz = t[5];
-  const dbk_real sampling_term = m->sampling_term[p->proximal] + m->sampling_term[p->distal] + DBK_RHS_ROUNDING;
+  const dbk_real sampling_term = p->bend + DBK_RHS_ROUNDING;
   dbk_real fastest[DBK_LANES] = {(dbk_real)0};
   /* spread: sum of half_width_k reach_k over the joints between the links */
   for (int32_t at = 0; at < count; ++at) { out->spread[at] = (dbk_real)0; }
@@ -145,13 +203,13 @@ typedef struct {
   int32_t binds;  /* 0: no control within the trust region can violate a row, and h is above the cull floor */
 } narrow_result;
 
-/* Narrow phase of proximal sphere i. A row is safe if n'v - change >= -alpha h. With n = w / d, w the vector between
- * the centres, this is w'v + d (alpha h - change) >= 0, which needs no division. `v` is the relative velocity at the
- * centre of sphere i, since w'v is the same at both centres. */
+/* Narrow phase of proximal sphere i. A row is safe if n'v - change >= -s, s = approach_speed(h). With n = w / d, w the
+ * vector between the centres, this is w'v + d (s - change) >= 0, which needs no division. `v` is the relative velocity at
+ * the centre of sphere i, since w'v is the same at both centres. */
 DBK_SIMD_CLONES static narrow_result narrow_phase(const dbk_model *model, const dbk_sphere_set *spheres,
                                                   const link_pair *p, const dbk_real v[3], int32_t i) {
   const dbk_real px = spheres->x[i], py = spheres->y[i], pz = spheres->z[i], radius = spheres->r[i] + p->margin;
-  const dbk_real vx = v[0], vy = v[1], vz = v[2], alpha = model->alpha_self, change = p->change;
+  const dbk_real vx = v[0], vy = v[1], vz = v[2], change = p->change;
   const dbk_real *restrict sx = spheres->x + p->first, *restrict sy = spheres->y + p->first;
   const dbk_real *restrict sz = spheres->z + p->first, *restrict sr = spheres->r + p->first;
   dbk_real least[DBK_LANES];
@@ -162,7 +220,7 @@ DBK_SIMD_CLONES static narrow_result narrow_phase(const dbk_model *model, const 
       const int32_t at = base + l, valid = at < p->count;
       const dbk_real x = sx[at] - px, y = sy[at] - py, z = sz[at] - pz;
       const dbk_real d = dbk_sqrt(x * x + y * y + z * z), h = d - sr[at] - radius;
-      const dbk_real headroom = (x * vx + y * vy + z * vz) + d * (alpha * h - change);
+      const dbk_real headroom = (x * vx + y * vy + z * vz) + d * (approach_speed(model, p, h) - change);
       const int32_t safe = (headroom >= (dbk_real)0) & (h >= DBK_CULL_FLOOR);
       const dbk_real valid_h = valid ? h : DBK_MAX_DISTANCE;
       binds[l] |= valid & !safe;
@@ -174,17 +232,24 @@ DBK_SIMD_CLONES static narrow_result narrow_phase(const dbk_model *model, const 
   return result;
 }
 
-/* computes the rows of the distal spheres and proximal sphere i */
+/* Computes the rows of the distal spheres and proximal sphere i. The second derivative of the distance of two points is
+ * n'a + (|v|^2 - (n'v)^2) / distance. */
 DBK_SIMD_CLONES static void bound_distal_spheres(const dbk_model *model, const dbk_ctx *ctx, const link_pair *p,
                                                  const relative_motion *relative, int32_t i,
                                                  dbk_pair_batch *restrict batch) {
   const dbk_sphere_set *spheres = &ctx->spheres;
-  const dbk_sphere_motion *m = &ctx->motion;
   const int32_t count = DBK_PADDED(p->count);
   const dbk_real px = spheres->x[i], py = spheres->y[i], pz = spheres->z[i], radius = spheres->r[i];
-  const dbk_real bx = m->ax[i], by = m->ay[i], bz = m->az[i];
-  const dbk_row_terms t = {p->margin,   model->alpha_self, model->recovery, (dbk_real)0, (dbk_real)0.5 * model->period,
-                           (dbk_real)0, (dbk_real)0,       (dbk_real)0};
+  const dbk_row_terms t = {p->margin,
+                           model->alpha_self,
+                           model->braking_gain,
+                           model->arc_share,
+                           model->recovery,
+                           (dbk_real)0,
+                           (dbk_real)0.5 * model->period,
+                           (dbk_real)0,
+                           (dbk_real)0,
+                           (dbk_real)0};
   batch->count = p->count;
   batch->kind = DBK_ROW_SELF;
   batch->sphere = DBK_MANY_SPHERES;
@@ -193,11 +258,15 @@ DBK_SIMD_CLONES static void bound_distal_spheres(const dbk_model *model, const d
   batch->end_joint = p->end_joint;
   for (int32_t at = 0; at < count; ++at) {
     const int32_t s = p->first + at;
-    dbk_real nx, ny, nz;
+    dbk_real nx, ny, nz, v[3], a[3];
+    relative_motion_at(p, spheres->x[s], spheres->y[s], spheres->z[s], v, a);
     const dbk_real distance =
         dbk_point_distance(spheres->x[s] - px, spheres->y[s] - py, spheres->z[s] - pz, &nx, &ny, &nz);
-    const dbk_point_motion motion = {spheres->r[s], relative->vx[at], relative->vy[at], relative->vz[at],
-                                     m->ax[s] - bx, m->ay[s] - by,    m->az[s] - bz,    relative->spread[at]};
+    const dbk_real rate = nx * v[0] + ny * v[1] + nz * v[2];
+    const dbk_real across = (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]) - rate * rate;
+    const dbk_real turn = dbk_max(across, (dbk_real)0) / dbk_max(distance, radius);
+    const dbk_point_motion motion = {spheres->r[s],    relative->vx[at], relative->vy[at], relative->vz[at],
+                                     a[0] + turn * nx, a[1] + turn * ny, a[2] + turn * nz, relative->spread[at]};
     const dbk_row_bound bound = dbk_bound_row(&motion, &t, 1, distance - radius, nx, ny, nz);
     batch->h[at] = bound.h;
     batch->nx[at] = nx;
@@ -260,7 +329,8 @@ static void proximal_spheres(const dbk_model *model, const dbk_scene *scene, dbk
  * speeds are not set */
 static link_pair link_pair_of(const dbk_model *model, const dbk_scene *scene, int32_t number, dbk_real extra) {
   const int32_t held = number >= model->n_pairs;
-  link_pair p = {.number = number};
+  link_pair p;
+  p.number = number;
   p.proximal = held ? model->held_link[number - model->n_pairs] : model->pair[number][0];
   p.distal = held ? model->n_links : model->pair[number][1];
   p.first = dbk_link_first_sphere(model, p.distal);
@@ -284,6 +354,8 @@ static void link_pair_rows(const dbk_model *model, const dbk_scene *scene, dbk_c
   const dbk_real gap = gap_to(m, &p, m->bound_x[near], m->bound_y[near], m->bound_z[near], m->bound_r[near]);
   if (!relevant(model, ctx, &p, p.closing, gap)) { return; }
   bound_by_direction(m, &p);
+  if (!relevant(model, ctx, &p, p.closing, gap)) { return; }
+  bound_acceleration(model, m, &p);
   if (!relevant(model, ctx, &p, p.closing, gap)) { return; }
   proximal_spheres(model, scene, ctx, &p);
 }

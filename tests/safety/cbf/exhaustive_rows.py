@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Sphere
-from dualbrain.safety.cbf.kernel import tool_frame
+from dualbrain.safety.cbf.kernel import UNLIMITED_ACCELERATION, tool_frame
 from tests.safety import geometry_oracle
 
 OBSTACLE, SELF = 0, 1
@@ -57,17 +57,19 @@ class PlacedSpheres:
         self.setting, chain = setting, geometry_oracle.joint_frames(body, setting.q[None])
         R0, p0 = setting.base
         self.frames = [(R0 @ R[0], p0 + R0 @ p[0]) for R, p in chain]
-        middle = 0.5 * (setting.low + setting.high)
-        step = 1e-4
+        self.body, self.joint = body, np.arange(body.n)
         self.centre, self.radius, self.link = self._spheres(body, setting.q)
-        ahead, behind = (self._spheres(body, setting.q + s * step * middle)[0] for s in (1, -1))
-        self.acceleration = (ahead - 2 * self.centre + behind) / step**2
         frame_of = {link.name: link.frame for link in body.links} | {"held": body.n}
         self.frame = np.array([frame_of[name] for name in self.link])
         axes = np.array([R[:, 2] for R, _ in self.frames[1:]])
         origins = np.array([p for _, p in self.frames[1:]])
         self.jacobian = np.cross(axes[None], self.centre[:, None, :] - origins[None])  # (k, n, 3), all joints
-        self.joint = np.arange(body.n)
+
+    def second_difference(self, joints, measure):
+        """Second derivative by time of `measure` of the centres if only `joints` move, at the centre of the box."""
+        step, middle = 1e-4, 0.5 * (self.setting.low + self.setting.high) * joints
+        ahead, behind = (self._spheres(self.body, self.setting.q + s * step * middle)[0] for s in (1, -1))
+        return (measure(ahead) - 2 * measure(self.centre) + measure(behind)) / step**2
 
     def _spheres(self, body, q):
         R0, p0 = self.setting.base
@@ -138,11 +140,21 @@ def _obstacle_rows(body, config, spheres, j, obstacle):
     permit = np.array([setting.permits.get((name, j), -1.0) for name in spheres.link[mine]])
     cap = np.where(permit >= 0.0, -permit, config.recovery_speed)
     alpha = obstacle.alpha or body.alpha
-    bend = np.maximum(0.0, -0.5 * body.period * np.einsum("sx,sx->s", n, spheres.acceleration[mine]))
-    b = np.minimum(-alpha * h, cap) + n @ v + np.where(permit >= 0.0, 0.0, obstacle.velocity_error)
+    acceleration = spheres.second_difference(spheres.joint >= 0, lambda centre: centre[mine])
+    deceleration = np.maximum(0.0, -np.einsum("sx,sx->s", n, acceleration))
+    bend = 0.5 * body.period * deceleration
+    b = np.minimum(-approach_speed(body, config, alpha, h, deceleration), cap) + n @ v + np.where(permit >= 0.0, 0.0, obstacle.velocity_error)
     b = b + bend + _tracking_term(config, a)
     kind = np.full(len(mine), OBSTACLE)
     return kind, mine, np.full(len(mine), j), h, a, b, permit >= 0.0
+
+
+def approach_speed(body, config, alpha, h, deceleration):
+    """Largest rates at which h may fall: alpha h, and those after which a stop along the path ends at h ≥ 0."""
+    limited = config.acceleration_limits
+    most = [joint.acceleration.value if limited else UNLIMITED_ACCELERATION for joint in body.joints]
+    advance = 0.5 * max(joint.velocity.value / a for joint, a in zip(body.joints, most, strict=True))
+    return np.minimum(alpha * h, (h - 0.5 * deceleration * advance**2) / advance)
 
 
 def _tracking_term(config, a):
@@ -162,8 +174,9 @@ def _self_collision_rows(body, config, spheres, near, far, error):
     h = h - config.rounding_margin - error
     between = (spheres.joint[None] < spheres.frame[s][:, None]) & (spheres.joint[None] >= spheres.frame[i][:, None])
     a = np.einsum("skx,sx->sk", spheres.jacobian[s], n) * between
-    relative = spheres.acceleration[s] - spheres.acceleration[i]
-    bend = np.maximum(0.0, -0.5 * body.period * np.einsum("sx,sx->s", n, relative))
-    b = np.minimum(-(config.alpha_self or body.alpha) * h, config.recovery_speed) + bend
+    bend = spheres.second_difference(between[0], lambda centre: np.linalg.norm(centre[s] - centre[i], axis=1))
+    deceleration = np.maximum(0.0, -bend)
+    allowed = approach_speed(body, config, config.alpha_self or body.alpha, h, deceleration)
+    b = np.minimum(-allowed, config.recovery_speed) + 0.5 * body.period * deceleration
     b = b + _tracking_term(config, a)
     return [(np.full(len(s), SELF), s, i, h, a, b, np.zeros(len(s), bool))]

@@ -108,7 +108,7 @@ def max_approach_speed(s, d, a):
 
 
 def sphere_jacobians(s, q, middle):
-    """Jacobians (k, 3, n) of the centres, and their second derivative (k, 3) along `middle`."""
+    """Centres (k, 3), their Jacobians (k, 3, n), and their second derivative (k, 3) along `middle`."""
     J = np.stack(
         [
             (sphere_centres(s, q + DIFFERENCE_STEP * e) - sphere_centres(s, q - DIFFERENCE_STEP * e))
@@ -117,10 +117,20 @@ def sphere_jacobians(s, q, middle):
         ],
         axis=2,
     )
+    return sphere_centres(s, q), J, second_derivative(s, q, middle)
+
+
+def second_derivative(s, q, middle, measure=lambda centres: centres):
+    """Second derivative along `middle` of the centres (k, 3), or of a measure of them."""
     step = 1e-4
-    here = sphere_centres(s, q)
-    bend = (sphere_centres(s, q + step * middle) - 2.0 * here + sphere_centres(s, q - step * middle)) / step**2
-    return here, J, bend
+    ahead, behind = (sphere_centres(s, q + sign * step * middle) for sign in (1.0, -1.0))
+    return (measure(ahead) - 2.0 * measure(sphere_centres(s, q)) + measure(behind)) / step**2
+
+
+def approach_speed(s, alpha, h, deceleration):
+    """Largest rate at which h may fall: alpha h, and that after which a stop along the path ends at h ≥ 0."""
+    advance = 0.5 * max(joint.velocity.value / joint.acceleration.value for joint in s.robot_model.joints)
+    return min(alpha * h, (h - 0.5 * deceleration * advance**2) / advance)
 
 
 def all_rows(s, q, u_prev):
@@ -132,7 +142,7 @@ def all_rows(s, q, u_prev):
     for j, obstacle in enumerate(s.obstacles):
         if obstacle.known or not s.known_only:
             out += _obstacle_rows(s, j, obstacle, here, J, bend, link, radius, frame, low, high)
-    out += _self_rows(s, here, J, bend, link, radius, low, high)
+    out += _self_rows(s, q, here, J, link, radius, low, high)
     out += [(np.array(row.a), row.b, row.h, ("user", i, 0)) for i, row in enumerate(s.rows)]
     return low, high, out
 
@@ -169,12 +179,12 @@ def _obstacle_rows(s, j, obstacle, here, J, bend, link, radius, frame, low, high
         )
         h, permit = gap[i] - radius[i] - margin, permitted_speed(s, obstacle.name, link[i])
         a = n[i] @ J[i]
+        deceleration = max(0.0, -(n[i] @ bend[i]))
+        allowed = approach_speed(s, alpha, h, deceleration)
         barrier = (
-            -max(permit, alpha * h)
-            if permit is not None
-            else min(-alpha * h, c.recovery_speed) + obstacle.velocity_error
+            -max(permit, allowed) if permit is not None else min(-allowed, c.recovery_speed) + obstacle.velocity_error
         )
-        b = barrier + n[i] @ v + max(0.0, -0.5 * s.robot_model.period * (n[i] @ bend[i]))
+        b = barrier + n[i] @ v + 0.5 * s.robot_model.period * deceleration
         if obstacle.separation is not None and permit is None:
             b = max(b, -separation_speed(obstacle, h, n[i] @ v))
         b += c.tracking_error * np.abs(a).sum()
@@ -184,7 +194,7 @@ def _obstacle_rows(s, j, obstacle, here, J, bend, link, radius, frame, low, high
     return out
 
 
-def _self_rows(s, here, J, bend, link, radius, low, high):
+def _self_rows(s, q, here, J, link, radius, low, high):
     c = s.config
     alpha = c.alpha_self or c.alpha or s.robot_model.alpha
     index = {part.name: k for k, part in enumerate(s.robot_model.links)}
@@ -196,15 +206,21 @@ def _self_rows(s, here, J, bend, link, radius, low, high):
     out = []
     for near, far in [*pairs, *((near, len(s.robot_model.links)) for near in hand if len(s.held))]:
         margin = c.self_margin + _common_margin(s) + s.held_error * (far == len(s.robot_model.links))
+        frames = [*(part.frame for part in s.robot_model.links), s.robot_model.n]
+        between = (np.arange(s.robot_model.n) >= frames[near]) & (np.arange(s.robot_model.n) < frames[far])
+        middle = 0.5 * (low + high) * between
+        bend = second_derivative(
+            s, q, middle, lambda centres: np.linalg.norm(centres[:, None] - centres[None], axis=2)
+        )
         for i in np.flatnonzero(link == near):
             for k in np.flatnonzero(link == far):
                 way = here[k] - here[i]
                 distance = np.linalg.norm(way)
                 n, h = way / distance, distance - radius[i] - radius[k] - margin
                 a = n @ (J[k] - J[i])
-                b = min(-alpha * h, c.recovery_speed) + max(
-                    0.0, -0.5 * s.robot_model.period * (n @ (bend[k] - bend[i]))
-                )
+                deceleration = max(0.0, -bend[k, i])
+                b = min(-approach_speed(s, alpha, h, deceleration), c.recovery_speed)
+                b += 0.5 * s.robot_model.period * deceleration
                 b += c.tracking_error * np.abs(a).sum()
                 if h < 0.0:
                     b = min(b, np.maximum(a * low, a * high).sum())

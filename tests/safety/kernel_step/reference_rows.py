@@ -70,7 +70,9 @@ class ReferenceRows(ReferenceStep):
             self.h_lower_bounds[link, j],
             self.model["period"] * (t.speed + self.max_speed[link]) + ALWAYS_CHECKED_DISTANCE,
         )
-        if not (h > soon and self.alpha(t) * h >= t.speed + self.trust_region_speed[link]):
+        deceleration = self.max_acceleration_term[link] / (0.5 * self.model["period"])
+        allowed = self.approach_speed(self.alpha(t), h, deceleration)
+        if not (h > soon and allowed >= t.speed + self.trust_region_speed[link]):
             return True
         if not h + self.model["sampling"] >= self.min_h_bound:
             return True
@@ -78,10 +80,17 @@ class ReferenceRows(ReferenceStep):
             return False
         return separation_speed(t.reaction, t.brake, h, max(t.approach, t.speed)) < self.trust_region_speed[link]
 
+    def approach_speed(self, alpha, h, deceleration):
+        """Largest rate at which h may fall: alpha h, and what leaves h ≥ 0 at the end of a stop along the path."""
+        stop_time = np.max(self.model["v_max"] / self.model["a_max"])
+        advance = 0.5 * stop_time  # [s] of the present motion
+        return min(alpha * h, (h - 0.5 * deceleration * advance**2) / advance)
+
     def bound_row(self, h, n, moves, spread, bend, alpha, cap, drift):
         """Right-hand side of a row, and its slack for the worst control of the trust region."""
-        barrier = min(-alpha * h, cap)
-        rhs = barrier + drift + max(0.0, -0.5 * self.model["period"] * (n @ bend))
+        deceleration = max(0.0, -(n @ bend))
+        barrier = min(-self.approach_speed(alpha, h, deceleration), cap)
+        rhs = barrier + drift + 0.5 * self.model["period"] * deceleration
         return rhs, n @ moves - spread - rhs
 
     def obstacle_rows(self, link, j):
@@ -129,14 +138,47 @@ class ReferenceRows(ReferenceStep):
         m = self.model
         return m["self_margin"] + m["sampling"] + m["rounding"] + self.extra + self.held_error(far)
 
+    def between_control(self, near, far):
+        """The centre of the box for the joints between two links, and 0 for the others, which change no distance."""
+        u = np.zeros(self.n)
+        between = slice(self.link_frame[near], self.link_frame[far])
+        u[between] = 0.5 * (self.low + self.high)[between]
+        return u
+
+    def coarse_acceleration_term(self, near, far):
+        """Upper bound of the sampling terms of two links, by the speeds of the joints between them."""
+        between = range(self.link_frame[near], self.link_frame[far])
+        most = self.max_joint_speed + self.box_excess
+        turns = np.where(self.slides, 0.0, most)
+        total = sum(
+            most[k] * self.link_reach[k, far] * (2.0 * turns[between[0] : k].sum() + turns[k]) for k in between
+        )
+        return 0.5 * self.model["period"] * total
+
+    def acceleration_term(self, near, far):
+        """Upper bound of the sampling terms of the spheres of two links, by the motion of the farther one."""
+        if (near, far) in self.terms_of_pairs:
+            return self.terms_of_pairs[near, far]
+        u, frame, ball = self.between_control(near, far), self.link_frame[far], self.bounding_spheres[far]
+        turn = np.linalg.norm(self.turn_acceleration(u, frame)) + np.sum(self.turn_rate(u, frame) ** 2)
+        most = np.linalg.norm(self.point_acceleration(u, ball[:3], frame)) + turn * ball[5]
+        term = min(self.coarse_acceleration_term(near, far), 0.5 * self.model["period"] * most)
+        self.terms_of_pairs[near, far] = term
+        return term
+
+    @cached_property
+    def terms_of_pairs(self):
+        """Results of `acceleration_term`."""
+        return {}
+
     def closing_speeds(self, near, far):
         """Upper bounds of the closing speed in the trust region: by joints or in space, and for single spheres."""
         between = slice(self.link_frame[near], self.link_frame[far])
-        bend = self.max_acceleration_term[near] + self.max_acceleration_term[far]
-        by_joints = bend + self.max_joint_speed[between] @ self.link_reach[between, far]
-        coarse = min(by_joints, self.trust_region_speed[near] + self.trust_region_speed[far])
+        by_joints = self.max_joint_speed[between] @ self.link_reach[between, far]
+        in_space = self.trust_region_speed[near] + self.trust_region_speed[far]
+        coarse = min(by_joints, in_space) + self.coarse_acceleration_term(near, far)
         relative, spread = self.relative_velocity(near, far)
-        fine = np.linalg.norm(relative, axis=1) + spread + bend + SPEED_ROUNDING
+        fine = np.linalg.norm(relative, axis=1) + spread + self.acceleration_term(near, far) + SPEED_ROUNDING
         return coarse, min(coarse, fine.max())
 
     def relative_velocity(self, near, far):
@@ -162,15 +204,20 @@ class ReferenceRows(ReferenceStep):
     def self_collision_rows(self, near, far):
         """Rows of two links."""
         rows, (relative, spread) = [], self.relative_velocity(near, far)
+        u = self.between_control(near, far)
+        bend = [self.point_acceleration(u, self.centre[s], self.link_frame[far]) for s in self.sphere_indices(far)]
+        moves = np.einsum("k,skx->sx", u, self.jacobian[list(self.sphere_indices(far))])
         for i in self.sphere_indices(near):
             h, n = self.self_distances(i, far)
             for at, s in enumerate(self.sphere_indices(far)):
+                distance = np.linalg.norm(self.centre[s] - self.centre[i])
+                across = moves[at] - (n[at] @ moves[at]) * n[at]
                 rhs, room = self.bound_row(
                     h[at],
                     n[at],
                     relative[at],
                     spread[at],
-                    self.acceleration[s] - self.acceleration[i],
+                    bend[at] + n[at] * (across @ across) / max(distance, self.radius[i]),
                     self.model["alpha_self"],
                     self.model["recovery"],
                     0.0,
@@ -243,13 +290,12 @@ class ReferenceRows(ReferenceStep):
                 out.add((self.first[far], len(self.sphere_indices(far)), -1 - i))
         return out
 
-    def closing_by_direction(self, near, far, closing, way, product, radius):
+    def closing_by_direction(self, near, far, closing, way, product, radius, bend):
         """Smaller of `closing` and the closing speed of points within `radius` of `way`; `product` bounds (way)'v."""
         nearest = np.linalg.norm(way) - radius
         if not nearest > ALWAYS_CHECKED_DISTANCE:
             return closing
         between = slice(self.link_frame[near], self.link_frame[far])
-        bend = self.max_acceleration_term[near] + self.max_acceleration_term[far]
         turn = np.linalg.norm(self.relative_twist(near, far)[:3])
         rounding = SPEED_ROUNDING + VELOCITY_ROUNDING * turn * np.abs(self.bounding_spheres[far, :3]).sum()
         change = self.half_width[between] @ self.link_reach[between, far] + bend + rounding
@@ -264,20 +310,23 @@ class ReferenceRows(ReferenceStep):
         return twist[3:] + np.cross(twist[:3], point)
 
     def closing_of_links(self, near, far):
-        """Upper bound of the closing speed of two links by the direction of their motion."""
+        """Upper bounds of the closing speed of two links by the direction of their motion, and by their acceleration."""
         a, b = self.bounding_spheres[near], self.bounding_spheres[far]
         at_near, at_far = self.velocity_at(near, far, a[:3]), self.velocity_at(near, far, b[:3])
         turn = np.linalg.norm(self.relative_twist(near, far)[:3])
         range_ = b[5] * np.linalg.norm(at_near) + a[5] * np.linalg.norm(at_far) + turn * a[5] * b[5]
         way, coarse = b[:3] - a[:3], self.closing_speeds(near, far)[0]
-        return self.closing_by_direction(near, far, coarse, way, way @ at_near - range_, a[5] + b[5])
+        bend = self.coarse_acceleration_term(near, far)
+        closing = self.closing_by_direction(near, far, coarse, way, way @ at_near - range_, a[5] + b[5], bend)
+        return closing, closing - bend + self.acceleration_term(near, far)
 
     def closing_of_sphere(self, near, far, i):
         """The same of sphere i of the near link."""
         b, v = self.bounding_spheres[far], self.velocity_at(near, far, self.centre[i])
         way = b[:3] - self.centre[i]
         product = way @ v - b[5] * np.linalg.norm(v)
-        return self.closing_by_direction(near, far, self.closing_of_links(near, far), way, product, b[5])
+        most, bend = self.closing_of_links(near, far)[1], self.acceleration_term(near, far)
+        return self.closing_by_direction(near, far, most, way, product, b[5], bend)
 
     def n_pair_checks(self, start):
         """Number of spheres that are checked against another link; `start` is an upper bound of h_min."""
@@ -290,20 +339,23 @@ class ReferenceRows(ReferenceStep):
         ]
         count, h_min = 0, min([start, *obstacles])
 
-        def matters(h, closing):
-            safe = h > soon and self.model["alpha_self"] * h >= closing and h + self.model["sampling"] >= h_min
-            return not safe
+        def matters(h, closing, bend):
+            allowed = self.approach_speed(self.model["alpha_self"], h, bend / (0.5 * self.model["period"]))
+            return not (h > soon and allowed >= closing and h + self.model["sampling"] >= h_min)
 
         for near, far in self.pairs():
             to, coarse = self.bounding_spheres[far], self.closing_speeds(near, far)[0]
             soon = self.model["period"] * (coarse + self.excess_between(near, far)) + ALWAYS_CHECKED_DISTANCE
+            bounds = [self.coarse_acceleration_term(near, far), self.acceleration_term(near, far)]
             gap = np.linalg.norm(to[:3] - self.bounding_spheres[near, :3]) - self.bounding_spheres[near, 3]
             gap -= to[3] + self.self_margin(far)
-            if not (matters(gap, coarse) and matters(gap, self.closing_of_links(near, far))):
+            by_direction, by_acceleration = self.closing_of_links(near, far)
+            stages = [(coarse, bounds[0]), (by_direction, bounds[0]), (by_acceleration, bounds[1])]
+            if not all(matters(gap, *stage) for stage in stages):
                 continue
             for i in self.sphere_indices(near):
                 own = np.linalg.norm(to[:3] - self.centre[i]) - to[3] - self.radius[i] - self.self_margin(far)
-                if matters(own, self.closing_of_sphere(near, far, i)):
+                if matters(own, self.closing_of_sphere(near, far, i), bounds[1]):
                     count += 1
                     h_min = min(h_min, self.self_distances(i, far)[0].min() + self.model["sampling"])
         return count

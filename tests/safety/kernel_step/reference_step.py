@@ -135,20 +135,32 @@ class ReferenceStep:
     @cached_property
     def acceleration(self):
         """(spheres, 3) at a constant control, the centre of the box: every axis moves with the preceding joints."""
-        u, (z, p) = 0.5 * (self.low + self.high), self.axes
-        out = np.zeros((len(self.centre), 3))
-        for s, (centre, frame) in enumerate(zip(self.centre, self.frame, strict=True)):
-            velocity = u @ self.jacobian[s]
-            for k in range(frame):
-                before = np.arange(k)[~self.slides[:k]]
-                w = u[before] @ z[before] if len(before) else np.zeros(3)
-                steady = [z[j] if self.slides[j] else np.cross(z[j], p[k] - p[j]) for j in range(k)]
-                at_axis = u[:k] @ np.array(steady) if k else np.zeros(3)
-                dz = np.cross(w, z[k])
-                out[s] += u[k] * (
-                    dz if self.slides[k] else np.cross(dz, centre - p[k]) + np.cross(z[k], velocity - at_axis)
-                )
+        u = 0.5 * (self.low + self.high)
+        return np.array([self.point_acceleration(u, *at) for at in zip(self.centre, self.frame, strict=True)])
+
+    def point_acceleration(self, u, point, frame):
+        """Acceleration (3,) of a point that is fixed to a frame, at a constant control."""
+        out, z, p = np.zeros(3), *self.axes
+
+        def velocity(at, joints):
+            steady = [z[j] if self.slides[j] else np.cross(z[j], at - p[j]) for j in range(joints)]
+            return u[:joints] @ np.array(steady) if joints else np.zeros(3)
+
+        for k in range(frame):
+            dz = np.cross(self.turn_rate(u, k), z[k])
+            by_turn = np.cross(dz, point - p[k]) + np.cross(z[k], velocity(point, frame) - velocity(p[k], k))
+            out += u[k] * (dz if self.slides[k] else by_turn)
         return out
+
+    def turn_rate(self, u, frame):
+        """Angular velocity (3,) of a frame."""
+        turns = np.arange(frame)[~self.slides[:frame]]
+        return u[turns] @ self.axes[0][turns] if len(turns) else np.zeros(3)
+
+    def turn_acceleration(self, u, frame):
+        """Angular acceleration (3,) of a frame at a constant control."""
+        turns, axes = np.arange(frame)[~self.slides[:frame]], self.axes[0]
+        return sum((u[k] * np.cross(self.turn_rate(u, k), axes[k]) for k in turns), np.zeros(3))
 
     @cached_property
     def half_width(self):

@@ -21,7 +21,12 @@ own parts or of an obstacle at rest (rank body or obstacle) that braking satisfi
 rank workspace. The target control is then the hardest admissible braking, not the nominal control.
 
 The filter keeps h ≥ 0 by ḣ ≥ −α h, with α ≤ min(a_max/v_max) unless stated otherwise, so that the acceleration limits
-can follow. For h < 0 a row asks for ḣ ≥ min(α|h|, recovery speed), for joint limits 4 × recovery speed
+can follow. The rows of bodies also keep h ≥ 0 at the end of a stop along the arc of the present motion: a body may
+approach at
+
+    s(h) = min(α h, 2g h − C/(4g)),   g = min(a_max/v_max),   C = max(0, −n'a),
+
+with the acceleration a of its centre at the present control, relative to the other body. For h < 0 a row asks for ḣ ≥ min(α|h|, recovery speed), for joint limits 4 × recovery speed
 [rad/s], and never forbids motion away from the obstacle.
 Margins beyond h = 0: *sampling* (a step of finite length), *tracking* (ẏ ≠ u), *measurement* (obstacle margin), *age*
 (velocity error × age of the observation), *rounding* (float32)."""

@@ -39,7 +39,7 @@ BARRIER = BarrierSpec(
     name="contact",
     description="a permitted pair may touch, but its approach speed stays at or below the speed of the permit",
     h="h = permitted approach speed − actual approach speed",
-    row="n'(J u − v_o) ≥ −max(speed, α h)",
+    row="n'(J u − v_o) ≥ −max(speed, s(h))",
     rank=Rank.OBSTACLE,
     alpha="as for obstacle",
     margins=("sampling", "rounding"),

@@ -77,7 +77,7 @@ BARRIER = BarrierSpec(
     name="keep_out",
     description="no disc of the footprint of a base enters the region; discs off the axle let the base steer away",
     h="h = d(p_i, rectangle) − r_i, p_i' = [e_θ, l_i e_θ⊥] (v, ω)",
-    row="n'J_i u ≥ −α h + …, as for obstacles",
+    row="n'J_i u ≥ −s(h) + …, as for obstacles",
     rank=Rank.WORKSPACE,
     alpha="FilterConfig.alpha",
     margins=("sampling", "tracking", "measurement", "rounding"),

@@ -33,7 +33,7 @@ BARRIER = BarrierSpec(
     name="obstacle",
     description="every sphere of the robot stays outside every perceived sphere, capsule, box and half-space",
     h="h = d(c_s, obstacle) − r_s − margins",
-    row="n'J_s u ≥ −α h + n'v_o + e_v + tracking Σ|n'J_k| + max(0, −Δt/2 n'a)",
+    row="n'J_s u ≥ −s(h) + n'v_o + e_v + tracking Σ|n'J_k| + Δt/2 C",
     rank=Rank.OBSTACLE,
     alpha="FilterConfig.alpha, or Obstacle.alpha; people have rank BODY",
     margins=("sampling", "tracking", "measurement", "age", "rounding"),

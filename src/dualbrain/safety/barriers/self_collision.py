@@ -35,7 +35,7 @@ BARRIER = BarrierSpec(
     name="self_collision",
     description="the links of the robot keep apart, for every pair of links that may not touch by construction",
     h="h = |c_i − c_j| − r_i − r_j − margins",
-    row="n'(J_i − J_j) u ≥ −α h + tracking Σ|n'J_k| + max(0, −Δt/2 n'a)",
+    row="n'(J_i − J_j) u ≥ −s(h) + tracking Σ|n'J_k| + Δt/2 C",
     rank=Rank.BODY,
     alpha="FilterConfig.alpha_self, or FilterConfig.alpha if that is None",
     margins=("sampling", "tracking", "rounding"),

@@ -67,7 +67,7 @@ BARRIER = BarrierSpec(
     name="traversable",
     description="every disc of a base's footprint stays inside a convex region of the floor",
     h="h = n_e'(p_i − c_e) − r_i for every edge e",
-    row="n_e'J_i u ≥ −α h + …, as for obstacles",
+    row="n_e'J_i u ≥ −s(h) + …, as for obstacles",
     rank=Rank.WORKSPACE,
     alpha="FilterConfig.alpha",
     margins=("sampling", "tracking", "measurement", "rounding"),

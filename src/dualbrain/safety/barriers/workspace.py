@@ -83,7 +83,7 @@ BARRIER = BarrierSpec(
     name="workspace",
     description="the hand, the fingers and the grasped object stay between two heights and within planes",
     h="h = n'(c_s − p) − r_s − margin",
-    row="n'J_s u ≥ −α h + …, as for obstacles, for the spheres of Obstacle.parts only",
+    row="n'J_s u ≥ −s(h) + …, as for obstacles, for the spheres of Obstacle.parts only",
     rank=Rank.WORKSPACE,
     alpha="FilterConfig.alpha",
     margins=("sampling", "tracking", "rounding"),

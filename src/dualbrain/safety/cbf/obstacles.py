@@ -338,7 +338,7 @@ def obstacle_from_checked_object(
 class Contact(msgspec.Struct, frozen=True):
     """Permit for `robot_part` (a sphere group or link: "hand", "fingers", "held", "left_finger") to touch `obstacle`.
 
-    The rows of these pairs become n'(J u − v_o) ≥ −max(`speed`, α h): at most `speed` [m/s] at contact, and before it
+    The rows of these pairs become n'(J u − v_o) ≥ −max(`speed`, s(h)): at most `speed` [m/s] at contact, and before it
     at most the speed that the barrier would allow.
     """
 
