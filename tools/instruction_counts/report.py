@@ -37,7 +37,7 @@ states, and counts a division as one instruction. Nothing was measured on silico
 
 METHOD = """## Reduction
 
-All changes keep the results bit for bit: the golden hashes in `tests/kernel/golden.json` did not change.
+These changes kept the results bit for bit: the golden hashes in `tests/kernel/golden.json` did not change.
 
 - **Direction of the motion.** A pair of links was tested sphere by sphere if its distance was small for the *magnitude*
   of the relative speed. Now the part of the velocity along the pair counts. For a rigid motion the product of the
@@ -50,6 +50,10 @@ All changes keep the results bit for bit: the golden hashes in `tests/kernel/gol
   exists in the model and the scene; the distance is computed from the current state. No event has to reset it.
 - **Factorisation of the active set.** If a constraint leaves, the constraints before it keep their directions, and
   only the later ones are factorised again.
+
+Since then the rows keep the distance of a stop along the arc (2026-11-30). With 12 obstacles a step takes on average
+8 % more instructions on the Panda with gcc -O2, 5 % on the FR3 and 15 % on the UR5e, because fewer pairs of links are
+excluded by their bounds.
 """
 
 

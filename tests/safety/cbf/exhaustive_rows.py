@@ -143,7 +143,11 @@ def _obstacle_rows(body, config, spheres, j, obstacle):
     acceleration = spheres.second_difference(spheres.joint >= 0, lambda centre: centre[mine])
     deceleration = np.maximum(0.0, -np.einsum("sx,sx->s", n, acceleration))
     bend = 0.5 * body.period * deceleration
-    b = np.minimum(-approach_speed(body, config, alpha, h, deceleration), cap) + n @ v + np.where(permit >= 0.0, 0.0, obstacle.velocity_error)
+    b = (
+        np.minimum(-approach_speed(body, config, alpha, h, deceleration), cap)
+        + n @ v
+        + np.where(permit >= 0.0, 0.0, obstacle.velocity_error)
+    )
     b = b + bend + _tracking_term(config, a)
     kind = np.full(len(mine), OBSTACLE)
     return kind, mine, np.full(len(mine), j), h, a, b, permit >= 0.0

@@ -209,9 +209,7 @@ def _self_rows(s, q, here, J, link, radius, low, high):
         frames = [*(part.frame for part in s.robot_model.links), s.robot_model.n]
         between = (np.arange(s.robot_model.n) >= frames[near]) & (np.arange(s.robot_model.n) < frames[far])
         middle = 0.5 * (low + high) * between
-        bend = second_derivative(
-            s, q, middle, lambda centres: np.linalg.norm(centres[:, None] - centres[None], axis=2)
-        )
+        bend = second_derivative(s, q, middle, lambda centres: np.linalg.norm(centres[:, None] - centres[None], axis=2))
         for i in np.flatnonzero(link == near):
             for k in np.flatnonzero(link == far):
                 way = here[k] - here[i]

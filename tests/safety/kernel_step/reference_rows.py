@@ -150,9 +150,7 @@ class ReferenceRows(ReferenceStep):
         between = range(self.link_frame[near], self.link_frame[far])
         most = self.max_joint_speed + self.box_excess
         turns = np.where(self.slides, 0.0, most)
-        total = sum(
-            most[k] * self.link_reach[k, far] * (2.0 * turns[between[0] : k].sum() + turns[k]) for k in between
-        )
+        total = sum(most[k] * self.link_reach[k, far] * (2.0 * turns[between[0] : k].sum() + turns[k]) for k in between)
         return 0.5 * self.model["period"] * total
 
     def acceleration_term(self, near, far):
@@ -310,7 +308,7 @@ class ReferenceRows(ReferenceStep):
         return twist[3:] + np.cross(twist[:3], point)
 
     def closing_of_links(self, near, far):
-        """Upper bounds of the closing speed of two links by the direction of their motion, and by their acceleration."""
+        """Upper bounds of the closing speed of two links by the direction of their motion, then by the acceleration."""
         a, b = self.bounding_spheres[near], self.bounding_spheres[far]
         at_near, at_far = self.velocity_at(near, far, a[:3]), self.velocity_at(near, far, b[:3])
         turn = np.linalg.norm(self.relative_twist(near, far)[:3])
