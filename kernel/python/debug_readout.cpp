@@ -51,7 +51,7 @@ nb::dict scene_fields(const dbk_scene &s) {
 nb::dict motion_fields(const dbk_sphere_motion &m) {
   nb::dict d;
   REALS(m, vx), REALS(m, vy), REALS(m, vz), REALS(m, ax), REALS(m, ay), REALS(m, az), REALS(m, spread);
-  REALS(m, joint_max_speed), REALS(m, joint_half_width), REALS(m, joint_excess), REALS(m, twist);
+  REALS(m, joint_max_speed), REALS(m, joint_half_width), REALS(m, joint_excess), REALS(m, chain);
   REALS(m, bound_x), REALS(m, bound_y), REALS(m, bound_z), REALS(m, bound_r);
   REALS(m, inner_distance), REALS(m, centres_radius);
   REALS(m, trust_speed), REALS(m, max_speed), REALS(m, sampling_term);

@@ -4,13 +4,6 @@
 
 #include "dbk_math.h"
 
-/* spatial velocity (angular w, linear v) about the base origin and its time derivative (dw, dv) at a constant control;
- * and the spatial velocity (tw, tv) at a second control, such as the centre of the trust region */
-typedef struct {
-  dbk_real w[3], v[3], dw[3], dv[3];
-  dbk_real tw[3], tv[3];
-} dbk_spatial;
-
 static inline void dbk_cross(const dbk_real a[3], const dbk_real b[3], dbk_real out[3]) {
   out[0] = a[1] * b[2] - a[2] * b[1];
   out[1] = a[2] * b[0] - a[0] * b[2];

@@ -84,6 +84,7 @@ typedef struct {
   /* computed by dbk_prepare */
   dbk_real reach[DBK_MAX_DOF][DBK_SPHERE_CAPACITY]; /* maximum lever arm of joint k on a sphere over all postures [m] */
   dbk_real link_reach[DBK_MAX_DOF][DBK_ALL_LINKS];  /* maximum over the spheres of a link */
+  int32_t first_moved[DBK_MAX_DOF]; /* joint k moves no sphere before this one, the first of a SIMD vector */
   dbk_real tracking_max, tracking_share[DBK_MAX_DOF]; /* maximum of tracking, and tracking relative to it */
   dbk_real braking_gain, arc_share; /* 2 g [1/s] and 1/(2 g dt) with g = min a/v, see dbk_approach_speed */
   int32_t sphere_frame[DBK_ALL_SPHERES];
@@ -210,6 +211,13 @@ typedef struct {
   int32_t count;
 } dbk_sphere_set;
 
+/* spatial velocity (angular w, linear v) about the base origin and its time derivative (dw, dv) at a constant control,
+ * the centre of the control bounds; and the spatial velocity (tw, tv) at the centre of the trust region */
+typedef struct {
+  dbk_real w[3], v[3], dw[3], dv[3];
+  dbk_real tw[3], tv[3];
+} dbk_spatial;
+
 /* motion of the collision spheres: velocities at the centre of the trust region, accelerations at the centre of the
  * control bounds, and bounds over all controls */
 typedef struct {
@@ -220,9 +228,7 @@ typedef struct {
   dbk_real joint_max_speed[DBK_MAX_DOF];  /* maximum |u| within the trust region, plus the tracking error */
   dbk_real joint_half_width[DBK_MAX_DOF]; /* half width of the trust region, plus the tracking error */
   dbk_real joint_excess[DBK_MAX_DOF];     /* distance from the trust region to the farther control bound */
-  /* of every frame about the base origin (angular, linear): velocity at the centre of the trust region, velocity and
-   * acceleration at the centre of the control bounds */
-  dbk_real twist[DBK_MAX_DOF + 1][6], bound_twist[DBK_MAX_DOF + 1][6], bound_acceleration[DBK_MAX_DOF + 1][6];
+  dbk_spatial chain[DBK_MAX_DOF + 1];     /* of every frame */
   /* per link: bounding sphere at the current posture */
   dbk_real bound_x[DBK_ALL_LINKS], bound_y[DBK_ALL_LINKS], bound_z[DBK_ALL_LINKS], bound_r[DBK_ALL_LINKS];
   dbk_real inner_distance[DBK_ALL_LINKS], centres_radius[DBK_ALL_LINKS]; /* see dbk_bounding_sphere */

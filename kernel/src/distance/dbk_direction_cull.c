@@ -18,13 +18,13 @@ typedef struct {
 
 static link_motion motion_of(const dbk_model *model, const dbk_ctx *ctx, const dbk_link_candidates *link) {
   const dbk_sphere_motion *m = &ctx->motion;
-  const dbk_real *t = m->twist[link->frame];
+  const dbk_real *w = m->chain[link->frame].tw, *v = m->chain[link->frame].tv;
   const int32_t l = link->link;
   const dbk_real x = m->bound_x[l], y = m->bound_y[l], z = m->bound_z[l];
   link_motion b = {{x, y, z},
-                   {t[3] + (t[1] * z - t[2] * y), t[4] + (t[2] * x - t[0] * z), t[5] + (t[0] * y - t[1] * x)},
+                   {v[0] + (w[1] * z - w[2] * y), v[1] + (w[2] * x - w[0] * z), v[2] + (w[0] * y - w[1] * x)},
                    (dbk_real)0,
-                   dbk_length(t[0], t[1], t[2]),
+                   dbk_length(w[0], w[1], w[2]),
                    m->centres_radius[l],
                    m->sampling_term[l] + DBK_RHS_ROUNDING,
                    m->max_speed[l],

@@ -66,6 +66,15 @@ static void prepare_bounding_spheres(dbk_model *model) {
   }
 }
 
+/* the first sphere that each joint moves, rounded down to a whole SIMD vector */
+static void prepare_first_moved(dbk_model *model) {
+  for (int32_t k = 0; k < DBK_MAX_DOF; ++k) {
+    int32_t first = 0;
+    while (first < model->n_spheres && !(model->reach[k][first] > (dbk_real)0)) { ++first; }
+    model->first_moved[k] = first & ~(DBK_LANES - 1);
+  }
+}
+
 /* maximum lever arm of every joint over the spheres of every link */
 static void prepare_link_reach(dbk_model *model) {
   for (int32_t k = 0; k < DBK_MAX_DOF; ++k) {
@@ -143,6 +152,7 @@ void dbk_prepare(dbk_model *model) {
     }
     if (k < model->n) { arm += joint_offset_max(model, k); }
   }
+  prepare_first_moved(model);
   prepare_link_reach(model);
   prepare_bounding_spheres(model);
 }

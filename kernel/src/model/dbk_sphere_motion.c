@@ -103,12 +103,11 @@ static inline void bound_links(const dbk_model *model, const dbk_scene *scene, d
 }
 
 DBK_SIMD_CLONES void dbk_set_sphere_motion(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx) {
-  dbk_spatial chain[DBK_MAX_DOF + 1];
   const dbk_spatial rest = {{0}, {0}, {0}, {0}, {0}, {0}};
   const int32_t count = DBK_PADDED(ctx->spheres.count);
   dbk_sphere_motion *out = &ctx->motion;
+  dbk_spatial *chain = out->chain;
   chain[0] = rest; /* the base */
-  dbk_fill_zero(out->spread, count);
   /* spatial velocities along the chain, bounds of the joint rates, and the spread sum_k half_width_k reach_k of
    * spheres */
   for (int32_t k = 0; k < model->n; ++k) {
@@ -126,16 +125,11 @@ DBK_SIMD_CLONES void dbk_set_sphere_motion(const dbk_model *model, const dbk_sce
     out->joint_half_width[k] = half_width;
     out->joint_max_speed[k] = dbk_abs(trust_centre) + half_width;
     out->joint_excess[k] = dbk_max(ctx->upper[k] - high, low - ctx->lower[k]);
-    for (int32_t s = 0; s < count; ++s) { out->spread[s] += half_width * reach[s]; }
-  }
-  for (int32_t k = 0; k <= model->n; ++k) {
-    for (int32_t e = 0; e < 3; ++e) {
-      out->twist[k][e] = chain[k].tw[e];
-      out->twist[k][3 + e] = chain[k].tv[e];
-      out->bound_twist[k][e] = chain[k].w[e];
-      out->bound_twist[k][3 + e] = chain[k].v[e];
-      out->bound_acceleration[k][e] = chain[k].dw[e];
-      out->bound_acceleration[k][3 + e] = chain[k].dv[e];
+    /* the first joint begins the sums */
+    if (k == 0) {
+      for (int32_t s = 0; s < count; ++s) { out->spread[s] = half_width * reach[s]; }
+    } else {
+      for (int32_t s = model->first_moved[k]; s < count; ++s) { out->spread[s] += half_width * reach[s]; }
     }
   }
   move_all_spheres(model, scene, chain, ctx);

@@ -17,9 +17,7 @@ typedef struct {
   int32_t number; /* index in model->pair; after the last one: n_pairs + index in model->held_link */
   int32_t proximal, distal, first_joint, end_joint, first, count;
   dbk_real margin;
-  /* of the distal link relative to the proximal one (angular, linear): velocity at the centre of the trust region,
-   * velocity and acceleration at the centre of the control bounds, as seen from the proximal link */
-  dbk_real twist[6], bound_twist[6], bound_acceleration[6];
+  dbk_spatial motion; /* of the distal link relative to the proximal one, and as seen from there */
   dbk_real bend;     /* maximum sampling term dt/2 |a| of the relative acceleration a of the spheres */
   dbk_real change;   /* maximum change of the closing speed within the trust region, plus the sampling term */
   dbk_real speed;    /* maximum closing speed within the trust region, including the sampling term, by joints and links */
@@ -36,23 +34,20 @@ typedef struct {
   dbk_real vx[DBK_SPHERE_CAPACITY], vy[DBK_SPHERE_CAPACITY], vz[DBK_SPHERE_CAPACITY], spread[DBK_SPHERE_CAPACITY];
 } relative_motion;
 
-/* speed at which the pair may approach at distance h, by the maximum of the relative acceleration */
-static inline dbk_real approach_speed(const dbk_model *model, const link_pair *p, dbk_real h) {
-  return dbk_approach_speed(model->alpha_self, model->braking_gain, model->arc_share, h, p->bend);
-}
-
 /* 1 unless all of the following hold at distance h: no control within the trust region can violate the row, no control
  * within the control bounds can reach h = 0 within this period, and another pair is closer */
-static int32_t relevant(const dbk_model *model, const dbk_ctx *ctx, const link_pair *p, dbk_real closing, dbk_real h) {
-  return !(h > p->travel && approach_speed(model, p, h) >= closing && h + model->sampling >= ctx->h_min);
+static inline int32_t relevant(const dbk_model *model, const dbk_ctx *ctx, const link_pair *p, dbk_real closing,
+                               dbk_real h) {
+  const dbk_real speed = dbk_approach_speed(model->alpha_self, model->braking_gain, model->arc_share, h, p->bend);
+  return !(h > p->travel && speed >= closing && h + model->sampling >= ctx->h_min);
 }
 
 /* velocity v + w x c of the distal link at a point, relative to the proximal link */
 static inline void relative_velocity(const link_pair *p, dbk_real x, dbk_real y, dbk_real z, dbk_real v[3]) {
-  const dbk_real *t = p->twist;
-  v[0] = t[3] + (t[1] * z - t[2] * y);
-  v[1] = t[4] + (t[2] * x - t[0] * z);
-  v[2] = t[5] + (t[0] * y - t[1] * x);
+  const dbk_real *w = p->motion.tw, *t = p->motion.tv;
+  v[0] = t[0] + (w[1] * z - w[2] * y);
+  v[1] = t[1] + (w[2] * x - w[0] * z);
+  v[2] = t[2] + (w[0] * y - w[1] * x);
 }
 
 /* The largest closing speed of two points whose difference is within `radius` of a vector of length `distance`, if the
@@ -84,41 +79,43 @@ static void bound_speeds(const dbk_model *model, const dbk_sphere_motion *m, lin
   p->travel = model->period * (p->speed + p->excess) + DBK_CULL_FLOOR;
 }
 
-/* c += sign a x b */
-static inline void add_cross(const dbk_real a[3], const dbk_real b[3], dbk_real sign, dbk_real c[3]) {
-  c[0] += sign * (a[1] * b[2] - a[2] * b[1]);
-  c[1] += sign * (a[2] * b[0] - a[0] * b[2]);
-  c[2] += sign * (a[0] * b[1] - a[1] * b[0]);
+/* c -= a x b */
+static inline void subtract_cross(const dbk_real a[3], const dbk_real b[3], dbk_real c[3]) {
+  c[0] -= a[1] * b[2] - a[2] * b[1];
+  c[1] -= a[2] * b[0] - a[0] * b[2];
+  c[2] -= a[0] * b[1] - a[1] * b[0];
 }
 
 /* velocity v + w x c and acceleration dv + dw x c + w x (v + w x c) of the distal link at a point c, as seen from the
  * proximal link */
 static inline void relative_motion_at(const link_pair *p, dbk_real x, dbk_real y, dbk_real z, dbk_real v[3],
                                       dbk_real a[3]) {
-  const dbk_real *w = p->bound_twist, *dw = p->bound_acceleration;
-  v[0] = w[3] + (w[1] * z - w[2] * y);
-  v[1] = w[4] + (w[2] * x - w[0] * z);
-  v[2] = w[5] + (w[0] * y - w[1] * x);
-  a[0] = dw[3] + (dw[1] * z - dw[2] * y) + (w[1] * v[2] - w[2] * v[1]);
-  a[1] = dw[4] + (dw[2] * x - dw[0] * z) + (w[2] * v[0] - w[0] * v[2]);
-  a[2] = dw[5] + (dw[0] * y - dw[1] * x) + (w[0] * v[1] - w[1] * v[0]);
+  const dbk_real *w = p->motion.w, *t = p->motion.v, *dw = p->motion.dw, *dv = p->motion.dv;
+  v[0] = t[0] + (w[1] * z - w[2] * y);
+  v[1] = t[1] + (w[2] * x - w[0] * z);
+  v[2] = t[2] + (w[0] * y - w[1] * x);
+  a[0] = dv[0] + (dw[1] * z - dw[2] * y) + (w[1] * v[2] - w[2] * v[1]);
+  a[1] = dv[1] + (dw[2] * x - dw[0] * z) + (w[2] * v[0] - w[0] * v[2]);
+  a[2] = dv[2] + (dw[0] * y - dw[1] * x) + (w[0] * v[1] - w[1] * v[0]);
 }
 
 /* Sets the relative acceleration, and tightens its bound. With the spatial velocities V and accelerations A of the
  * proximal link p and the distal link d, it is A_d - A_p - V_p x (V_d - V_p). The common motion of both links changes no
  * distance and has no part in it. */
 static void bound_acceleration(const dbk_model *model, const dbk_sphere_motion *m, link_pair *p) {
-  const dbk_real *near = m->bound_twist[p->first_joint];
+  const dbk_spatial *near = &m->chain[p->first_joint], *far = &m->chain[p->end_joint];
+  const dbk_real *w = p->motion.w, *dw = p->motion.dw;
   const int32_t b = p->distal;
-  for (int32_t i = 0; i < 6; ++i) {
-    p->bound_twist[i] = m->bound_twist[p->end_joint][i] - near[i];
-    p->bound_acceleration[i] = m->bound_acceleration[p->end_joint][i] - m->bound_acceleration[p->first_joint][i];
-  }
-  add_cross(near, p->bound_twist, (dbk_real)-1, p->bound_acceleration);
-  add_cross(near, p->bound_twist + 3, (dbk_real)-1, p->bound_acceleration + 3);
-  add_cross(near + 3, p->bound_twist, (dbk_real)-1, p->bound_acceleration + 3);
-  const dbk_real *w = p->bound_twist, *dw = p->bound_acceleration;
   dbk_real v[3], a[3];
+  for (int32_t e = 0; e < 3; ++e) {
+    p->motion.w[e] = far->w[e] - near->w[e];
+    p->motion.v[e] = far->v[e] - near->v[e];
+    p->motion.dw[e] = far->dw[e] - near->dw[e];
+    p->motion.dv[e] = far->dv[e] - near->dv[e];
+  }
+  subtract_cross(near->w, p->motion.w, p->motion.dw);
+  subtract_cross(near->w, p->motion.v, p->motion.dv);
+  subtract_cross(near->v, p->motion.w, p->motion.dv);
   relative_motion_at(p, m->bound_x[b], m->bound_y[b], m->bound_z[b], v, a);
   const dbk_real turn = dbk_length(dw[0], dw[1], dw[2]) + (w[0] * w[0] + w[1] * w[1] + w[2] * w[2]);
   const dbk_real most = dbk_length(a[0], a[1], a[2]) + turn * m->centres_radius[b];
@@ -128,7 +125,7 @@ static void bound_acceleration(const dbk_model *model, const dbk_sphere_motion *
   p->closing -= less;
 }
 
-/* Sets the relative twist, the relative acceleration and its bound, and tightens the closing speed by the directions. With the difference c_s - c_i of the
+/* Sets the relative twist, and tightens the closing speed by the directions. With the difference c_s - c_i of the
  * centres of a distal and a proximal sphere, W the difference of the centres of the bounding spheres, V the relative
  * velocity at the centre of each, and the distances e and f of the centres from those of the bounding spheres,
  *
@@ -140,10 +137,13 @@ static void bound_by_direction(const dbk_sphere_motion *m, link_pair *p) {
   const dbk_real x = m->bound_x[b] - m->bound_x[a], y = m->bound_y[b] - m->bound_y[a], z = m->bound_z[b] - m->bound_z[a];
   const dbk_real f = m->centres_radius[a], e = m->centres_radius[b];
   dbk_real near[3], far[3];
-  for (int32_t i = 0; i < 6; ++i) { p->twist[i] = m->twist[p->end_joint][i] - m->twist[p->first_joint][i]; }
+  for (int32_t i = 0; i < 3; ++i) {
+    p->motion.tw[i] = m->chain[p->end_joint].tw[i] - m->chain[p->first_joint].tw[i];
+    p->motion.tv[i] = m->chain[p->end_joint].tv[i] - m->chain[p->first_joint].tv[i];
+  }
   relative_velocity(p, m->bound_x[a], m->bound_y[a], m->bound_z[a], near);
   relative_velocity(p, m->bound_x[b], m->bound_y[b], m->bound_z[b], far);
-  const dbk_real turn = dbk_length(p->twist[0], p->twist[1], p->twist[2]);
+  const dbk_real turn = dbk_length(p->motion.tw[0], p->motion.tw[1], p->motion.tw[2]);
   const dbk_real origin = dbk_abs(m->bound_x[b]) + dbk_abs(m->bound_y[b]) + dbk_abs(m->bound_z[b]);
   p->change += DBK_VELOCITY_ROUNDING * turn * origin;
   const dbk_real product = (x * near[0] + y * near[1] + z * near[2]) - e * dbk_length(near[0], near[1], near[2]) -
@@ -162,8 +162,8 @@ DBK_SIMD_CLONES static dbk_real set_relative_motion(const dbk_model *model, cons
                                                 relative_motion *restrict out) {
   const dbk_sphere_motion *m = &ctx->motion;
   const int32_t count = DBK_PADDED(p->count);
-  const dbk_real *t = p->twist;
-  const dbk_real wx = t[0], wy = t[1], wz = t[2], vx = t[3], vy = t[4], vz = t[5];
+  const dbk_real *w = p->motion.tw, *v = p->motion.tv;
+  const dbk_real wx = w[0], wy = w[1], wz = w[2], vx = v[0], vy = v[1], vz = v[2];
   const dbk_real sampling_term = p->bend + DBK_RHS_ROUNDING;
   dbk_real fastest[DBK_LANES] = {(dbk_real)0};
   /* spread: sum of half_width_k reach_k over the joints between the links */
@@ -203,13 +203,14 @@ typedef struct {
   int32_t binds;  /* 0: no control within the trust region can violate a row, and h is above the cull floor */
 } narrow_result;
 
-/* Narrow phase of proximal sphere i. A row is safe if n'v - change >= -s, s = approach_speed(h). With n = w / d, w the
- * vector between the centres, this is w'v + d (s - change) >= 0, which needs no division. `v` is the relative velocity at
- * the centre of sphere i, since w'v is the same at both centres. */
+/* Narrow phase of proximal sphere i. A row is safe if n'v - change >= -s with s = dbk_approach_speed. With n = w / d, w
+ * the vector between the centres, this is w'v + d (s - change) >= 0, which needs no division. `v` is the relative
+ * velocity at the centre of sphere i, since w'v is the same at both centres. */
 DBK_SIMD_CLONES static narrow_result narrow_phase(const dbk_model *model, const dbk_sphere_set *spheres,
                                                   const link_pair *p, const dbk_real v[3], int32_t i) {
   const dbk_real px = spheres->x[i], py = spheres->y[i], pz = spheres->z[i], radius = spheres->r[i] + p->margin;
-  const dbk_real vx = v[0], vy = v[1], vz = v[2], change = p->change;
+  const dbk_real vx = v[0], vy = v[1], vz = v[2], change = p->change, bend = p->bend;
+  const dbk_real alpha = model->alpha_self, braking_gain = model->braking_gain, arc_share = model->arc_share;
   const dbk_real *restrict sx = spheres->x + p->first, *restrict sy = spheres->y + p->first;
   const dbk_real *restrict sz = spheres->z + p->first, *restrict sr = spheres->r + p->first;
   dbk_real least[DBK_LANES];
@@ -220,7 +221,7 @@ DBK_SIMD_CLONES static narrow_result narrow_phase(const dbk_model *model, const 
       const int32_t at = base + l, valid = at < p->count;
       const dbk_real x = sx[at] - px, y = sy[at] - py, z = sz[at] - pz;
       const dbk_real d = dbk_sqrt(x * x + y * y + z * z), h = d - sr[at] - radius;
-      const dbk_real headroom = (x * vx + y * vy + z * vz) + d * (approach_speed(model, p, h) - change);
+      const dbk_real headroom = (x * vx + y * vy + z * vz) + d * (dbk_approach_speed(alpha, braking_gain, arc_share, h, bend) - change);
       const int32_t safe = (headroom >= (dbk_real)0) & (h >= DBK_CULL_FLOOR);
       const dbk_real valid_h = valid ? h : DBK_MAX_DISTANCE;
       binds[l] |= valid & !safe;

@@ -238,7 +238,7 @@ def step_internals(made, n, links, extra=0.0, *, known_only=False):
         ("model", "link_reach"): room["joints"],
         ("model", "bounding_sphere"): room["links"] - 1,
         ("model", "scale"): room["joints"],
-        ("motion", "twist"): room["joints"] + 1,
+        ("motion", "chain"): room["joints"] + 1,
         ("rows", "a"): room["joints"],
         ("step", "warm"): room["joints"] + 1,
         ("step", "rotation"): room["joints"] + 1,

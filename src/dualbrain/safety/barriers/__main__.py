@@ -24,10 +24,11 @@ The filter keeps h ≥ 0 by ḣ ≥ −α h, with α ≤ min(a_max/v_max) unless
 can follow. The rows of bodies also keep h ≥ 0 at the end of a stop along the arc of the present motion: a body may
 approach at
 
-    s(h) = min(α h, 2g h − C/(4g)),   g = min(a_max/v_max),   C = max(0, −n'a),
+    s(h) = min(α h, 2g h − C/(4g)),   g = min(a_max/v_max),   C = max(0, −ḧ),
 
-with the acceleration a of its centre at the present control, relative to the other body. For h < 0 a row asks for ḣ ≥ min(α|h|, recovery speed), for joint limits 4 × recovery speed
-[rad/s], and never forbids motion away from the obstacle.
+with ḧ at the present control: n'a for an obstacle, with the acceleration a of the centre of the sphere, and the second
+derivative of the distance for two links. For h < 0 a row asks for ḣ ≥ min(α|h|, recovery speed), for joint limits
+4 × recovery speed [rad/s], and never forbids motion away from the obstacle.
 Margins beyond h = 0: *sampling* (a step of finite length), *tracking* (ẏ ≠ u), *measurement* (obstacle margin), *age*
 (velocity error × age of the observation), *rounding* (float32)."""
 

@@ -27,8 +27,8 @@ class FilterConfig(msgspec.Struct, frozen=True, kw_only=True):
     """Configuration of the safety filter. Lengths are in m, times in s, gains in 1/s, speeds in m/s.
 
     - `alpha`: class-K gain, ḣ ≥ −α h. The rows of bodies are stricter where the robot could not stop on its arc
-      otherwise, see docs/reference/safety/barriers.md. None selects the largest gain that the acceleration limits can follow,
-      min_i a_i / v_i. `alpha_self` and `alpha_joint` override it for self-collision and for joint limits.
+      otherwise, see docs/reference/safety/barriers.md. None selects the largest gain that the acceleration limits can
+      follow, min_i a_i / v_i. `alpha_self` and `alpha_joint` override it for self-collision and for joint limits.
     - `recovery_speed`: largest ḣ that a violated row asks for.
     - `sampling_margin`: margin of rows beyond h = 0, so that a step of finite length ends at h ≥ 0.
     - `rounding_margin`: margin for float32 rounding (in rad for joint limits).
