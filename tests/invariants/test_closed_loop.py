@@ -6,6 +6,7 @@ negative control changes one named parameter and must fail.
 
 import sys
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -13,6 +14,9 @@ from dualbrain.core.geometry.shapes import HalfSpace, Pose, Sphere
 from dualbrain.safety.cbf.filter import Obstacle, SafetyFilter
 from tests.safety import geometry_oracle, random_scenes
 from tests.safety.conftest import panda, sparse_panda, state_at  # noqa: F401
+
+MAX_RELAXED_SHARE, MAX_MEAN_RELAXED_SHARE = 0.03, 0.005
+"""Largest shares of RELAXED steps of one run and of all runs; over 80 seeds 0.026 and 0.0028."""
 
 
 def least_h(body, run, obstacles):
@@ -40,9 +44,8 @@ def holds(body, seed, steps):
     h, step, which = least_h(body, run, obstacles)
     assert h >= 0.0, f"seed {seed}: {which} h = {h * 1e3:.4f} mm at step {step}"
     assert run.tally["stopped"] == run.tally["fault"] == 0
-    assert (
-        run.tally["relaxed"] <= 0.02 * steps
-    )  # curvature at full speed of all joints can outrun the acceleration limits
+    # curvature at full speed of all joints can outrun the acceleration limits
+    assert run.tally["relaxed"] <= MAX_RELAXED_SHARE * steps
     change = np.abs(np.diff(run.u, axis=0, prepend=0.0)).max(axis=0)
     assert np.all(change <= np.array([j.acceleration.value for j in body.joints]) * body.period * (1 + 1e-5) + 1e-7)
     return run
@@ -51,6 +54,11 @@ def holds(body, seed, steps):
 @pytest.mark.parametrize("seed", range(6))
 def test_no_h_below_zero(sparse_panda, seed):  # noqa: F811
     holds(sparse_panda, seed, 5000)
+
+
+def test_rows_are_seldom_relaxed(sparse_panda):  # noqa: F811
+    relaxed = sum(loop(sparse_panda, seed, 5000)[0].tally["relaxed"] for seed in range(12))
+    assert relaxed <= MAX_MEAN_RELAXED_SHARE * 12 * 5000
 
 
 def test_no_h_below_zero_with_every_sphere(panda):  # noqa: F811
@@ -71,14 +79,45 @@ def report(control, h, step, which, seed):
     sys.stdout.write(f"{control}: {which} h = {h * 1e3:.3f} mm at step {step} of seed {seed}\n")
 
 
-def test_control_alpha_10_under_acceleration_limits_fails(sparse_panda):  # noqa: F811
+def test_the_distance_of_a_stop_covers_a_gain_above_that_of_braking(sparse_panda):  # noqa: F811
     """α is 2.9 times the gain that the acceleration limits can follow."""
     run, obstacles = loop(sparse_panda, 6, 8000, hold=1000, obstacles=14, alpha=10.0)
-    h, step, which = least_h(sparse_panda, run, obstacles)
-    report("alpha 10", h, step, which, 6)
-    assert h < -1e-2
-    run, obstacles = loop(sparse_panda, 6, 8000, hold=1000, obstacles=14)
     assert least_h(sparse_panda, run, obstacles)[0] >= 0.0
+
+
+def test_control_with_an_overstated_acceleration_fails(sparse_panda):  # noqa: F811
+    """The filter expects three times the acceleration of the plant."""
+    for seed in (1, 3):
+        assert run_with_stated_acceleration(sparse_panda, seed, 1.0)[0] >= 0.0
+        h, step = run_with_stated_acceleration(sparse_panda, seed, 3.0)
+        report("acceleration x 3", h, step, "obstacle", seed)
+        assert h < -1e-2
+
+
+def run_with_stated_acceleration(body, seed, share, steps=4000):
+    """Worst (h, step) at obstacles; the robot model of the filter states `share` of the true accelerations."""
+    rng = np.random.default_rng(seed)
+    obstacles = random_scenes.random_scene(body, rng, 14)
+    joints = tuple(
+        msgspec.structs.replace(
+            joint, acceleration=msgspec.structs.replace(joint.acceleration, value=share * joint.acceleration.value)
+        )
+        for joint in body.joints
+    )
+    safety = SafetyFilter(msgspec.structs.replace(body, joints=joints), random_scenes.exact_config())
+    fastest = np.array([joint.velocity.value for joint in body.joints])
+    change = np.array([joint.acceleration.value for joint in body.joints]) * body.period
+    q, u, state, log = np.array(body.home), np.zeros(body.n), state_at.__wrapped__(), np.empty((steps, body.n))
+    for k in range(steps):
+        now = k * body.period
+        if k % 400 == 0:
+            nominal = rng.choice([-1.0, 1.0], body.n) * fastest
+        safety.observe(obstacles, now)
+        u = np.clip(safety.filter(state(q, u, t=now), nominal, now).u, u - change, u + change)
+        q = q + body.period * u
+        log[k] = q
+    h = geometry_oracle.h_obstacles(body, log, obstacles, opening=0.04)
+    return float(h.min()), int(h.argmin())
 
 
 def test_control_without_margin_fails(sparse_panda):  # noqa: F811

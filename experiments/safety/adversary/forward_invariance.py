@@ -57,7 +57,7 @@ class Adversary:
     claim = (
         "In at least 1e8 adversarial steps, no true h falls below zero among static obstacles in the documented "
         "configurations; a moving obstacle that leaves an escape is not approached at contact; each negative control "
-        "fails."
+        "fails, and a gain above that of braking does not."
     )
 
     def units(self, options: Options) -> list[WorkUnit]:

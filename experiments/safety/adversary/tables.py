@@ -134,6 +134,12 @@ def _causes(totals: dict[str, Any], names: list[str]) -> list[str]:
     return ["Violations by the premise that failed:", "", *markdown_table(head, rows)]
 
 
+def _control_verdict(*, holds: bool, is_covered: bool) -> str:
+    if holds:
+        return "holds, as expected" if is_covered else "HOLDS"
+    return "FAILS" if is_covered else "fails, as expected"
+
+
 def _controls(totals: dict[str, Any], names: list[str]) -> list[str]:
     """Each control is a class with one element removed; the factor compares it with the complete class."""
 
@@ -149,7 +155,7 @@ def _controls(totals: dict[str, Any], names: list[str]) -> list[str]:
             f"{rate:.2e}",
             f"{depth:.1f} mm",
             f">= {rate / bound:.0f} times {CLASSES[name].compared_with}",
-            "fails, as expected" if rate > 0 else "HOLDS",
+            _control_verdict(holds=rate == 0, is_covered=CLASSES[name].is_covered),
         )
 
     head = ("negative control", "removed element", "steps", "share of violations", "deepest", "factor", "verdict")

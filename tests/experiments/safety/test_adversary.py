@@ -105,17 +105,21 @@ def test_every_step_of_a_moving_class_is_counted(kind):
     assert counts["plans"][1] if kind.name == "evadable" else counts["plans"][0]
 
 
-@pytest.mark.parametrize(
-    ("kind", "seeds", "steps"), [(NEGATIVE_CONTROLS[0], (0, 1), 3000), (NEGATIVE_CONTROLS[1], (9,), 1000)]
-)
+@pytest.mark.parametrize(("kind", "seeds", "steps"), [(NEGATIVE_CONTROLS[0], (0, 1), 3000)])
 def test_static_negative_controls_fail(kind, seeds, steps):
     assert count_violations(aggregate([run_episode(kind, seed, steps) for seed in seeds])) > 0
 
 
+def test_a_gain_above_that_of_braking_is_covered_by_the_distance_of_a_stop():
+    """Without that distance, the arm entered an obstacle with this seed by the 1000th step."""
+    assert CLASSES["alpha 10"].is_covered
+    assert count_violations(run_episode(CLASSES["alpha 10"], 9, 1000)) == 0
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", NEGATIVE_CONTROLS, ids=lambda kind: kind.name)
-def test_every_negative_control_fails(kind):
-    assert count_violations(aggregate([run_episode(kind, seed) for seed in range(20)])) > 0
+def test_every_negative_control_fails_unless_it_is_covered(kind):
+    assert (count_violations(aggregate([run_episode(kind, seed) for seed in range(20)])) == 0) == kind.is_covered
 
 
 def test_a_run_repeats_from_its_seed():
