@@ -1,9 +1,10 @@
 """Rows of the filter in numpy and float64, directly from the equations and for every pair.
 
-    n'J u >= min(-alpha h, recovery) + n'v_o + velocity_error + tracking sum_k |n'J_k| + max(0, -dt/2 n'a)
+    n'J u >= min(-s, recovery) + n'v_o + velocity_error + tracking sum_k |n'J_k| + max(0, -dt/2 n'a)
 
-where h includes its margins and a is the second derivative of the centre along the centre of the box, both by finite
-differences. Contact permits replace the barrier by -max(speed, alpha h); speed and separation adds the tighter of both.
+where h includes its margins, s is `approach_speed`, and a is the second derivative of the centre along the centre of
+the box, both by finite differences; for two links n'a is the second derivative of the distance. Contact permits replace
+the barrier by -max(speed, s); speed and separation adds the tighter of both.
 """
 
 from dataclasses import dataclass, field
