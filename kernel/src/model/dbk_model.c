@@ -69,8 +69,8 @@ static void prepare_bounding_spheres(dbk_model *model) {
 /* the first sphere that each joint moves, rounded down to a whole SIMD vector */
 static void prepare_first_moved(dbk_model *model) {
   for (int32_t k = 0; k < DBK_MAX_DOF; ++k) {
-    int32_t first = 0;
-    while (first < model->n_spheres && !(model->reach[k][first] > (dbk_real)0)) { ++first; }
+    int32_t first = model->n_spheres;
+    for (int32_t s = model->n_spheres - 1; s >= 0; --s) { first = model->reach[k][s] <= (dbk_real)0 ? first : s; }
     model->first_moved[k] = first & ~(DBK_LANES - 1);
   }
 }

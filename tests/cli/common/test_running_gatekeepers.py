@@ -131,9 +131,11 @@ def test_without_gatekeepers_doctor_states_that_none_is_running(monkeypatch, tmp
 
 def test_a_relative_data_folder_is_that_of_the_process(tmp_path):
     """Its socket was looked for in the folder of the command, so an emergency stop did not reach the gatekeeper."""
-    sleeper = [sys.executable, "-c", "input()"]
+    sleeper = [sys.executable, "-c", "print('ready', flush=True); input()"]
     environ = os.environ | {"DUALBRAIN_HOME": "data"}
-    with subprocess.Popen(sleeper, stdin=subprocess.PIPE, cwd=tmp_path, env=environ) as process:
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen(sleeper, cwd=tmp_path, env=environ, **pipes) as process:
+        assert process.stdout.readline() == b"ready\n"  # the environment of a process that starts is empty for a moment
         found = wait_for(lambda: module._started_by_person(process.pid, ["dualbrain", "gatekeeper"]))
         process.communicate(b"\n")
     assert (found.socket, found.keys) == (str(tmp_path / "data" / "gatekeeper.sock"), str(tmp_path / "data" / "keys"))
