@@ -44,4 +44,11 @@ static inline void dbk_add_revolute(const dbk_spatial *parent, const dbk_real z[
   }
 }
 
+/* A base turns the axis of its drive, joint 1, by its turn, joint 2: the velocity along the axis changes its direction. */
+static inline void dbk_turn_drive(dbk_spatial *chain) {
+  dbk_real change[3];
+  dbk_cross(chain[2].w, chain[1].v, change);
+  for (int32_t e = 0; e < 3; ++e) { chain[2].dv[e] += change[e]; }
+}
+
 #endif

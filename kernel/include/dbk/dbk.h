@@ -64,6 +64,7 @@ typedef struct {
   dbk_real sampling, rounding, self_margin; /* margins for sampling, rounding and self-collision [m] */
   dbk_real lag;                             /* time constant of the drives [s]: y = q + lag v */
   dbk_real speed_limit;                     /* of every sphere centre and of the tool [m/s]; 0: no limit */
+  int32_t moving_base;       /* 1: the first two joints are the drive and the turn of a base, which turns its drive axis */
   int32_t speed_first_joint; /* speeds are relative to frame speed_first_joint, such as that of a mobile base */
   dbk_real state_age_max, scene_age_max;    /* [s] */
   int32_t joint_kind[DBK_MAX_DOF]; /* a revolute joint rotates about its z axis, a prismatic one translates along it */

@@ -23,6 +23,7 @@ void parse_settings(const nb::dict &d, size_t n, dbk_model &m) {
   m.self_margin = number(d, "self_margin");
   m.lag = number(d, "lag");
   m.speed_limit = number(d, "speed_limit");
+  m.moving_base = static_cast<int32_t>(number(d, "moving_base"));
   m.speed_first_joint = static_cast<int32_t>(number(d, "speed_first_joint"));
   m.state_age_max = number(d, "state_age_max");
   m.scene_age_max = number(d, "scene_age_max");

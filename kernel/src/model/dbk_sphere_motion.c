@@ -122,6 +122,7 @@ DBK_SIMD_CLONES void dbk_set_sphere_motion(const dbk_model *model, const dbk_sce
     } else {
       dbk_add_revolute(&chain[k], z, ctx->frames.origin[k + 1], centre, trust_centre, &chain[k + 1]);
     }
+    if (k == 1 && model->moving_base) { dbk_turn_drive(chain); }
     out->joint_half_width[k] = half_width;
     out->joint_max_speed[k] = dbk_abs(trust_centre) + half_width;
     out->joint_excess[k] = dbk_max(ctx->upper[k] - high, low - ctx->lower[k]);

@@ -28,7 +28,7 @@ typedef struct {
 } row_targets;
 
 /* The right side of a row of an obstacle that approaches at speed s, without the part that the obstacle causes: the
- * robot moves toward it no faster than alpha h, and no faster than v = a h / s, from which it can stop before the
+ * robot moves toward it no faster than its row permits, and no faster than v = a h / s, from which it can stop before the
  * obstacle arrives. */
 static dbk_real passive_target(const dbk_model *model, const dbk_scene *scene, const dbk_rows *rows, int32_t r,
                                dbk_real range, dbk_real target) {

@@ -1,4 +1,4 @@
-/* Retreat from approaching obstacles (viability). The row of an obstacle permits the closing speed alpha h. If an
+/* Retreat from approaching obstacles (viability). The row of an obstacle permits an approach speed at h > 0. If an
  * obstacle starts to move toward the robot, the joints need some periods to reach the speeds that its rows require. No
  * control satisfies the rows in the meantime, although the robot evades: a retreat that goes on with the acceleration
  * of this period ends the approach at the closing speed c before h = 0 if
@@ -8,17 +8,30 @@
  * and if the joints can reach the speed of the obstacle along the row. */
 #include "qp/dbk_retreat.h"
 
+#include "distance/dbk_approach_speed.h"
+
 /* fraction of the acceleration that the retreat may need: the obstacle may accelerate further */
 #define RETREAT_SHARE ((dbk_real)0.5)
 
+/* approach speed that the row of an obstacle permits at h > 0 [m/s] */
+static dbk_real permitted_speed(const dbk_model *model, const dbk_scene *scene, const dbk_ctx *ctx, int32_t r,
+                                dbk_real h) {
+  const dbk_rows *rows = &ctx->rows;
+  const dbk_sphere_motion *m = &ctx->motion;
+  const int32_t s = rows->i[r];
+  const dbk_real own_alpha = scene->capsules.alpha[rows->j[r]], alpha = own_alpha > (dbk_real)0 ? own_alpha : model->alpha;
+  const dbk_real along = rows->nx[r] * m->ax[s] + rows->ny[r] * m->ay[s] + rows->nz[r] * m->az[s];
+  const dbk_real sampling_term = dbk_max((dbk_real)-0.5 * model->period * along, (dbk_real)0);
+  return dbk_max(dbk_approach_speed(alpha, model->braking_gain, model->arc_share, h, sampling_term), (dbk_real)0);
+}
+
 /* 1: u begins a retreat that ends the approach of row r in time. With |a| = 1 all values are divided by the norm of the
  * row: h is in rad, speeds are in rad/s */
-static int32_t ends_approach(const dbk_model *model, const dbk_scene *scene, const dbk_rows *rows, int32_t r, dbk_real b,
+static int32_t ends_approach(const dbk_model *model, const dbk_scene *scene, const dbk_ctx *ctx, int32_t r, dbk_real b,
                              const dbk_real *u_prev, const dbk_real *u) {
+  const dbk_rows *rows = &ctx->rows;
   if (rows->kind[r] != DBK_ROW_OBSTACLE || !rows->moving[r] || rows->clip[r]) { return 0; }
-  const dbk_real own_alpha = scene->capsules.alpha[rows->j[r]];
-  const dbk_real alpha = own_alpha > (dbk_real)0 ? own_alpha : model->alpha;
-  const dbk_real h = (rows->h[r] - model->sampling) / rows->norm[r];
+  const dbk_real distance = rows->h[r] - model->sampling, h = distance / rows->norm[r];
   dbk_real speed = (dbk_real)0, gain = (dbk_real)0, fastest = (dbk_real)0;
   if (!(h > (dbk_real)0)) { return 0; }
   for (int32_t k = 0; k < model->n; ++k) {
@@ -26,7 +39,8 @@ static int32_t ends_approach(const dbk_model *model, const dbk_scene *scene, con
     gain += rows->a[k][r] * (u[k] - u_prev[k]);
     fastest += dbk_abs(rows->a[k][r]) * model->v_max[k];
   }
-  const dbk_real required = b + alpha * h; /* a'u that ends the approach */
+  /* a'u that ends the approach */
+  const dbk_real required = b + permitted_speed(model, scene, ctx, r, distance) / rows->norm[r];
   const dbk_real half = (dbk_real)0.5 * RETREAT_SHARE * dbk_max(gain, (dbk_real)0);
   const dbk_real closing = dbk_sqrt(half * half + (dbk_real)4 * half * h / model->period) - half;
   return required - speed <= closing && required <= fastest;
@@ -39,7 +53,7 @@ int32_t dbk_retreats_in_time(const dbk_model *model, const dbk_scene *scene, con
     dbk_real speed = (dbk_real)0;
     for (int32_t k = 0; k < model->n; ++k) { speed += rows->a[k][r] * u[k]; }
     const int32_t satisfied = speed >= b[r] - DBK_CHECK_TOL;
-    if (!satisfied && !ends_approach(model, scene, rows, r, b[r], u_prev, u)) { return 0; }
+    if (!satisfied && !ends_approach(model, scene, ctx, r, b[r], u_prev, u)) { return 0; }
   }
   return 1;
 }

@@ -66,12 +66,15 @@ static void bound_speeds(const dbk_model *model, const dbk_sphere_motion *m, lin
   p->change = DBK_RHS_ROUNDING;
   for (int32_t k = p->first_joint; k < p->end_joint; ++k) {
     const dbk_real reach = model->link_reach[k][p->distal], most = m->joint_max_speed[k] + m->joint_excess[k];
-    const dbk_real own_turn = model->joint_kind[k] == DBK_REVOLUTE ? most : (dbk_real)0;
+    const dbk_real own_turn = model->joint_kind[k] == DBK_PRISMATIC ? (dbk_real)0 : most;
     speed += m->joint_max_speed[k] * reach;
     acceleration += ((dbk_real)2 * turn + own_turn) * most * reach;
     turn += own_turn;
     p->excess += m->joint_excess[k] * reach;
     p->change += m->joint_half_width[k] * reach;
+  }
+  if (model->moving_base && p->first_joint == 0) { /* see dbk_turn_drive */
+    acceleration += (m->joint_max_speed[0] + m->joint_excess[0]) * (m->joint_max_speed[1] + m->joint_excess[1]);
   }
   p->bend = (dbk_real)0.5 * model->period * acceleration;
   p->change += p->bend;

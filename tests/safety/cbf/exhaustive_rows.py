@@ -154,11 +154,11 @@ def _obstacle_rows(body, config, spheres, j, obstacle):
 
 
 def approach_speed(body, config, alpha, h, deceleration):
-    """Largest rates at which h may fall: alpha h, and those after which a stop along the path ends at h ≥ 0."""
+    """Largest rates at which h may fall: alpha h, and at h ≥ 0 those after which a stop along the path ends there."""
     limited = config.acceleration_limits
     most = [joint.acceleration.value if limited else UNLIMITED_ACCELERATION for joint in body.joints]
     advance = 0.5 * max(joint.velocity.value / a for joint, a in zip(body.joints, most, strict=True))
-    return np.minimum(alpha * h, (h - 0.5 * deceleration * advance**2) / advance)
+    return np.minimum(alpha * h, np.maximum((h - 0.5 * deceleration * advance**2) / advance, 0.0))
 
 
 def _tracking_term(config, a):

@@ -129,9 +129,9 @@ def second_derivative(s, q, middle, measure=lambda centres: centres):
 
 
 def approach_speed(s, alpha, h, deceleration):
-    """Largest rate at which h may fall: alpha h, and that after which a stop along the path ends at h ≥ 0."""
+    """Largest rate at which h may fall: alpha h, and at h ≥ 0 that after which a stop along the path ends there."""
     advance = 0.5 * max(joint.velocity.value / joint.acceleration.value for joint in s.robot_model.joints)
-    return min(alpha * h, (h - 0.5 * deceleration * advance**2) / advance)
+    return min(alpha * h, max((h - 0.5 * deceleration * advance**2) / advance, 0.0))
 
 
 def all_rows(s, q, u_prev):

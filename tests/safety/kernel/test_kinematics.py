@@ -6,6 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
+from dualbrain.robots.differential_drive import integrate_configuration
+from dualbrain.robots.loader import load_robot
 from dualbrain.safety.cbf.compiled import _kernel, _kernel64
 from dualbrain.safety.cbf.filter import FilterConfig, SafetyFilter
 from tests.safety import geometry_oracle, mujoco_oracle
@@ -55,6 +57,34 @@ def test_spheres_move_with_their_links_and_fingers(panda, rng, random_posture, o
             np.testing.assert_allclose(centres[k], data.geom_xpos[geom] + opening * slide, atol=1e-9)
             assert radii[k] == pytest.approx(model.geom_size[geom][0], abs=1e-9)
             assert groups[k] == link.group
+
+
+def moved_centres(body, q):
+    """Centres (k, 3) [m] of a mobile robot's spheres in the world at q = (x, y, heading, ...)."""
+    centres, _, _ = geometry_oracle.sphere_centres(body, np.concatenate([np.zeros(2), q[3:]])[None])
+    c, s = math.cos(q[2]), math.sin(q[2])
+    return centres[0] @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) + np.array([q[0], q[1], 0.0])
+
+
+@pytest.mark.parametrize("name", ["base", "mobile_panda"])
+def test_the_accelerations_of_a_base_are_those_of_its_arc(name, rng, state_at):
+    body = load_robot(name)
+    safety = SafetyFilter(body, FilterConfig(precision="float64", lag_compensation=False, tracking_error=0.0))
+    fastest = np.array([joint.velocity.value for joint in body.joints])
+    for _ in range(5):
+        q, u = np.array(body.home, float), rng.uniform(-0.8, 0.8, body.n) * fastest
+        q[:3] = 0.0
+        safety.reset(u)
+        safety.filter(state_at(q, u, 0.0), u, 0.0)
+        middle = 0.5 * np.sum([np.array(side) for side in safety._kernel.box()], axis=0)
+        motion = safety._kernel.debug_readout(0.0, False)["motion"]
+        count = len(body.spheres)
+        got = np.stack([np.frombuffer(motion[f"a{axis}"])[:count] for axis in "xyz"], axis=1)
+        step = 1e-4
+        ahead, behind = (moved_centres(body, integrate_configuration(q, middle, sign * step)) for sign in (1.0, -1.0))
+        expected = (ahead - 2.0 * moved_centres(body, q) + behind) / step**2
+        assert abs(middle[0] * middle[1]) > 1e-3
+        np.testing.assert_allclose(got, expected, atol=1e-5)
 
 
 def test_held_spheres_follow_the_tool(panda, rng, random_posture):

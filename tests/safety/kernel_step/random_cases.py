@@ -72,6 +72,7 @@ def random_model(rng, n=7, links=6, *, slides=True, alpha=None):
         "self_margin": float(rng.uniform(0.0, 5e-3)),
         "lag": float(rng.uniform(0.0, 0.02)),
         "speed_limit": 0.0,
+        "moving_base": float(n > 1 and kind[0] > 0.0 and not kind[1] > 0.0 and 1 not in frames),
         "speed_first_joint": 0.0,
         "state_age_max": 0.02,
         "scene_age_max": 0.3,

@@ -89,7 +89,8 @@ class ReferenceRows(ReferenceStep):
     def bound_row(self, h, n, moves, spread, bend, alpha, cap, drift):
         """Right-hand side of a row, and its slack for the worst control of the trust region."""
         deceleration = max(0.0, -(n @ bend))
-        barrier = min(-self.approach_speed(alpha, h, deceleration), cap)
+        allowed = self.approach_speed(alpha, h, deceleration)
+        barrier = min(-(max(allowed, 0.0) if h >= 0.0 else alpha * h), cap)
         rhs = barrier + drift + 0.5 * self.model["period"] * deceleration
         return rhs, n @ moves - spread - rhs
 
@@ -151,6 +152,8 @@ class ReferenceRows(ReferenceStep):
         most = self.max_joint_speed + self.box_excess
         turns = np.where(self.slides, 0.0, most)
         total = sum(most[k] * self.link_reach[k, far] * (2.0 * turns[between[0] : k].sum() + turns[k]) for k in between)
+        if self.model["moving_base"] and between[0] == 0:
+            total += most[0] * most[1]
         return 0.5 * self.model["period"] * total
 
     def acceleration_term(self, near, far):

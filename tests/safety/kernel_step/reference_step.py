@@ -150,6 +150,8 @@ class ReferenceStep:
             dz = np.cross(self.turn_rate(u, k), z[k])
             by_turn = np.cross(dz, point - p[k]) + np.cross(z[k], velocity(point, frame) - velocity(p[k], k))
             out += u[k] * (dz if self.slides[k] else by_turn)
+        if self.model["moving_base"] and frame >= 2:  # the turn of a base also turns the axis of its drive
+            out += np.cross(u[1] * z[1], u[0] * z[0])
         return out
 
     def turn_rate(self, u, frame):

@@ -30,6 +30,7 @@ def chain_model(n=2, spheres=(), frames=(2,), counts=(1,), **changes):
         "self_margin": 0.0,
         "lag": 0.0,
         "speed_limit": 0.0,
+        "moving_base": 0.0,
         "speed_first_joint": 0.0,
         "state_age_max": 0.05,
         "scene_age_max": 0.5,

@@ -129,6 +129,7 @@ def _settings(robot_model: RobotModel, config: FilterConfig) -> dict[str, Any]:
         "self_margin": config.self_margin,
         "lag": robot_model.tracking.lag if config.lag_compensation else 0.0,
         "speed_limit": config.cartesian_speed or 0.0,
+        "moving_base": float(robot_model.is_mobile),
         "speed_first_joint": float(BASE_JOINTS if robot_model.is_mobile_manipulator else 0),
         "state_age_max": config.state_stale_after,
         "scene_age_max": config.scene_stale_after,

@@ -105,7 +105,7 @@ def _comment(name: str) -> str:
 def _model(name: str, values: dict[str, Any], spheres: ArrayLike) -> str:
     n = int(values["n"])
     columns = np.asarray(spheres, float).reshape(-1, 7).T
-    fields = [("n", str(n)), ("speed_first_joint", str(int(values["speed_first_joint"])))]
+    fields = [("n", str(n)), *((key, str(int(values[key]))) for key in ("moving_base", "speed_first_joint"))]
     fields += [(key, _real(float(np.asarray(values[key])))) for key in SCALARS]
     fields += [(key, render_reals(values[key])) for key in JOINT_VALUES]
     fields += [
