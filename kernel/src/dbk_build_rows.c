@@ -3,9 +3,9 @@
  *   n'J u  >=  -s(h) + n'v_o + velocity_error + sum_k tracking_k |n'J_k| + max(0, -dt/2 n'a)
  *
  * with a the acceleration of the sphere's centre at constant u (for two links the second derivative of the distance in
- * place of n'a), and s = min(alpha h, 2 g h - C/(4 g)) with g = min a/v and C = max(0, -n'a) (dbk_approach_speed). The
- * last term is the sampling term, and -s is at most the recovery speed. A row is omitted only if no control within the
- * bounds can violate it and h is above the cull floor. If contact is permitted, the contact-speed row
+ * place of n'a), and s = min(alpha h, max(0, 2 g h - C/(4 g))) with g = min a/v and C = max(0, -n'a)
+ * (dbk_approach_speed). The last term is the sampling term, and -s is at most the recovery speed. A row is omitted only
+ * if no control within the bounds can violate it and h is above the cull floor. If contact is permitted, the contact-speed row
  * n'(J u - v_o) >= -max(speed, s) replaces the barrier. If speed and separation monitoring is on, n'J u >= -v_max(h)
  * holds in addition, as far as braking can follow it. The rows of the speed limits are in speed/.
  */

@@ -9,6 +9,13 @@
 #error "DBK_MAX_OBSTACLES and DBK_MAX_ROWS are multiples of DBK_LANES"
 #endif
 
+/* a small function that every build inlines, also one for small code: its call costs more than its body */
+#ifdef __GNUC__
+#define DBK_INLINED static inline __attribute__((always_inline))
+#else
+#define DBK_INLINED static inline
+#endif
+
 /* A build for a host can define this macro as __attribute__((target_clones(...))). The compiler then emits each marked
  * function for several instruction sets, and the loader selects the fastest one that the processor supports. The order
  * and the rounding of all operations are the same in every clone, so the results are bit-identical. */

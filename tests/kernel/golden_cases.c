@@ -620,7 +620,7 @@ static void sliding(golden_result *g) {
   }
 }
 
-/* a mobile base that changes its position and heading during the motion */
+/* a mobile base that changes its position and heading during the motion, at last by its own drive and turn */
 static void mobile_base(golden_result *g) {
   uint64_t state = 180;
   start();
@@ -636,6 +636,13 @@ static void mobile_base(golden_result *g) {
     in.base_rotation[1] = -sine;
     in.base_position[0] = (dbk_real)(0.05 * piece);
     in.base_position[2] = (dbk_real)0.1;
+    if (piece == 2) {
+      model.moving_base = 1;
+      model.joint_kind[0] = DBK_PRISMATIC;
+      in.q[0] = 0;
+      dbk_prepare(&model);
+      dbk_scene_prepare(&scene);
+    }
     loop(g, &state, 250, 60);
   }
 }

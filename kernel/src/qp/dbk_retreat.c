@@ -22,7 +22,7 @@ static dbk_real permitted_speed(const dbk_model *model, const dbk_scene *scene, 
   const dbk_real own_alpha = scene->capsules.alpha[rows->j[r]], alpha = own_alpha > (dbk_real)0 ? own_alpha : model->alpha;
   const dbk_real along = rows->nx[r] * m->ax[s] + rows->ny[r] * m->ay[s] + rows->nz[r] * m->az[s];
   const dbk_real sampling_term = dbk_max((dbk_real)-0.5 * model->period * along, (dbk_real)0);
-  return dbk_max(dbk_approach_speed(alpha, model->braking_gain, model->arc_share, h, sampling_term), (dbk_real)0);
+  return dbk_approach_speed(alpha, model->braking_gain, model->arc_share, h, sampling_term);
 }
 
 /* 1: u begins a retreat that ends the approach of row r in time. With |a| = 1 all values are divided by the norm of the

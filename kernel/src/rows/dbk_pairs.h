@@ -44,9 +44,7 @@ typedef struct {
 
 /* Computes h, the right side and the headroom of the row of a sphere at distance d along the outward normal n:
  *
- *   rhs = min(-s, recovery) + n'v_o + velocity_error + max(0, -dt/2 n'a)
- *
- * with s = dbk_approach_speed, at least 0 for h >= 0, and alpha h for h < 0.
+ *   rhs = min(-s, recovery) + n'v_o + velocity_error + max(0, -dt/2 n'a),   s = dbk_approach_speed
  *
  * If the other body is `at_rest`, its velocity and velocity error are ignored. */
 static inline dbk_row_bound dbk_bound_row(const dbk_point_motion *m, const dbk_row_terms *t, int32_t at_rest,
@@ -54,9 +52,7 @@ static inline dbk_row_bound dbk_bound_row(const dbk_point_motion *m, const dbk_r
   const dbk_real h = d - m->r - t->margin;
   const dbk_real along_normal = -t->half_period * (nx * m->ax + ny * m->ay + nz * m->az);
   const dbk_real sampling_term = along_normal > (dbk_real)0 ? along_normal : (dbk_real)0;
-  const dbk_real linear = -t->alpha * h, least = linear > (dbk_real)0 ? linear : (dbk_real)0;
-  const dbk_real stricter = -dbk_approach_speed(t->alpha, t->braking_gain, t->arc_share, h, sampling_term);
-  const dbk_real away = stricter < least ? stricter : least; /* no retreat from h >= 0 */
+  const dbk_real away = -dbk_approach_speed(t->alpha, t->braking_gain, t->arc_share, h, sampling_term);
   const dbk_real barrier = away < t->recovery ? away : t->recovery;
   const dbk_real with_drift = at_rest ? barrier : barrier + (nx * t->vx + ny * t->vy + nz * t->vz) + t->velocity_error;
   const dbk_real rhs = with_drift + sampling_term;

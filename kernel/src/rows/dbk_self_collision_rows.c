@@ -36,14 +36,14 @@ typedef struct {
 
 /* 1 unless all of the following hold at distance h: no control within the trust region can violate the row, no control
  * within the control bounds can reach h = 0 within this period, and another pair is closer */
-static inline int32_t relevant(const dbk_model *model, const dbk_ctx *ctx, const link_pair *p, dbk_real closing,
-                               dbk_real h) {
-  const dbk_real speed = dbk_approach_speed(model->alpha_self, model->braking_gain, model->arc_share, h, p->bend);
+DBK_INLINED int32_t relevant(const dbk_model *model, const dbk_ctx *ctx, const link_pair *p, dbk_real closing,
+                             dbk_real h) {
+  const dbk_real speed = dbk_min(model->alpha_self * h, dbk_stopping_speed(model->braking_gain, model->arc_share, h, p->bend));
   return !(h > p->travel && speed >= closing && h + model->sampling >= ctx->h_min);
 }
 
 /* velocity v + w x c of the distal link at a point, relative to the proximal link */
-static inline void relative_velocity(const link_pair *p, dbk_real x, dbk_real y, dbk_real z, dbk_real v[3]) {
+DBK_INLINED void relative_velocity(const link_pair *p, dbk_real x, dbk_real y, dbk_real z, dbk_real v[3]) {
   const dbk_real *w = p->motion.tw, *t = p->motion.tv;
   v[0] = t[0] + (w[1] * z - w[2] * y);
   v[1] = t[1] + (w[2] * x - w[0] * z);
@@ -208,9 +208,11 @@ typedef struct {
 
 /* Narrow phase of proximal sphere i. A row is safe if n'v - change >= -s with s = dbk_approach_speed. With n = w / d, w
  * the vector between the centres, this is w'v + d (s - change) >= 0, which needs no division. `v` is the relative
- * velocity at the centre of sphere i, since w'v is the same at both centres. */
+ * velocity at the centre of sphere i, since w'v is the same at both centres. keep[] is 1 for the spheres whose row may
+ * bind. */
 DBK_SIMD_CLONES static narrow_result narrow_phase(const dbk_model *model, const dbk_sphere_set *spheres,
-                                                  const link_pair *p, const dbk_real v[3], int32_t i) {
+                                                  const link_pair *p, const dbk_real v[3], int32_t i,
+                                                  int32_t *restrict keep) {
   const dbk_real px = spheres->x[i], py = spheres->y[i], pz = spheres->z[i], radius = spheres->r[i] + p->margin;
   const dbk_real vx = v[0], vy = v[1], vz = v[2], change = p->change, bend = p->bend;
   const dbk_real alpha = model->alpha_self, braking_gain = model->braking_gain, arc_share = model->arc_share;
@@ -224,9 +226,10 @@ DBK_SIMD_CLONES static narrow_result narrow_phase(const dbk_model *model, const 
       const int32_t at = base + l, valid = at < p->count;
       const dbk_real x = sx[at] - px, y = sy[at] - py, z = sz[at] - pz;
       const dbk_real d = dbk_sqrt(x * x + y * y + z * z), h = d - sr[at] - radius;
-      const dbk_real headroom = (x * vx + y * vy + z * vz) + d * (dbk_approach_speed(alpha, braking_gain, arc_share, h, bend) - change);
+      const dbk_real headroom = (x * vx + y * vy + z * vz) + d * (dbk_min(alpha * h, dbk_stopping_speed(braking_gain, arc_share, h, bend)) - change);
       const int32_t safe = (headroom >= (dbk_real)0) & (h >= DBK_CULL_FLOOR);
       const dbk_real valid_h = valid ? h : DBK_MAX_DISTANCE;
+      keep[at] = valid & !safe;
       binds[l] |= valid & !safe;
       least[l] = valid_h < least[l] ? valid_h : least[l];
     }
@@ -236,7 +239,7 @@ DBK_SIMD_CLONES static narrow_result narrow_phase(const dbk_model *model, const 
   return result;
 }
 
-/* Computes the rows of the distal spheres and proximal sphere i. The second derivative of the distance of two points is
+/* Computes the rows of the kept distal spheres and proximal sphere i. The second derivative of the distance of two points is
  * n'a + (|v|^2 - (n'v)^2) / distance. */
 DBK_SIMD_CLONES static void bound_distal_spheres(const dbk_model *model, const dbk_ctx *ctx, const link_pair *p,
                                                  const relative_motion *relative, int32_t i,
@@ -261,6 +264,7 @@ DBK_SIMD_CLONES static void bound_distal_spheres(const dbk_model *model, const d
   batch->first_joint = p->first_joint;
   batch->end_joint = p->end_joint;
   for (int32_t at = 0; at < count; ++at) {
+    if (DBK_LANES == 1 && !batch->keep[at]) { continue; }
     const int32_t s = p->first + at;
     dbk_real nx, ny, nz, v[3], a[3];
     relative_motion_at(p, spheres->x[s], spheres->y[s], spheres->z[s], v, a);
@@ -278,7 +282,7 @@ DBK_SIMD_CLONES static void bound_distal_spheres(const dbk_model *model, const d
     batch->nz[at] = nz;
     batch->rhs[at] = bound.rhs;
     batch->index[at] = s;
-    batch->keep[at] = dbk_row_may_bind(&bound, 0);
+    batch->keep[at] &= dbk_row_may_bind(&bound, 0);
     batch->clip[at] = 0;
   }
 }
@@ -292,10 +296,10 @@ static void record_nearest(dbk_ctx *ctx, dbk_real h, int32_t number, int32_t sph
 }
 
 /* proximal sphere i against the distal spheres: narrow phase, h_min, the list for the certificate. Returns 1 if a row
- * may bind */
+ * may bind, with keep[] = 1 for its sphere */
 static int32_t test_sphere(const dbk_model *model, dbk_ctx *ctx, const link_pair *p, relative_motion *relative,
-                           const dbk_real v[3], int32_t i) {
-  const narrow_result result = narrow_phase(model, &ctx->spheres, p, v, i);
+                           const dbk_real v[3], int32_t i, int32_t *keep) {
+  const narrow_result result = narrow_phase(model, &ctx->spheres, p, v, i, keep);
   ++ctx->narrow_phase_count;
   record_nearest(ctx, result.least + model->sampling, p->number, i);
   if (!(result.least >= p->travel)) {
@@ -321,9 +325,9 @@ static void proximal_spheres(const dbk_model *model, const dbk_scene *scene, dbk
     const dbk_real product = (x * v[0] + y * v[1] + z * v[2]) - radius * dbk_length(v[0], v[1], v[2]);
     const dbk_real closing = closing_within(p, product, distance, radius);
     if (!relevant(model, ctx, p, closing, distance - surface - c->r[i])) { continue; }
-    if (!test_sphere(model, ctx, p, &relative, v, i)) { continue; }
-    move_distal_spheres(model, ctx, p, &relative);
     dbk_pair_batch batch;
+    if (!test_sphere(model, ctx, p, &relative, v, i, batch.keep)) { continue; }
+    move_distal_spheres(model, ctx, p, &relative);
     bound_distal_spheres(model, ctx, p, &relative, i, &batch);
     dbk_append_rows(scene, ctx, &batch);
   }

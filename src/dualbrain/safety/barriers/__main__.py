@@ -24,12 +24,12 @@ The filter keeps h ≥ 0 by ḣ ≥ −α h, with α ≤ min(a_max/v_max) unless
 can follow. The rows of bodies also keep h ≥ 0 at the end of a stop along the arc of the present motion: a body may
 approach at
 
-    s(h) = min(α h, 2g h − C/(4g)),   g = min(a_max/v_max),   C = max(0, −ḧ),
+    s(h) = min(α h, max(0, 2g h − C/(4g))),   g = min(a_max/v_max),   C = max(0, −ḧ),
 
 with ḧ at the centre of the control bounds: the second derivative of the distance for two links, and its lower bound n'a
-for an obstacle, with the acceleration a of the centre of the sphere. For a mobile base a lacks the turn of the drive
-axis. If s is below 0, at h < 0 and close to an obstacle on an arc, a row asks for ḣ ≥ min(−s, recovery speed), for
-joint limits 4 × recovery speed [rad/s], and never forbids motion away from the obstacle.
+for an obstacle, with the acceleration a of the centre of the sphere (of a mobile base with the turn of its drive
+axis). Below h = 0 a row asks for ḣ ≥ min(−α h, recovery speed), for joint limits 4 × recovery speed [rad/s], and never
+forbids motion away from the obstacle.
 Margins beyond h = 0: *sampling* (a step of finite length), *tracking* (ẏ ≠ u), *measurement* (obstacle margin), *age*
 (velocity error × age of the observation), *rounding* (float32)."""
 
