@@ -49,6 +49,7 @@ CLAUSE_FILES = {
     "second": "clauses_second.toml",
     "third": "clauses_third.toml",
     "fourth": "clauses_fourth.toml",
+    "fifth": "clauses_fifth.toml",
 }
 """The files of the sets of instructions with and without clauses, by the name of the set."""
 

@@ -13,6 +13,7 @@ from dualbrain.adaptation.serving.open_planner import planner_provenance
 from dualbrain.agent_api.saved_runs import SavedRuns, SavingMemory
 from dualbrain.core.paths import cache_folder, dualbrain_home
 from dualbrain.core.storage.private_files import create_private_folder
+from dualbrain.grounding.instruction.clauses.clause_classifier import ClauseClassifier, find_clause_classifier
 from dualbrain.memory.config import MemoryConfig
 from dualbrain.memory.embedding.posture_features import PostureLimits
 from dualbrain.memory.embedding.text_encoder import MiniLmEncoder
@@ -43,6 +44,7 @@ class AgentResources:
     runs: SavedRuns | None
     versions: dict[str, str]
     stack: ExitStack
+    clause_classifier: ClauseClassifier | None = None
 
     def close(self) -> None:
         """Close planner and memory."""
@@ -77,6 +79,7 @@ def open_agent_resources(
             runs=saved,
             versions=versions,
             stack=stack,
+            clause_classifier=find_clause_classifier(cache_folder()) if opened else None,
         )
     except BaseException:
         stack.close()

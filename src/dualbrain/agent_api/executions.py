@@ -135,7 +135,8 @@ class Executions:
             if (refused := self._busy()) is not None:
                 return SubmissionReport(id=name, state="rejected", rejected=refused)
             submission = self._begin(name, "planning", "")
-        agent = Agent(planner, self._resources.memory)
+        resources = self._resources
+        agent = Agent(planner, resources.memory, clause_classifier=resources.clause_classifier)
         refused = self._start(submission, self._request(instruction, given=False), agent, retried="")
         if refused is not None:
             submission.reject(refused)

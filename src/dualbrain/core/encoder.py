@@ -31,3 +31,19 @@ class Encoder(Protocol):
     def encode(self, texts: Sequence[str]) -> Float32Array:
         """Unit rows of shape (n_texts, dim), float32."""
         ...
+
+
+class TokenEncoder(Protocol):
+    """Maps a text to one vector for each of its tokens, in the context of the whole text."""
+
+    @property
+    def id(self) -> str:
+        """Name and version, as of an `Encoder`."""
+        ...
+
+    def encode_tokens(self, text: str) -> tuple[Float32Array, tuple[tuple[int, int], ...]]:
+        """Vectors of shape (tokens, dim), float32, and the beginning and end of each token in `text` [characters].
+
+        Tokens that the encoder adds have the position (0, 0). A long text is cut.
+        """
+        ...

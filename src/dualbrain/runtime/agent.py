@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from dualbrain.grounding.instruction.clauses.clause_classifier import ClauseClassifier
 from dualbrain.memory.embedding.image_features import ImageFeatures
 from dualbrain.memory.embedding.posture_features import Posture
 from dualbrain.memory.ledger.hash_chain import Head
@@ -72,9 +73,11 @@ class Agent:
 
     `memory` is a `Memory`, or any object with its methods `retrieve`, `store` and, for the reuse of contracts,
     `find_precedents` and `find_outcomes`. `retrieve_passages` maps the instruction and the scene summary, two texts, to
-    a tuple of document passages; by default there are none.
+    a tuple of document passages; by default there are none. `clause_classifier` helps the rules to find clauses that no
+    contract can express.
     """
 
     planner: Planner
     memory: EpisodicMemory
     retrieve_passages: PassageRetriever = no_passages
+    clause_classifier: ClauseClassifier | None = None

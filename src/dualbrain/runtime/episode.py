@@ -160,7 +160,9 @@ def _decide(
         gate=open_gate(request, executor, context),
         clock=clock,
     )
-    answer = answer_locally(request.instruction, context, agent.planner, request.instruction_check)
+    answer = answer_locally(
+        request.instruction, context, agent.planner, request.instruction_check, classifier=agent.clause_classifier
+    )
     if answer is not None:
         attempts = propose_locally(answer, replace(checker, instruction_check="before_planning"))
         return Decision(attempts=attempts, local_answer=answer)

@@ -14,6 +14,7 @@ from dualbrain.core.storage.private_files import open_private_folder
 from dualbrain.core.untrusted.bounded_file import read_bounded_file
 from dualbrain.grounding.document_retrieval import Budget, consulted_budget, retrieve_passages
 from dualbrain.grounding.envelope.robot_at_site import RobotAtSite, open_robot_at_site
+from dualbrain.grounding.instruction.clauses.clause_classifier import ClauseClassifier
 from dualbrain.grounding.instruction.stop_commands import is_stop_command
 from dualbrain.grounding.map_overlay import apply_map
 from dualbrain.grounding.outcome.instruction_truth import make_instruction_judge
@@ -65,6 +66,7 @@ class RunResources:
     ledger: Ledger
     memory: Memory
     world: SimulatedWorld
+    clause_classifier: ClauseClassifier | None
     sends_image: bool = False
 
     def retrieve_passages(self, instruction: str, summary: str) -> tuple[Passage, ...]:
@@ -140,6 +142,7 @@ def open_resources(
         ledger=ledger,
         memory=_make_memory(config, site, ledger, encoder),
         world=world,
+        clause_classifier=ClauseClassifier.packaged(encoder),
         sends_image=sends_image,
     )
 

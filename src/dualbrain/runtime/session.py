@@ -175,7 +175,10 @@ class Session:
 
     def _run_tries(self, robot: RunningRobot) -> list[TryResult]:
         """Run every try of the instruction; a given contract is tried once."""
-        given = self._agent or Agent(self.planner, self.memory, self._resources.retrieve_passages)
+        resources = self._resources
+        given = self._agent or Agent(
+            self.planner, self.memory, resources.retrieve_passages, resources.clause_classifier
+        )
         agent = replace(given, memory=SavingMemory(given.memory, self._resources.folder))
         log, executor = robot.executor.log, robot.executor
         results: list[TryResult] = []

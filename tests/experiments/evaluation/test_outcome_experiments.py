@@ -125,7 +125,8 @@ def test_an_end_that_one_skill_resolves(truth, fingers, text, end):
 
 def test_a_clause_must_be_declined_and_named(monkeypatch):
     """A check that declines everything with "when": right for the first clause, wrong for one of another kind."""
-    monkeypatch.setattr(clauses, "refusal_of", lambda text, scene, robot: "contracts cannot express “when”")
+    answer = "contracts cannot express “when”"
+    monkeypatch.setattr(clauses, "refusal_of", lambda text, scene, robot, classifier=None: answer)
     experiment = Clauses()
     last = len(clause_instructions("first").clause) - 1
     cases = [("clause", 0), ("clause", last), ("plain", 0)]
@@ -146,12 +147,12 @@ def test_a_clause_that_is_passed_on_is_counted_as_shortened_only_if_the_rest_is_
 
 
 def test_the_wrong_instructions_of_the_held_out_set_are_counted_and_not_listed(monkeypatch):
-    monkeypatch.setattr(clauses, "refusal_of", lambda text, scene, robot: None)
+    monkeypatch.setattr(clauses, "refusal_of", lambda text, scene, robot, classifier=None: None)
     experiment = Clauses()
     rows = [clause_row(experiment, name, "clause", 0) for name in CLAUSE_FILES]
     report = "\n".join(experiment.report(rows))
     listed = {name: clause_instructions(name).clause[0].text in report for name in CLAUSE_FILES}
-    assert listed == {"first": True, "second": True, "third": False, "fourth": False}
+    assert listed == {"first": True, "second": True, "third": False, "fourth": False, "fifth": False}
     assert "| third | 0 of 1" in report
 
 

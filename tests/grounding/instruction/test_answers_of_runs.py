@@ -81,11 +81,18 @@ def test_an_object_that_the_hand_would_break_is_declined_with_the_force_before_a
     assert (f"bears {glass.fragile_limit:.0f} N" in found.refusal) != asked
 
 
-@pytest.mark.parametrize("words", ["asdf qwer zxcv", "put the banana in the bowl", "make the visitor cry"])
+@pytest.mark.parametrize("words", ["asdf qwer zxcv", "put the banana in the bowl"])
 def test_motion_that_the_words_do_not_ask_for_is_rejected(words, tmp_path):
     story = run_session(run_config(tmp_path, instruction=words), MOVE, contract_text(("push", PUSH)))
     assert story.episode.outcome.kind == "rejected"
     assert "which one do you mean" in story.episode.outcome.reason
+    assert story.displacement < MAX_DISPLACEMENT
+
+
+def test_words_that_ask_for_something_else_are_declined_by_the_classifier_of_clauses(tmp_path):
+    story = run_session(run_config(tmp_path, instruction="make the visitor cry"), MOVE, contract_text(("push", PUSH)))
+    assert story.episode.outcome.kind == "declined"
+    assert "visitor" in story.episode.outcome.reason
     assert story.displacement < MAX_DISPLACEMENT
 
 

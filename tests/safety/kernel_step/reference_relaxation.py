@@ -31,7 +31,7 @@ class ReferenceRelaxation(ReferenceRows):
         return np.clip(braking_control(self.model, self.case.u_prev), self.low, self.high)
 
     def passive_bound(self, name, want, change):
-        """Bound that the robot alone must satisfy: no approach faster than the row permits, nor than it can stop from."""
+        """Bound for the robot alone: no approach faster than the row permits, nor than it can stop from."""
         _, b, h, norm, *_ = self.rows[name]
         t = self.obstacles[name[2]]
         drift = t.distance(self.centre[name[1]])[1] @ t.velocity + t.velocity_error

@@ -7,6 +7,7 @@ import time
 from collections.abc import Generator, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -100,6 +101,7 @@ def plan(
             choose_graphics(os.environ)  # before MuJoCo is imported
         from dualbrain.grounding.envelope.object_limits import limits_in_words
         from dualbrain.grounding.envelope.robot_at_site import open_robot_at_site
+        from dualbrain.grounding.instruction.clauses.clause_classifier import find_clause_classifier
         from dualbrain.grounding.offline_gate import scene_from_spec
         from dualbrain.knowledge.library import has_site_documents
         from dualbrain.planner.introspection import no_documents_reason, require_image_input
@@ -126,7 +128,9 @@ def plan(
             console.print(line, markup=False)
         with Spinner(console, f"planning ({opened.name})") as waiting:
             show_answers(opened, AnswerDisplay(waiting))
-            planned = ask(instruction, at_site, here, opened, recall, look_up, shots=shots, clock=time.perf_counter)
+            classifier = find_clause_classifier(cache_folder())
+            ask_planner = partial(ask, shots=shots, clock=time.perf_counter, classifier=classifier)
+            planned = ask_planner(instruction, at_site, here, opened, recall, look_up)
     if json:
         about = {"image": _describe_image(here.camera_image)} if here.camera_image else {}
         print_result(msgspec.json.encode(plan_summary(instruction, planned) | about).decode())

@@ -8,6 +8,11 @@ from typing import Literal
 
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.skill_spec import NameParameter
+from dualbrain.grounding.instruction.clauses.clause_classifier import (
+    ClauseClassifier,
+    ClauseEstimate,
+    reads_all_skills,
+)
 from dualbrain.grounding.instruction.clauses.clause_search import Clause, find_clauses
 from dualbrain.grounding.instruction.clauses.expressible import capabilities
 from dualbrain.grounding.instruction.clauses.rules.clause_rule import ClauseKind
@@ -32,6 +37,8 @@ ADVICE: dict[ClauseKind, str] = {
 """What a person can say instead, by the kind of the clause."""
 MAX_INSTRUCTION = 1000
 """Longest instruction that is read [characters]."""
+CLASSIFIER_MARGIN = 1.0
+"""The classifier overrides the rules if the logarithm of its odds is beyond this value."""
 MAX_REASON = 120
 """Longest reason of a decline in a contract [characters]."""
 
@@ -63,11 +70,14 @@ def review_instruction(
     graspable: Sequence[str] = (),
     *,
     languages: Collection[str] = (ENGLISH,),
+    classifier: ClauseClassifier | None = None,
 ) -> StopCommand | Refusal | None:
     """The answer of the local layer to `instruction`; None if a planner may be asked.
 
     `receptive` are the containers and places of the scene, `graspable` its objects, `languages` those that the planner
     declares. The rules read English: of an instruction in another declared language only stop commands are recognised.
+    With a `classifier` a clause counts that the rules or the classifier find, unless the other one is sure that there
+    is none; it is not asked if the robot has skills that it does not know.
     """
     if too_long := _refuse_length(instruction):
         return too_long
@@ -76,7 +86,7 @@ def review_instruction(
     foreign = detect_foreign_language(instruction)
     if foreign is not None:
         return None if is_understood(foreign, languages) else _refuse_language(foreign.name)
-    return refuse_hostile(instruction) or _refuse_clauses(instruction, registry, receptive, graspable)
+    return refuse_hostile(instruction) or _refuse_clauses(instruction, registry, receptive, graspable, classifier)
 
 
 def refuse_hostile(instruction: str) -> Refusal | None:
@@ -105,15 +115,30 @@ def _refuse_language(name: str) -> Refusal:
 
 
 def _refuse_clauses(
-    instruction: str, registry: SkillRegistry, receptive: Sequence[str], graspable: Sequence[str]
+    instruction: str,
+    registry: SkillRegistry,
+    receptive: Sequence[str],
+    graspable: Sequence[str],
+    classifier: ClauseClassifier | None,
 ) -> Refusal | None:
     clauses = find_clauses(normalise(instruction), capabilities(registry), receptive, graspable)
+    if classifier is not None and reads_all_skills(registry):
+        clauses = _weigh(clauses, classifier.estimate(instruction))
     if not clauses:
         return None
     first = clauses[0]
     return Refusal(
         kind="clause", reason=_describe(clauses, registry, receptive), quote=first.quote, brief=brief_reason(first)
     )
+
+
+def _weigh(clauses: tuple[Clause, ...], estimate: ClauseEstimate) -> tuple[Clause, ...]:
+    """The clauses of the rules, unless `estimate` is sure of the contrary; a clause that the scene shows remains."""
+    if estimate.score < -CLASSIFIER_MARGIN:
+        return tuple(clause for clause in clauses if clause.by_scene)
+    if estimate.score > CLASSIFIER_MARGIN and not clauses:
+        return (Clause(estimate.kind, estimate.quote),)
+    return clauses
 
 
 def brief_reason(clause: Clause) -> str:

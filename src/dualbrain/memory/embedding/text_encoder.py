@@ -59,11 +59,18 @@ class MiniLmEncoder:
         """Unit rows of shape (n_texts, 384), float32, for any texts, including empty ones."""
         return np.stack([self._encode_one(text) for text in texts]) if texts else np.empty((0, self.dim), np.float32)
 
-    def _encode_one(self, text: str) -> NDArray[np.float32]:
+    def encode_tokens(self, text: str) -> tuple[Float32Array, tuple[tuple[int, int], ...]]:
+        """Token vectors of shape (tokens, 384), float32, and the positions of the tokens in `text` [characters].
+
+        The tokens that mark the beginning and the end have the position (0, 0). A text is cut at `MAX_TOKENS`.
+        """
         encoding = self._tokenizer.encode(text)
         ids = np.asarray([encoding.ids], np.int64)
         inputs = {"input_ids": ids, "attention_mask": np.ones_like(ids), "token_type_ids": np.zeros_like(ids)}
-        tokens = np.asarray(self._session.run(None, inputs)[0])[0]
+        return np.asarray(self._session.run(None, inputs)[0], np.float32)[0], tuple(encoding.offsets)
+
+    def _encode_one(self, text: str) -> NDArray[np.float32]:
+        tokens, _ = self.encode_tokens(text)
         mean = tokens.mean(axis=0, dtype=np.float64)
         return (mean / np.linalg.norm(mean)).astype(np.float32)
 

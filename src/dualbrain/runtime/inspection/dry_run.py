@@ -18,6 +18,7 @@ from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
 from dualbrain.core.text import storable_text
 from dualbrain.grounding.envelope.object_limits import with_object_limits
 from dualbrain.grounding.envelope.robot_at_site import RobotAtSite
+from dualbrain.grounding.instruction.clauses.clause_classifier import ClauseClassifier
 from dualbrain.grounding.instruction.recalled_steps import fit_recall
 from dualbrain.grounding.instruction.review import Refusal
 from dualbrain.grounding.offline_gate import gate_at_home
@@ -109,13 +110,15 @@ def plan(
     *,
     shots: int,
     clock: Clock,
+    classifier: ClauseClassifier | None = None,
 ) -> DryRunResult:
     """Request a contract from `planner` at most `shots` times, with the gate's last rejection in the prompt.
 
     `context` is that of the robot `at_site` (`context_at_home`); the gate knows grants and obstacles of the site. The
-    planner is not asked for a stop command or for an instruction that the local layer declines.
+    planner is not asked for a stop command or for an instruction that the local layer declines, with the `classifier`
+    of clauses if there is one.
     """
-    answer = answer_locally(instruction, context, planner)
+    answer = answer_locally(instruction, context, planner, classifier=classifier)
     withheld: tuple[str, ...] = ()
     if answer is None:
         recall, retrieval = _timed(clock, lambda: _retrieve(instruction, context, memory, retrieve_passages))

@@ -14,6 +14,7 @@ from dualbrain.contracts.skill_spec import NumberParameter
 from dualbrain.control.executor import Executor
 from dualbrain.grounding.envelope.grasp_fit import parameter_domains, ungraspable, why_ungraspable
 from dualbrain.grounding.envelope.value_bounds import why_out_of_bounds
+from dualbrain.grounding.instruction.clauses.clause_classifier import ClauseClassifier
 from dualbrain.grounding.instruction.goals.goal import Goal
 from dualbrain.grounding.instruction.goals.goal_reading import read_goal
 from dualbrain.grounding.instruction.language import detect_foreign_language
@@ -39,7 +40,12 @@ STOP_TIME = 0.5
 
 
 def answer_locally(
-    instruction: str, context: PlanningContext, planner: Planner, check: InstructionCheck = "all"
+    instruction: str,
+    context: PlanningContext,
+    planner: Planner,
+    check: InstructionCheck = "all",
+    *,
+    classifier: ClauseClassifier | None = None,
 ) -> StopCommand | Refusal | None:
     """The answer of the local layer to `instruction`; None if `planner` is to be asked.
 
@@ -50,8 +56,9 @@ def answer_locally(
     if check == "given_contract":
         return StopCommand() if is_stop_command(instruction) else refuse_hostile(instruction)
     languages = planner_languages(planner)
+    scene = context.scene
     review = review_instruction(
-        instruction, context.registry, context.scene.receptive, context.scene.graspable, languages=languages
+        instruction, context.registry, scene.receptive, scene.graspable, languages=languages, classifier=classifier
     )
     if review is not None or check != "all" or isinstance(planner, FixedContractPlanner):
         return review

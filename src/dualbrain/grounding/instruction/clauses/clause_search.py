@@ -47,10 +47,14 @@ _SECONDS = re.compile(r"\b(\d{1,6}(?:[.,]\d{1,6})?|[a-z]{1,10}) (s|secs?|seconds
 
 @dataclass(frozen=True, slots=True)
 class Clause:
-    """A clause that contracts cannot express: its `kind`, and its words as the person wrote them."""
+    """A clause that contracts cannot express: its `kind`, and its words as the person wrote them.
+
+    `by_scene`: it was found with the names of the scene.
+    """
 
     kind: ClauseKind
     quote: str
+    by_scene: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +93,8 @@ def find_clauses(
         ("relative place", places),
         ("handing over", recipients_by_name(words, scene)),
     )
-    found: list[tuple[int, int, ClauseKind]] = [(a, b, kind) for kind, spans in located for a, b in spans]
+    by_scene: list[tuple[int, int, ClauseKind]] = [(a, b, kind) for kind, spans in located for a, b in spans]
+    found = list(by_scene)
     containers = _Containers.of(receptive)
     for start, end in sentences(text):
         if len(found) > MAX_FOUND:
@@ -104,7 +109,8 @@ def find_clauses(
     last_end = -1
     for start, end, kind in found:
         if start >= last_end:
-            clauses.append(Clause(kind, words.quote(start, end).rstrip(" ,.;:!?")))
+            quote = words.quote(start, end).rstrip(" ,.;:!?")
+            clauses.append(Clause(kind, quote, by_scene=(start, end, kind) in by_scene))
             last_end = end
     return tuple(clauses)
 

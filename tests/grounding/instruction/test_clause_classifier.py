@@ -1,0 +1,133 @@
+"""The learned estimate of clauses: its arithmetic, its quotes, and its weight beside the rules."""
+
+import numpy as np
+import pytest
+import torch
+
+from dualbrain.core.paths import cache_folder
+from dualbrain.grounding.instruction.clauses import clause_classifier
+from dualbrain.grounding.instruction.clauses.clause_classifier import KINDS, ClauseClassifier, ClauseEstimate
+from dualbrain.grounding.instruction.review import Refusal, review_instruction
+from dualbrain.memory.embedding.text_encoder import MiniLmEncoder
+from dualbrain.robots.loader import load_robot
+from dualbrain.skills.registry import skill_registry
+from tests.grounding.instruction.test_clauses import BASE_SLOTS, PLACES, REGISTRIES, SLOTS, packaged_sentences
+from tools.clause_classifier.training import ENCODED, Layer, weights_of
+
+PANDA = skill_registry(load_robot("panda"))
+
+
+class RandomEncoder:
+    id = "random"
+
+    def __init__(self, rng):
+        self.vectors = rng.normal(size=(9, ENCODED)).astype(np.float32)
+
+    def encode_tokens(self, text):
+        return self.vectors, tuple((2 * k, 2 * k + 1) for k in range(len(self.vectors)))
+
+
+class FixedEstimate:
+    def __init__(self, score):
+        self.score, self.asked = score, 0
+
+    def estimate(self, text):
+        self.asked += 1
+        return ClauseEstimate(self.score, "motion", "these words")
+
+
+@pytest.fixture(scope="module")
+def packaged():
+    return ClauseClassifier.packaged(MiniLmEncoder.from_cache(cache_folder()))
+
+
+def test_the_estimate_is_that_of_the_trained_layer():
+    torch.manual_seed(3)
+    layer, encoder = Layer().eval(), RandomEncoder(np.random.default_rng(3))
+    weights = {name: value.astype(np.float32) for name, value in weights_of(layer).items()}
+    layer.load_state_dict({name: torch.tensor(weights[own]) for name, own in named(layer).items()})
+    with torch.no_grad():
+        score, kind, marks = layer(torch.tensor(encoder.vectors)[None], torch.ones(1, 9, dtype=torch.bool))
+    found = ClauseClassifier(encoder, weights).estimate("a b c d e f g h i")
+    assert found.score == pytest.approx(float(score[0]), abs=1e-4)
+    assert found.kind == KINDS[int(kind[0].argmax())]
+    assert "abcdefghi"[int(marks[0].argmax())] in found.quote
+
+
+def named(layer):
+    """The names of the weights of the classifier, by those of the layer."""
+    return dict(zip(layer.state_dict(), weights_of(layer), strict=True))
+
+
+@pytest.mark.parametrize(
+    ("text", "score", "declined"),
+    [
+        ("put the red cube in the bowl when the bell rings", 0.0, "when the bell rings"),
+        ("put the red cube in the bowl when the bell rings", -0.9, "when the bell rings"),
+        ("put the red cube in the bowl when the bell rings", -1.1, ""),
+        ("put the red cube in the bowl", 0.9, ""),
+        ("put the red cube in the bowl", 1.1, "these words"),
+        ("place the red cube to the left of the bowl and the tin", 9.0, "to the left of the bowl"),
+    ],
+)
+def test_the_one_that_is_sure_decides(text, score, declined):
+    answer = review_instruction(text, PANDA, ["blue_bowl"], ["red_cube"], classifier=FixedEstimate(score))
+    assert (answer.quote if isinstance(answer, Refusal) else "") == declined
+
+
+def test_a_clause_that_the_scene_shows_remains():
+    scene = (["blue_bowl", "table_left"], ["red_cube", "white_tin", "brown_box"])
+    text = "put the cube onto the tin"
+    assert isinstance(review_instruction(text, PANDA, *scene), Refusal)
+    assert isinstance(review_instruction(text, PANDA, *scene, classifier=FixedEstimate(-9.0)), Refusal)
+
+
+def test_a_robot_with_other_skills_is_judged_by_the_rules_alone(monkeypatch):
+    monkeypatch.setattr(clause_classifier, "PACKAGED_SKILLS", frozenset({"grasp"}))
+    sure = FixedEstimate(9.0)
+    assert review_instruction("put the red cube in the bowl", PANDA, ["blue_bowl"], classifier=sure) is None
+    assert sure.asked == 0
+
+
+def test_stop_commands_do_not_wait_for_the_classifier():
+    sure = FixedEstimate(9.0)
+    assert not isinstance(review_instruction("stop", PANDA, classifier=sure), Refusal)
+    assert sure.asked == 0
+
+
+def test_no_packaged_sentence_is_declined_because_of_the_classifier(packaged):
+    texts = {
+        (robot, sentence.format(**(BASE_SLOTS if robot == "base" else SLOTS)))
+        for robot, kind, sentence in packaged_sentences()
+    }
+    refused = []
+    for robot, text in sorted(texts):
+        answer = review_instruction(text, REGISTRIES[robot], PLACES, classifier=packaged)
+        if isinstance(answer, Refusal):
+            refused.append((robot, text, answer.quote))
+    assert refused == []
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "word"),
+    [
+        ("the tin should end up in the bowl the moment the lamp goes green", "condition", "lamp"),
+        ("swirl the tin gently", "motion", "swirl"),
+        ("my colleague Anna would love to hold the tin, let her have it", "handing over", "her"),
+        ("put the tin in the bowl around noon", "time", "noon"),
+    ],
+)
+def test_clauses_in_words_without_a_rule_are_found_and_named(packaged, text, kind, word):
+    answer = review_instruction(text, PANDA, ["blue_bowl"], ["white_tin"], classifier=packaged)
+    assert isinstance(answer, Refusal)
+    assert word in answer.quote
+    assert kind in answer.reason
+
+
+def test_long_and_odd_texts_have_an_estimate(packaged):
+    for text in ("", "   ", "\u00e9\u4e2d" * 300, "tin " * 400, "...", "\ufeff"):
+        assert np.isfinite(packaged.estimate(text).score)
+
+
+def test_another_encoder_leaves_the_rules_alone():
+    assert ClauseClassifier.packaged(RandomEncoder(np.random.default_rng(0))) is None
