@@ -16,7 +16,7 @@ WRITTEN = Path(__file__).with_name("sentences.jsonl")
 """Sentences that a language model wrote in 15 manners of speech; it had seen neither the rules nor a parser."""
 DEVELOPMENT = Path("tests/grounding/instruction/sentences.toml")
 """Sentences on whose errors the rules were developed."""
-SETS = tuple(Path("experiments/evaluation/instructions", name) for name in ("clauses.toml", "clauses_second.toml"))
+SETS = tuple(Path("experiments/evaluation/instructions/clauses", name) for name in ("first.toml", "second.toml"))
 """The sets whose errors were read; the third, fourth and fifth are held out."""
 
 FILLS = (

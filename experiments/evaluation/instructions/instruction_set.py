@@ -45,11 +45,11 @@ FREE_FILES = {
 }
 """The files of the sets of free instructions, by the name of the set; the identifiers of one set are in no other."""
 CLAUSE_FILES = {
-    "first": "clauses.toml",
-    "second": "clauses_second.toml",
-    "third": "clauses_third.toml",
-    "fourth": "clauses_fourth.toml",
-    "fifth": "clauses_fifth.toml",
+    "first": "clauses/first.toml",
+    "second": "clauses/second.toml",
+    "third": "clauses/third.toml",
+    "fourth": "clauses/fourth.toml",
+    "fifth": "clauses/fifth.toml",
 }
 """The files of the sets of instructions with and without clauses, by the name of the set."""
 
@@ -183,7 +183,7 @@ def _has_field(predicate: Predicate, name: str) -> bool:
 
 
 def _read(name: str) -> str:
-    return Path(__file__).with_name(name).read_text("utf-8")
+    return (Path(__file__).parent / name).read_text("utf-8")
 
 
 def _convert(text: str, kind: type[InstructionFile]) -> InstructionFile:

@@ -89,4 +89,4 @@ def test_a_name_that_the_scene_lacks_is_refused() -> None:
 
 
 def test_the_hash_names_the_content() -> None:
-    assert content_hash("free.toml") != content_hash("clauses.toml")
+    assert content_hash("free.toml") != content_hash("clauses/first.toml")
