@@ -102,6 +102,7 @@ void read_settings(const Lines &lines, size_t n, dbk_model &m) {
   setting(lines, "speed_limit", m.speed_limit, n);
   setting(lines, "state_age_max", m.state_age_max, n);
   setting(lines, "scene_age_max", m.scene_age_max, n);
+  fill(lines, "moving_base", &m.moving_base, 1, 1);
   fill(lines, "speed_first_joint", &m.speed_first_joint, 1, 1);
 }
 

@@ -44,6 +44,9 @@ def packaged():
 def test_the_estimate_is_that_of_the_trained_layer():
     torch.manual_seed(3)
     layer, encoder = Layer().eval(), RandomEncoder(np.random.default_rng(3))
+    with torch.no_grad():
+        layer.token.weight *= 30.0  # so that the marks of some tokens only are above the threshold
+        layer.token.bias[:] = clause_classifier.QUOTE_MARK
     weights = {name: value.astype(np.float32) for name, value in weights_of(layer).items()}
     layer.load_state_dict({name: torch.tensor(weights[own]) for name, own in named(layer).items()})
     with torch.no_grad():
@@ -51,7 +54,12 @@ def test_the_estimate_is_that_of_the_trained_layer():
     found = ClauseClassifier(encoder, weights).estimate("a b c d e f g h i")
     assert found.score == pytest.approx(float(score[0]), abs=1e-4)
     assert found.kind == KINDS[int(kind[0].argmax())]
-    assert "abcdefghi"[int(marks[0].argmax())] in found.quote
+    best = int(marks[0].argmax())
+    above = (marks[0] > clause_classifier.QUOTE_MARK).tolist()
+    first = max((k + 1 for k in range(best) if not above[k]), default=0)
+    last = min((k for k in range(best, 9) if not above[k]), default=9)
+    assert found.quote == " ".join("abcdefghi"[first:last])
+    assert 0 < last - first < 9
 
 
 def named(layer):
@@ -80,6 +88,34 @@ def test_a_clause_that_the_scene_shows_remains():
     text = "put the cube onto the tin"
     assert isinstance(review_instruction(text, PANDA, *scene), Refusal)
     assert isinstance(review_instruction(text, PANDA, *scene, classifier=FixedEstimate(-9.0)), Refusal)
+
+
+@pytest.mark.parametrize(
+    ("text", "robot", "places", "objects"),
+    [
+        ("put both tins in the bowl", "panda", ["blue_bowl"], ["white_tin", "red_tin", "blue_tin"]),
+        ("put all but the tins in the bowl", "panda", ["blue_bowl"], ["white_tin", "red_tin", "red_cube"]),
+        ("drive to the charger and wait five seconds", "base", ["charger"], []),
+        ("wait 500 seconds then put the red cube in the bowl", "panda", ["blue_bowl"], ["red_cube"]),
+    ],
+)
+def test_a_clause_that_depends_on_robot_or_scene_remains(text, robot, places, objects):
+    scene = (REGISTRIES[robot], places, objects)
+    assert isinstance(review_instruction(text, *scene), Refusal)
+    assert isinstance(review_instruction(text, *scene, classifier=FixedEstimate(-9.0)), Refusal)
+
+
+def test_a_clause_beyond_the_words_that_the_encoder_reads_remains(packaged):
+    text = f"put the red cube in the bowl. {'. ' * 260}when the bell rings"
+    assert packaged.estimate(text).score >= 0.0
+    assert isinstance(review_instruction(text, PANDA, ["blue_bowl"], ["red_cube"], classifier=packaged), Refusal)
+
+
+def test_a_planner_of_other_languages_is_asked_without_the_classifier():
+    sure = FixedEstimate(9.0)
+    scene = (["blue_bowl"], ["red_cube"])
+    assert review_instruction("put the red cube in the bowl", PANDA, *scene, languages=("*",), classifier=sure) is None
+    assert sure.asked == 0
 
 
 def test_a_robot_with_other_skills_is_judged_by_the_rules_alone(monkeypatch):
@@ -111,21 +147,23 @@ def test_no_packaged_sentence_is_declined_because_of_the_classifier(packaged):
 @pytest.mark.parametrize(
     ("text", "kind", "word"),
     [
-        ("the tin should end up in the bowl the moment the lamp goes green", "condition", "lamp"),
-        ("swirl the tin gently", "motion", "swirl"),
-        ("my colleague Anna would love to hold the tin, let her have it", "handing over", "her"),
-        ("put the tin in the bowl around noon", "time", "noon"),
+        ("the tin goes to whoever asks first", "handing over", "whoever asks"),
+        ("the tin wants a spot beside its friend the cube", "relative place", "beside"),
+        ("tin in, tin out, tin in, the whole morning long", "time", "morning"),
+        ("have the tin twirl in the air before it lands in the bowl", "motion", "twirl"),
     ],
 )
 def test_clauses_in_words_without_a_rule_are_found_and_named(packaged, text, kind, word):
-    answer = review_instruction(text, PANDA, ["blue_bowl"], ["white_tin"], classifier=packaged)
+    scene = (["blue_bowl"], ["white_tin", "red_cube"])
+    assert review_instruction(text, PANDA, *scene) is None
+    answer = review_instruction(text, PANDA, *scene, classifier=packaged)
     assert isinstance(answer, Refusal)
     assert word in answer.quote
     assert kind in answer.reason
 
 
 def test_long_and_odd_texts_have_an_estimate(packaged):
-    for text in ("", "   ", "\u00e9\u4e2d" * 300, "tin " * 400, "...", "\ufeff"):
+    for text in ("", "   ", "\ud800 tin", "\u00e9\u4e2d" * 300, "tin " * 400, "...", "\ufeff"):
         assert np.isfinite(packaged.estimate(text).score)
 
 

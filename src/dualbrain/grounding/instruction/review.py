@@ -14,7 +14,7 @@ from dualbrain.grounding.instruction.clauses.clause_classifier import (
     reads_all_skills,
 )
 from dualbrain.grounding.instruction.clauses.clause_search import Clause, find_clauses
-from dualbrain.grounding.instruction.clauses.expressible import capabilities
+from dualbrain.grounding.instruction.clauses.expressible import ALL_CAPABILITIES, capabilities
 from dualbrain.grounding.instruction.clauses.rules.clause_rule import ClauseKind
 from dualbrain.grounding.instruction.hostile import find_hostile_request
 from dualbrain.grounding.instruction.language import ENGLISH, detect_foreign_language, is_understood
@@ -39,6 +39,8 @@ MAX_INSTRUCTION = 1000
 """Longest instruction that is read [characters]."""
 CLASSIFIER_MARGIN = 1.0
 """The classifier overrides the rules if the logarithm of its odds is beyond this value."""
+KINDS_OF_THE_SCENE: frozenset[ClauseKind] = frozenset({"count", "exclusion", "relative place"})
+"""Kinds of clauses that depend on the objects and places of the scene, which the classifier does not know."""
 MAX_REASON = 120
 """Longest reason of a decline in a contract [characters]."""
 
@@ -76,8 +78,9 @@ def review_instruction(
 
     `receptive` are the containers and places of the scene, `graspable` its objects, `languages` those that the planner
     declares. The rules read English: of an instruction in another declared language only stop commands are recognised.
-    With a `classifier` a clause counts that the rules or the classifier find, unless the other one is sure that there
-    is none; it is not asked if the robot has skills that it does not know.
+    A `classifier` that is sure of a clause adds it to those of the rules, and one that is sure that there is none removes
+    those that depend neither on the scene nor on the robot. It is asked only if the planner reads English alone and if
+    it knows all skills of the robot.
     """
     if too_long := _refuse_length(instruction):
         return too_long
@@ -86,7 +89,8 @@ def review_instruction(
     foreign = detect_foreign_language(instruction)
     if foreign is not None:
         return None if is_understood(foreign, languages) else _refuse_language(foreign.name)
-    return refuse_hostile(instruction) or _refuse_clauses(instruction, registry, receptive, graspable, classifier)
+    asked = classifier if set(languages) == {ENGLISH} and reads_all_skills(registry) else None
+    return refuse_hostile(instruction) or _refuse_clauses(instruction, registry, receptive, graspable, asked)
 
 
 def refuse_hostile(instruction: str) -> Refusal | None:
@@ -121,9 +125,11 @@ def _refuse_clauses(
     graspable: Sequence[str],
     classifier: ClauseClassifier | None,
 ) -> Refusal | None:
-    clauses = find_clauses(normalise(instruction), capabilities(registry), receptive, graspable)
-    if classifier is not None and reads_all_skills(registry):
-        clauses = _weigh(clauses, classifier.estimate(instruction))
+    words = normalise(instruction)
+    clauses = find_clauses(words, capabilities(registry), receptive, graspable)
+    if classifier is not None:
+        of_any_robot = find_clauses(words, ALL_CAPABILITIES, receptive, graspable)
+        clauses = _weigh(clauses, of_any_robot, classifier.estimate(instruction))
     if not clauses:
         return None
     first = clauses[0]
@@ -132,13 +138,15 @@ def _refuse_clauses(
     )
 
 
-def _weigh(clauses: tuple[Clause, ...], estimate: ClauseEstimate) -> tuple[Clause, ...]:
-    """The clauses of the rules, unless `estimate` is sure of the contrary; a clause that the scene shows remains."""
-    if estimate.score < -CLASSIFIER_MARGIN:
-        return tuple(clause for clause in clauses if clause.by_scene)
+def _weigh(
+    clauses: tuple[Clause, ...], of_any_robot: tuple[Clause, ...], estimate: ClauseEstimate
+) -> tuple[Clause, ...]:
+    """The clauses that count; `of_any_robot` are those that no robot could express."""
     if estimate.score > CLASSIFIER_MARGIN and not clauses:
         return (Clause(estimate.kind, estimate.quote),)
-    return clauses
+    if estimate.score >= -CLASSIFIER_MARGIN:
+        return clauses
+    return tuple(one for one in clauses if one.by_scene or one.kind in KINDS_OF_THE_SCENE or one not in of_any_robot)
 
 
 def brief_reason(clause: Clause) -> str:

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.core.encoder import TokenEncoder
-from dualbrain.errors import MissingDependencyError
+from dualbrain.errors import ChecksumError, MissingDependencyError
 from dualbrain.grounding.instruction.clauses.rules.clause_rule import ClauseKind
-from dualbrain.memory.embedding.text_encoder import MiniLmEncoder
+from dualbrain.memory.embedding.text_encoder import MAX_TOKENS, MiniLmEncoder
 
 KINDS: tuple[ClauseKind, ...] = (
     "condition",
@@ -46,6 +46,8 @@ PACKAGED_SKILLS = frozenset(
 """The skills whose contracts the training sentences assume."""
 QUOTE_MARK = -3.0
 """A token whose mark is larger belongs to the words of the clause, if its neighbour does."""
+MAX_QUOTE = 200
+"""Longest quote of a clause [characters]."""
 ENCODER = "minilm-l6-v2-int8@20a8733f"
 """The encoder with whose vectors the classifier was trained."""
 WEIGHTS_FILE = "clause_classifier.safetensors"
@@ -91,14 +93,20 @@ class ClauseClassifier:
         return cls(encoder, {name: value.astype(np.float32) for name, value in reader.load(data).items()})
 
     def estimate(self, text: str) -> ClauseEstimate:
-        """The estimate for an instruction in English of any length; beyond 256 tokens the rest is not read."""
+        """The estimate for an instruction in English.
+
+        A long text is read up to `MAX_TOKENS`; its score is then at least 0, because a clause may be in the rest.
+        """
+        text = text.encode("utf-8", "replace").decode()
         vectors, positions = self._encoder.encode_tokens(text)
         hidden = self._layer(self._linear("input", vectors))
         attended = _softmax(self._linear("attention_pool", hidden)[:, 0]) @ hidden
         pooled = np.concatenate([attended, hidden.max(axis=0)])
         kind = KINDS[int(self._linear("kind", pooled).argmax())]
         marks = self._linear("token", hidden)[:, 0]
-        return ClauseEstimate(float(self._linear("score", pooled)[0]), kind, _quote(text, marks, positions))
+        score = float(self._linear("score", pooled)[0])
+        score = max(score, 0.0) if len(positions) >= MAX_TOKENS else score
+        return ClauseEstimate(score, kind, _quote(text, marks, positions))
 
     def _layer(self, hidden: _Array) -> _Array:
         hidden = self._normalise("attention_norm", hidden + self._attend(hidden))
@@ -124,10 +132,10 @@ class ClauseClassifier:
 
 
 def find_clause_classifier(cache: Path) -> ClauseClassifier | None:
-    """The packaged classifier with the encoder in `cache`; None if one of them is missing: the rules judge alone."""
+    """The packaged classifier with the encoder in `cache`; None without a usable encoder: the rules judge alone."""
     try:
         return ClauseClassifier.packaged(MiniLmEncoder.from_cache(cache))
-    except MissingDependencyError:
+    except (MissingDependencyError, ChecksumError):
         return None
 
 
@@ -145,11 +153,12 @@ def _quote(text: str, marks: _Array, positions: tuple[tuple[int, int], ...]) -> 
     """The words around the token with the largest mark, as far as the marks are above `QUOTE_MARK`."""
     words = [k for k, (start, end) in enumerate(positions) if end > start]
     if not words:
-        return text
+        return text[:MAX_QUOTE]
     first = last = max(words, key=lambda k: float(marks[k]))
     while first - 1 in words and marks[first - 1] > QUOTE_MARK:
         first -= 1
     while last + 1 in words and marks[last + 1] > QUOTE_MARK:
         last += 1
     start, end = text.rfind(" ", 0, positions[first][1]) + 1, text.find(" ", positions[last][1])
-    return text[start : end if end >= 0 else len(text)].strip(" ,.;:!?")
+    quote = text[start : end if end >= 0 else len(text)].strip(" ,.;:!?")
+    return (quote or text)[:MAX_QUOTE]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
+from typing import get_args
 
 from dualbrain.contracts.registry import SkillRegistry
 from dualbrain.contracts.skill_spec import NameParameter, NumberParameter, SkillSpec
@@ -21,6 +23,10 @@ class Capabilities:
 
     names: frozenset[Capability]
     longest_wait: float
+
+
+ALL_CAPABILITIES = Capabilities(frozenset(get_args(Capability)) - {""}, inf)
+"""What some robot could express."""
 
 
 def capabilities(registry: SkillRegistry) -> Capabilities:
