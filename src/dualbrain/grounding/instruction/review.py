@@ -78,9 +78,9 @@ def review_instruction(
 
     `receptive` are the containers and places of the scene, `graspable` its objects, `languages` those that the planner
     declares. The rules read English: of an instruction in another declared language only stop commands are recognised.
-    A `classifier` that is sure of a clause adds it to those of the rules, and one that is sure that there is none removes
-    those that depend neither on the scene nor on the robot. It is asked only if the planner reads English alone and if
-    it knows all skills of the robot.
+    A `classifier` that is sure of a clause adds it to those of the rules, and one that is sure that there is none
+    removes those that depend neither on the scene nor on the robot. It is asked only if the planner reads English alone
+    and if it knows all skills of the robot.
     """
     if too_long := _refuse_length(instruction):
         return too_long

@@ -28,8 +28,9 @@ approach at
 
 with ḧ at the centre of the control bounds: the second derivative of the distance for two links, and its lower bound n'a
 for an obstacle, with the acceleration a of the centre of the sphere (of a mobile base with the turn of its drive
-axis). Below h = 0 a row asks for ḣ ≥ min(−α h, recovery speed), for joint limits 4 × recovery speed [rad/s], and never
-forbids motion away from the obstacle.
+axis). Nearer than h = C/(8g²) a stop needs more than h, and no row asks for a retreat. Below h = 0 a row asks for
+ḣ ≥ min(−α h, recovery speed), for joint limits 4 × recovery speed [rad/s], and never forbids motion away from the
+obstacle.
 Margins beyond h = 0: *sampling* (a step of finite length), *tracking* (ẏ ≠ u), *measurement* (obstacle margin), *age*
 (velocity error × age of the observation), *rounding* (float32)."""
 
