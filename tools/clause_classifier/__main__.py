@@ -3,8 +3,9 @@
     python -m tools.clause_classifier               # five-fold cross-validation
     python -m tools.clause_classifier --write       # train with all sentences and write the packaged weights
 
-Training needs torch (`make setup` installs it) and the sentence encoder (`dualbrain models fetch`), and about five
-minutes on two cores. Folds split single sentences, so that near copies of a packaged sentence are in both parts. The held-out sets are measured by `python -m experiments clauses`.
+Training needs torch (`make setup` installs it), the sentence encoder (`dualbrain models fetch`), and about five minutes
+on two cores. Folds split single sentences, so that near copies of a packaged sentence are in both parts. The held-out
+sets are measured by `python -m experiments clauses`.
 """
 
 from __future__ import annotations
