@@ -26,8 +26,8 @@ def _four_runs(folder):
     for name, instruction, answer, goal in (
         ("one", "rest a little", hold_contract(0.7), GOAL),
         ("two", "rest a little more", hold_contract(0.8), ""),
-        ("three", "sing to the cube", BAD, ""),
-        ("four", "sing to the cube, please", decline_contract(), ""),
+        ("three", "admire the cube", BAD, ""),
+        ("four", "admire the cube, please", decline_contract(), ""),
     ):
         story = run_session(run_config(folder, name, instruction=instruction, goal=goal), answer)
         results.append(

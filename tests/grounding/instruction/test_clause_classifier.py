@@ -118,6 +118,12 @@ def test_a_planner_of_other_languages_is_asked_without_the_classifier():
     assert sure.asked == 0
 
 
+def test_a_text_with_control_characters_is_not_read_by_the_classifier():
+    sure = FixedEstimate(9.0)
+    assert review_instruction("\ud800\x00\x1b[2J; --", PANDA, ["blue_bowl"], ["red_cube"], classifier=sure) is None
+    assert sure.asked == 0
+
+
 def test_a_robot_with_other_skills_is_judged_by_the_rules_alone(monkeypatch):
     monkeypatch.setattr(clause_classifier, "PACKAGED_SKILLS", frozenset({"grasp"}))
     sure = FixedEstimate(9.0)

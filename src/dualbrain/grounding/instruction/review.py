@@ -80,7 +80,7 @@ def review_instruction(
     declares. The rules read English: of an instruction in another declared language only stop commands are recognised.
     A `classifier` that is sure of a clause adds it to those of the rules, and one that is sure that there is none
     removes those that depend neither on the scene nor on the robot. It is asked only if the planner reads English alone
-    and if it knows all skills of the robot.
+    and if it knows all skills of the robot, and not about a text with control characters.
     """
     if too_long := _refuse_length(instruction):
         return too_long
@@ -89,7 +89,8 @@ def review_instruction(
     foreign = detect_foreign_language(instruction)
     if foreign is not None:
         return None if is_understood(foreign, languages) else _refuse_language(foreign.name)
-    asked = classifier if set(languages) == {ENGLISH} and reads_all_skills(registry) else None
+    is_plain_text = " ".join(instruction.split()).isprintable()
+    asked = classifier if is_plain_text and set(languages) == {ENGLISH} and reads_all_skills(registry) else None
     return refuse_hostile(instruction) or _refuse_clauses(instruction, registry, receptive, graspable, asked)
 
 

@@ -60,11 +60,16 @@ def answer_locally(
     review = review_instruction(
         instruction, context.registry, scene.receptive, scene.graspable, languages=languages, classifier=classifier
     )
-    if review is not None or check != "all" or isinstance(planner, FixedContractPlanner):
+    if isinstance(review, StopCommand) or (isinstance(review, Refusal) and review.kind != "clause"):
+        return review
+    if check != "all" or isinstance(planner, FixedContractPlanner):
         return review
     if detect_foreign_language(instruction) is not None:
-        return None  # the goal parser reads English only
-    return _refuse_goal(instruction, context)
+        return review  # the goal parser reads English only
+    refused = _refuse_goal(instruction, context)
+    if review is None or (refused is not None and refused.kind == "absent"):
+        return refused  # an absent object is a better reason than a clause
+    return review
 
 
 def _refuse_goal(instruction: str, context: PlanningContext) -> Refusal | None:
