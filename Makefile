@@ -39,7 +39,7 @@ check: setup  ## format, lint, types, import layers, rules on names and layout
 	$(BIN)/python -m tools.structure
 
 kernel: setup  ## the tests of the C kernel, under sanitizers
-	$(BIN)/python -m pytest -q tests/kernel
+	$(BIN)/python -m pytest -q -n 2 tests/kernel
 
 pytest: setup  ## the tests of the package; COVERAGE=1 prints the line coverage
 	@$(BIN)/dualbrain models fetch smollm2-135m-instruct minilm-l6-v2-int8 minilm-l6-v2-tokenizer efficientnet-lite0

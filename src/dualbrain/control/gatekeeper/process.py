@@ -70,8 +70,9 @@ def run_gatekeeper(
         keys=config.keys,
         started_by=config.started_by,
     )
-    deployment, profile = Deployment.from_config(config), TickProfiler()
     with ExitStack() as stack:
+        stack.callback(release_realtime_priority)  # also if the setup is wrong
+        deployment, profile = Deployment.from_config(config), TickProfiler()
         gatekeeper, robot = _assemble(config, deployment, profile, stack)
 
         deadline = EndDeadline(STOP_LIMIT, robot.process.kill, code=PARENT_ENDED)
