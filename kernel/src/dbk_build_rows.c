@@ -28,7 +28,7 @@ static void mark_unavoidable(dbk_rows *rows, int32_t kind, int32_t i, int32_t j,
 /* A row that no joint can change is acceptable if it requires no motion, or if a static obstacle touches the mount of
  * the robot. Otherwise it is unavoidable, and if h < 0 the step stops. */
 static void classify_fixed_row(const dbk_model *model, dbk_rows *rows, int32_t r) {
-  const int32_t mount = rows->kind[r] == DBK_ROW_OBSTACLE && model->sphere_frame[rows->i[r]] <= 1 && !rows->moving[r];
+  const int32_t mount = rows->kind[r] == DBK_ROW_OBSTACLE && model->sphere_frame[dbk_bounded(rows->i[r], DBK_ALL_SPHERES - 1)] <= 1 && !rows->moving[r];
   if (rows->b[r] <= (dbk_real)0 || mount) { return; }
   if (rows->h[r] + model->sampling < (dbk_real)0) { rows->no_gradient = 1; }
   mark_unavoidable(rows, rows->kind[r], rows->i[r], rows->j[r], rows->h[r] + model->sampling);
@@ -53,7 +53,7 @@ static void move_row(const dbk_model *model, dbk_rows *rows, int32_t to, int32_t
 /* classifies and removes the rows with a zero gradient */
 static void remove_fixed_rows(const dbk_model *model, dbk_rows *rows) {
   int32_t kept = 0;
-  for (int32_t r = 0; r < rows->count; ++r) {
+  for (int32_t r = 0; r < rows->count && kept < DBK_MAX_ROWS; ++r) {
     if (!(rows->norm[r] > DBK_ZERO_GRADIENT)) {
       classify_fixed_row(model, rows, r);
       continue;
@@ -160,7 +160,8 @@ void dbk_finish_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ct
 void dbk_build_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, dbk_real age, dbk_real extra,
                     int32_t known_only) {
   ctx->rows.count = ctx->rows.overflow = ctx->rows.no_gradient = ctx->rows.unavoidable = ctx->rows.n_spans = 0;
-  ctx->revisits.count = ctx->narrow_phase_count = 0;
+  ctx->revisits.count = 0;
+  ctx->narrow_phase_count = 0;
   ctx->h_min = DBK_MAX_DISTANCE;
   dbk_start_from_nearest_links(model, scene, ctx, extra);
   if (scene->n_obstacles > 0) {

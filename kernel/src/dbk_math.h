@@ -27,6 +27,9 @@ static inline dbk_real dbk_abs(dbk_real x) { return x < (dbk_real)0 ? -x : x; }
 static inline dbk_real dbk_min(dbk_real a, dbk_real b) { return a < b ? a : b; }
 static inline dbk_real dbk_max(dbk_real a, dbk_real b) { return a > b ? a : b; }
 
+/* `value` within 0..most. Counts and indices are within their bounds anyway; static analysis reads it from here */
+DBK_INLINED int32_t dbk_bounded(int32_t value, int32_t most) { return value < 0 ? 0 : (value > most ? most : value); }
+
 /* minimum and maximum over the lanes and `start` */
 static inline dbk_real dbk_min_lanes(const dbk_real lane[DBK_LANES], dbk_real start) {
   for (int32_t l = 0; l < DBK_LANES; ++l) { start = dbk_min(start, lane[l]); }
@@ -38,9 +41,9 @@ static inline dbk_real dbk_max_lanes(const dbk_real lane[DBK_LANES], dbk_real st
   return start;
 }
 
-/* zeros in whole SIMD vectors; compilers replace a plain loop by a call of memset */
-static inline void dbk_fill_zero(dbk_real *to, int32_t count) {
-  for (int32_t base = 0; base < count; base += DBK_LANES) {
+/* zeros in the entries first..end-1, a multiple of DBK_LANES; compilers replace a plain loop by a call of memset */
+static inline void dbk_fill_zero(dbk_real *to, int32_t first, int32_t end) {
+  for (int32_t base = first; base < end; base += DBK_LANES) {
     for (int32_t l = 0; l < DBK_LANES; ++l) { to[base + l] = (dbk_real)0; }
   }
 }

@@ -24,6 +24,9 @@ SANITIZE = ["-O1", "-g", "-fsanitize=address,undefined,float-cast-overflow", "-f
 WIDE = '-DDBK_SIMD_CLONES=__attribute__((target_clones("avx2","default")))'
 """The definition of CMakeLists.txt on x86-64: hot loops are compiled twice."""
 
+UNSET = "-ftrivial-auto-var-init=pattern"
+"""Local variables without a value get a pattern: a result that depends on one has other bits."""
+
 BUILDS = [
     (GCC, "-O0"),
     (GCC, "-O2"),
@@ -33,6 +36,8 @@ BUILDS = [
     (CLANG, "-O0"),
     (CLANG, "-O2"),
     (CLANG_HOST, "-O3"),
+    (GCC, f"-O2 {UNSET}"),
+    (GCC, f"-O2 -DDBK_LANES=1 {UNSET}"),
 ]
 SLOW_BUILDS = [
     (GCC, "-O1"),

@@ -110,6 +110,8 @@ void read_joints(const Lines &lines, size_t n, dbk_model &m) {
   fill(lines, "joint_rotation", &m.joint_rotation[0][0], 9 * n, 9 * DBK_MAX_DOF);
   fill(lines, "joint_offset", &m.joint_offset[0][0], 3 * n, 3 * DBK_MAX_DOF);
   fill(lines, "joint_kind", m.joint_kind, n, DBK_MAX_DOF);
+  const bool drives = n > 1 && m.joint_kind[0] == DBK_PRISMATIC && m.joint_kind[1] == DBK_REVOLUTE;
+  if (m.moving_base && !drives) { fail("`moving_base` needs a prismatic drive and a revolute turn as first joints"); }
   fill(lines, "q_lower", m.q_lower, n, DBK_MAX_DOF);
   fill(lines, "q_upper", m.q_upper, n, DBK_MAX_DOF);
   fill(lines, "v_max", m.v_max, n, DBK_MAX_DOF);

@@ -273,7 +273,7 @@ typedef struct {
   dbk_speed speed;
   dbk_revisits revisits;
   dbk_rejected_pair rejected_pair; /* valid after a step with the status DBK_FAULT */
-  int32_t narrow_phase_count; /* spheres tested against all spheres of another link */
+  uint32_t narrow_phase_count; /* spheres tested against all spheres of another link */
   dbk_solution solution;
   dbk_real lower[DBK_MAX_DOF], upper[DBK_MAX_DOF], h_min;
   dbk_real trust_lower[DBK_MAX_DOF], trust_upper[DBK_MAX_DOF]; /* trust region: the rows cover only these controls */

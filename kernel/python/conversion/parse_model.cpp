@@ -39,6 +39,8 @@ void parse_joints(const nb::dict &d, size_t n, dbk_model &m) {
   fill(d, "j_max", m.j_max, n);
   fill(d, "tracking", m.tracking, n);
   fill(d, "joint_kind", m.joint_kind, n);
+  const bool drives = n > 1 && m.joint_kind[0] == DBK_PRISMATIC && m.joint_kind[1] == DBK_REVOLUTE;
+  expect(!m.moving_base || drives, "moving_base");
   const std::vector<double> scale = values(d, "scale");
   expect(scale.size() == n * n, "scale");
   for (size_t i = 0; i < n; ++i) {

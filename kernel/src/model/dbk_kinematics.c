@@ -18,7 +18,8 @@ void dbk_sincos(dbk_real x, dbk_real *sine, dbk_real *cosine) {
   enum { S_TERMS = 4, C_TERMS = 5 };
 #endif
   /* x = k pi/2 + r */
-  const dbk_real turns = dbk_clamp(x, (dbk_real)-1000, (dbk_real)1000) * (dbk_real)0.63661977236758134308;
+  const dbk_real bounded = x == x ? dbk_clamp(x, (dbk_real)-1000, (dbk_real)1000) : (dbk_real)0; /* NaN has no integer */
+  const dbk_real turns = bounded * (dbk_real)0.63661977236758134308;
   const int32_t k = (int32_t)(turns + (turns >= (dbk_real)0 ? (dbk_real)0.5 : (dbk_real)-0.5));
   const dbk_real kr = (dbk_real)k;
   const dbk_real r = ((x - kr * part[0]) - kr * part[1]) - kr * part[2];

@@ -58,14 +58,16 @@ static int32_t stays_safe(const dbk_model *model, dbk_ctx *ctx, const body_predi
   dbk_real d[DBK_ALL_SPHERES], nx[DBK_ALL_SPHERES], ny[DBK_ALL_SPHERES], nz[DBK_ALL_SPHERES];
   int32_t safe = 1;
   dbk_distance(&p->next, count, next->x + first, next->y + first, next->z + first, d, nx, ny, nz);
-  for (int32_t s = 0; s < count; ++s) {
-    const dbk_real h = d[s] - next->r[first + s] - p->margin_next;
+  for (int32_t i = 0; i < count; ++i) {
+    const int32_t s = first + i;
+    if (s >= DBK_ALL_SPHERES) { return 0; } /* no sphere; no group has one */
+    const dbk_real h = d[i] - next->r[s] - p->margin_next;
     if (!(h >= (dbk_real)0)) {
       dbk_real before, n[3];
-      dbk_distance(&p->now, 1, now->x + first + s, now->y + first + s, now->z + first + s, &before, n, n + 1, n + 2);
-      const dbk_real h_now = before - now->r[first + s] - p->margin_now;
-      if (!(h >= h_now - allowance_of(model, ctx, p, first + s, n))) {
-        ctx->rejected_pair.i = first + s;
+      dbk_distance(&p->now, 1, now->x + s, now->y + s, now->z + s, &before, n, n + 1, n + 2);
+      const dbk_real h_now = before - now->r[s] - p->margin_now;
+      if (!(h >= h_now - allowance_of(model, ctx, p, s, n))) {
+        ctx->rejected_pair.i = s;
         ctx->rejected_pair.h = h_now;
         ctx->rejected_pair.next = h;
         safe = 0;
@@ -91,19 +93,20 @@ int32_t dbk_certify(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx
   dbk_real y[DBK_MAX_DOF];
   dbk_frames frames;
   int32_t safe = 1;
-  if (ctx->revisits.count == 0) { return 1; }
+  const int32_t n_groups = dbk_bounded(ctx->revisits.count, DBK_MAX_REVISITS);
+  if (n_groups == 0) { return 1; }
   for (int32_t k = 0; k < model->n; ++k) { y[k] = (in->q[k] + model->lag * in->v[k]) + model->period * u[k]; }
   dbk_base_frame(in, &frames);
   dbk_fk(model, y, &frames);
   dbk_spheres(model, scene, &frames, in->opening, &ctx->next_spheres);
-  for (int32_t c = 0; c < ctx->revisits.count; ++c) {
-    const int32_t first = ctx->revisits.first_sphere[c], count = ctx->revisits.n_spheres[c],
-                  other = ctx->revisits.other[c];
+  for (int32_t c = 0; c < n_groups; ++c) {
+    const int32_t first = dbk_bounded(ctx->revisits.first_sphere[c], DBK_ALL_SPHERES - 1);
+    const int32_t count = dbk_bounded(ctx->revisits.n_spheres[c], DBK_ALL_SPHERES), other = ctx->revisits.other[c];
     const dbk_real held_error = first >= model->n_spheres ? scene->held_error : (dbk_real)0;
     body_prediction p;
     if (other >= 0) {
       /* an obstacle at constant velocity */
-      const dbk_obstacle *o = &scene->obstacle[other];
+      const dbk_obstacle *o = &scene->obstacle[dbk_bounded(other, DBK_MAX_OBSTACLES - 1)];
       p.now = *o;
       p.next = *o;
       p.fixed = (o->flags & DBK_STATIC) != 0;
@@ -111,14 +114,15 @@ int32_t dbk_certify(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx
         p.now.position[e] += o->velocity[e] * in->scene_age;
         p.next.position[e] += o->velocity[e] * (in->scene_age + model->period);
       }
-      p.margin_now = o->margin + o->velocity_error * in->scene_age + model->rounding + held_error;
+      p.margin_now = o->margin + o->velocity_error * dbk_max(in->scene_age, (dbk_real)0) + model->rounding + held_error;
       p.margin_next = p.margin_now + o->velocity_error * model->period;
     } else {
       /* a sphere of the robot */
       p.fixed = 0;
       p.margin_now = p.margin_next = model->self_margin + model->rounding + held_error;
-      sphere_obstacle(&ctx->spheres, -1 - other, &p.now);
-      sphere_obstacle(&ctx->next_spheres, -1 - other, &p.next);
+      const int32_t sphere = dbk_bounded(-1 - other, DBK_ALL_SPHERES - 1);
+      sphere_obstacle(&ctx->spheres, sphere, &p.now);
+      sphere_obstacle(&ctx->next_spheres, sphere, &p.next);
     }
     if (!stays_safe(model, ctx, &p, first, count)) {
       ctx->rejected_pair.kind = other >= 0 ? DBK_ROW_OBSTACLE : DBK_ROW_SELF;

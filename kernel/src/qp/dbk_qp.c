@@ -26,6 +26,14 @@ typedef struct {
   dbk_real multiplier[DBK_QP_DIM];
 } active_set;
 
+/* number of the row of constraint id >= 2 n */
+static inline int32_t row_of(const problem *p, int32_t id) { return dbk_bounded(id - 2 * p->n, DBK_MAX_ROWS - 1); }
+
+/* number of the joint of constraint id < 2 n */
+static inline int32_t joint_of(const problem *p, int32_t id) {
+  return dbk_bounded(id < p->n ? id : id - p->n, DBK_MAX_DOF - 1);
+}
+
 /* Computes the normal in x coordinates (S' a, soft) and returns the right side of one constraint. The loops read all
  * DBK_MAX_DOF columns of S, which are zero after the last joint. */
 static dbk_real constraint(const problem *p, int32_t id, dbk_real normal[DBK_QP_DIM]) {
@@ -33,14 +41,14 @@ static dbk_real constraint(const problem *p, int32_t id, dbk_real normal[DBK_QP_
   normal[DBK_MAX_DOF] = (dbk_real)0;
   /* a lower or upper bound */
   if (id < 2 * n) {
-    const int32_t joint = id < n ? id : id - n;
+    const int32_t joint = joint_of(p, id);
     const dbk_real sign = id < n ? (dbk_real)1 : (dbk_real)-1;
     for (int32_t k = 0; k < DBK_MAX_DOF; ++k) { normal[k] = sign * p->scale[joint][k]; }
     if (p->dim > n) { normal[n] = (dbk_real)0; }
     return id < n ? p->lower[joint] : -p->upper[joint];
   }
   /* a row */
-  const int32_t r = id - 2 * n;
+  const int32_t r = row_of(p, id);
   for (int32_t k = 0; k < DBK_MAX_DOF; ++k) { normal[k] = (dbk_real)0; }
   for (int32_t i = 0; i < n; ++i) {
     const dbk_real a = p->rows->a[i][r];
@@ -53,9 +61,11 @@ static dbk_real constraint(const problem *p, int32_t id, dbk_real normal[DBK_QP_
 /* left side minus right side of a constraint at u */
 static dbk_real residual(const problem *p, int32_t id, const dbk_real *u, dbk_real slack) {
   const int32_t n = p->n;
-  if (id < n) { return u[id] - p->lower[id]; }
-  if (id < 2 * n) { return p->upper[id - n] - u[id - n]; }
-  const int32_t r = id - 2 * n;
+  if (id < 2 * n) {
+    const int32_t joint = joint_of(p, id);
+    return id < n ? u[joint] - p->lower[joint] : p->upper[joint] - u[joint];
+  }
+  const int32_t r = row_of(p, id);
   dbk_real value = -(p->rows->b[r] + p->shift);
   for (int32_t k = 0; k < n; ++k) { value += p->rows->a[k][r] * u[k]; }
   return p->dim > n ? value + p->rows->soft[r] * slack : value;

@@ -33,7 +33,7 @@ typedef struct {
 static dbk_real passive_target(const dbk_model *model, const dbk_scene *scene, const dbk_rows *rows, int32_t r,
                                dbk_real range, dbk_real target) {
   const dbk_obstacle_capsules *c = &scene->capsules;
-  const int32_t o = rows->j[r];
+  const int32_t o = dbk_bounded(rows->j[r], DBK_OBSTACLE_CAPACITY - 1);
   const dbk_real drift =
       rows->nx[r] * c->vx[o] + rows->ny[r] * c->vy[o] + rows->nz[r] * c->vz[o] + c->velocity_error[o];
   if (rows->h[r] <= (dbk_real)0) { return dbk_min(target, (dbk_real)0); }
@@ -61,7 +61,7 @@ static void set_targets(const dbk_model *model, const dbk_scene *scene, const db
     const int32_t pair = rows->rank[r] <= DBK_RANK_OBSTACLE;
     t->passive[r] = rows->moving[r] ? passive_target(model, scene, rows, r, range, t->full[r]) : t->full[r];
     t->floor[r] = pair ? dbk_min(t->passive[r], at_brake - DBK_RANK_TOL) : (dbk_real)-1e9;
-    t->level[r] = pair && at_brake >= t->full[r] ? 0 : rows->rank[r];
+    t->level[r] = pair && at_brake >= t->full[r] ? 0 : dbk_bounded(rows->rank[r], DBK_RANK_TASK);
     t->lowest = t->level[r] > t->lowest ? t->level[r] : t->lowest;
     if (rows->moving[r]) { t->moving |= 1 << t->level[r]; }
   }
@@ -88,7 +88,7 @@ static void pad_rows(dbk_rows *rows, int32_t n) {
 static void keep_cuts(dbk_rows *rows, int32_t n, row_targets *t, int32_t first, int32_t count) {
   const int32_t end = rows->count;
   rows->count = count;
-  for (int32_t r = first; r < end; ++r) {
+  for (int32_t r = first; r < end && rows->count < DBK_MAX_ROWS; ++r) {
     const int32_t to = rows->count++;
     for (int32_t k = 0; k < n; ++k) { rows->a[k][to] = rows->a[k][r]; }
     rows->b[to] = rows->b[r];

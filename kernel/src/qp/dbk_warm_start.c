@@ -6,10 +6,11 @@
 /* stored rows that the current step does not contain are skipped */
 int32_t dbk_warm_start_load(const dbk_model *model, const dbk_ctx *ctx, int32_t ids[DBK_QP_DIM]) {
   int32_t count = 0;
-  for (int32_t w = 0; w < ctx->n_warm; ++w) {
+  for (int32_t w = 0; w < ctx->n_warm && count < DBK_QP_DIM; ++w) {
     const int32_t kind = ctx->warm[w][0], i = ctx->warm[w][1], j = ctx->warm[w][2];
-    if (kind == DBK_ROW_LOWER) { ids[count++] = i; }
-    if (kind == DBK_ROW_UPPER) { ids[count++] = model->n + i; }
+    const int32_t joint = dbk_bounded(i, model->n - 1);
+    if (kind == DBK_ROW_LOWER) { ids[count++] = joint; }
+    if (kind == DBK_ROW_UPPER) { ids[count++] = model->n + joint; }
     if (kind == DBK_ROW_OBSTACLE || kind == DBK_ROW_SELF || kind == DBK_ROW_USER) {
       for (int32_t r = 0; r < ctx->rows.count; ++r) {
         if (ctx->rows.i[r] == i && ctx->rows.j[r] == j && ctx->rows.kind[r] == kind) {
@@ -43,14 +44,14 @@ static void describe_active(const dbk_model *model, const dbk_ctx *ctx, int32_t 
   const int32_t id = ctx->solution.active[at], n = model->n;
   out->multiplier = ctx->solution.multiplier[at];
   if (id >= 2 * n) {
-    const int32_t r = id - 2 * n;
+    const int32_t r = dbk_bounded(id - 2 * n, DBK_MAX_ROWS - 1);
     out->kind = ctx->rows.kind[r];
     out->i = ctx->rows.i[r];
     out->j = ctx->rows.j[r];
     out->h = ctx->rows.h[r];
   } else {
     out->kind = id < n ? DBK_ROW_LOWER : DBK_ROW_UPPER;
-    out->i = id < n ? id : id - n;
+    out->i = dbk_bounded(id < n ? id : id - n, n - 1);
     out->j = limit_of(model, ctx, out->i, id >= n);
     out->h = (dbk_real)0;
   }

@@ -16,9 +16,13 @@ void dbk_revisit_pairs(dbk_ctx *ctx, int32_t first, int32_t count, int32_t other
 
 /* starts a span at row `first`, unless the last span has the same joints and the same form of (mx, my, mz) */
 static void open_span(dbk_rows *rows, int32_t first, const dbk_pair_batch *batch) {
-  const int32_t at = rows->n_spans, many_spheres = batch->sphere == DBK_MANY_SPHERES;
+  const int32_t at = dbk_bounded(rows->n_spans, DBK_MAX_SPANS), many_spheres = batch->sphere == DBK_MANY_SPHERES;
   if (at > 0 && rows->span_first_joint[at - 1] == batch->first_joint &&
       rows->span_end_joint[at - 1] == batch->end_joint && rows->span_many_spheres[at - 1] == many_spheres) {
+    return;
+  }
+  if (at >= DBK_MAX_SPANS) { /* never: there are fewer pairs of bodies */
+    rows->overflow = 1;
     return;
   }
   rows->span_first[at] = first;
@@ -28,21 +32,16 @@ static void open_span(dbk_rows *rows, int32_t first, const dbk_pair_batch *batch
   rows->n_spans = at + 1;
 }
 
-/* copies the pairs with keep[] = 1 to the end of the buffer, without a branch per pair */
+/* appends the pairs with keep[] = 1 */
 static inline void copy_kept(const dbk_pair_batch *batch, dbk_rows *restrict rows) {
   int32_t *restrict varying = batch->sphere >= 0 ? rows->j : rows->i;
-  int32_t kept[DBK_BATCH_CAPACITY + 1], count = 0;
-  const int32_t first = rows->count, free_rows = DBK_MAX_ROWS - first;
+  int32_t r = rows->count;
   for (int32_t at = 0; at < batch->count; ++at) {
-    kept[count] = at;
-    count += batch->keep[at];
-  }
-  if (count > free_rows) {
-    rows->overflow = 1;
-    count = free_rows;
-  }
-  for (int32_t i = 0; i < count; ++i) {
-    const int32_t at = kept[i], r = first + i;
+    if (!batch->keep[at]) { continue; }
+    if (r >= DBK_MAX_ROWS) {
+      rows->overflow = 1;
+      break;
+    }
     rows->h[r] = batch->h[at];
     rows->b[r] = batch->rhs[at];
     rows->nx[r] = batch->nx[at];
@@ -50,8 +49,9 @@ static inline void copy_kept(const dbk_pair_batch *batch, dbk_rows *restrict row
     rows->nz[r] = batch->nz[at];
     rows->clip[r] = batch->clip[at];
     varying[r] = batch->index[at];
+    ++r;
   }
-  rows->count = first + count;
+  rows->count = r;
 }
 
 DBK_SIMD_CLONES void dbk_append_rows(const dbk_scene *scene, dbk_ctx *ctx, const dbk_pair_batch *batch) {

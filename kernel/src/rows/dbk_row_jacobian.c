@@ -2,11 +2,11 @@
  * proceeds span by span and joint by joint, so that the inner loops run over rows and vectorise. */
 #include "rows/dbk_row_jacobian.h"
 
-/* the rows first..first+count-1 of one span. The loops run to the end of the last SIMD vector; the next span overwrites
- * the entries after the last row */
+/* the rows first..end-1 of one span. The loops run to the end of the last SIMD vector; the next span overwrites the
+ * entries after the last row */
 typedef struct {
-  int32_t first, count;
-  dbk_real *square, *total; /* sum_k a_k^2, and sum_k share_k |a_k| with the tracking share */
+  int32_t first, end;
+  dbk_real *square, *total; /* sum_k a_k^2, and sum_k share_k |a_k| with the tracking share, of all rows */
 } span_rows;
 
 /* axes z_k of the joints and points p_k on them */
@@ -34,11 +34,10 @@ static inline void fill_one_sphere(const joint_axes *axis, int32_t k, const span
   const dbk_real zx = axis->zx[k], zy = axis->zy[k], zz = axis->zz[k];
   const dbk_real px = axis->px[k], py = axis->py[k], pz = axis->pz[k];
   const dbk_real share = axis->share[k];
-  const int32_t prismatic = axis->prismatic[k], count = DBK_PADDED(span->count);
-  const dbk_real *cx = rows->mx + span->first, *cy = rows->my + span->first, *cz = rows->mz + span->first;
-  const dbk_real *nx = rows->nx + span->first, *ny = rows->ny + span->first, *nz = rows->nz + span->first;
-  dbk_real *restrict a = rows->a[k] + span->first, *restrict square = span->square, *restrict total = span->total;
-  for (int32_t r = 0; r < count; ++r) {
+  const int32_t prismatic = axis->prismatic[k], end = span->end;
+  const dbk_real *cx = rows->mx, *cy = rows->my, *cz = rows->mz, *nx = rows->nx, *ny = rows->ny, *nz = rows->nz;
+  dbk_real *restrict a = rows->a[k], *restrict square = span->square, *restrict total = span->total;
+  for (int32_t r = span->first; r < end; ++r) {
     const dbk_real x = cx[r] - px, y = cy[r] - py, z = cz[r] - pz;
     const dbk_real jx = prismatic ? zx : zy * z - zz * y, jy = prismatic ? zy : zz * x - zx * z;
     const dbk_real jz = prismatic ? zz : zx * y - zy * x;
@@ -55,15 +54,14 @@ static inline void fill_many_spheres(const joint_axes *axis, int32_t k, const sp
   const dbk_real zx = axis->zx[k], zy = axis->zy[k], zz = axis->zz[k];
   const dbk_real px = axis->px[k], py = axis->py[k], pz = axis->pz[k];
   const dbk_real share = axis->share[k];
-  const int32_t prismatic = axis->prismatic[k], count = DBK_PADDED(span->count);
+  const int32_t prismatic = axis->prismatic[k], end = span->end;
   const dbk_real tx = prismatic ? (dbk_real)0 : zx, ty = prismatic ? (dbk_real)0 : zy,
                  tz = prismatic ? (dbk_real)0 : zz;
   const dbk_real mx = prismatic ? -zx : zy * pz - zz * py, my = prismatic ? -zy : zz * px - zx * pz;
   const dbk_real mz = prismatic ? -zz : zx * py - zy * px;
-  const dbk_real *rx = rows->mx + span->first, *ry = rows->my + span->first, *rz = rows->mz + span->first;
-  const dbk_real *nx = rows->nx + span->first, *ny = rows->ny + span->first, *nz = rows->nz + span->first;
-  dbk_real *restrict a = rows->a[k] + span->first, *restrict square = span->square, *restrict total = span->total;
-  for (int32_t r = 0; r < count; ++r) {
+  const dbk_real *rx = rows->mx, *ry = rows->my, *rz = rows->mz, *nx = rows->nx, *ny = rows->ny, *nz = rows->nz;
+  dbk_real *restrict a = rows->a[k], *restrict square = span->square, *restrict total = span->total;
+  for (int32_t r = span->first; r < end; ++r) {
     const dbk_real value = (tx * rx[r] + ty * ry[r] + tz * rz[r]) - (mx * nx[r] + my * ny[r] + mz * nz[r]);
     a[r] = value;
     square[r] += value * value;
@@ -75,7 +73,7 @@ static inline void fill_many_spheres(const joint_axes *axis, int32_t k, const sp
 static void fill_moments(const dbk_sphere_set *spheres, int32_t many_spheres, int32_t first, int32_t last,
                          dbk_rows *rows) {
   for (int32_t r = first; r < last; ++r) {
-    const int32_t i = rows->i[r];
+    const int32_t i = dbk_bounded(rows->i[r], DBK_ALL_SPHERES - 1);
     const dbk_real x = spheres->x[i], y = spheres->y[i], z = spheres->z[i];
     rows->mx[r] = many_spheres ? y * rows->nz[r] - z * rows->ny[r] : x;
     rows->my[r] = many_spheres ? z * rows->nx[r] - x * rows->nz[r] : y;
@@ -88,18 +86,19 @@ DBK_SIMD_CLONES void dbk_row_jacobian(const dbk_model *model, const dbk_ctx *ctx
                                       dbk_real *restrict square, dbk_real *restrict total) {
   joint_axes axis;
   set_axes(model, &ctx->frames, &axis);
-  for (int32_t s = 0; s < rows->n_spans; ++s) {
+  const int32_t n_spans = dbk_bounded(rows->n_spans, DBK_MAX_SPANS);
+  for (int32_t s = 0; s < n_spans; ++s) {
     const int32_t first = rows->span_first[s], many_spheres = rows->span_many_spheres[s];
     const int32_t first_joint = rows->span_first_joint[s], end_joint = rows->span_end_joint[s];
-    const int32_t last = s + 1 < rows->n_spans ? rows->span_first[s + 1] : rows->count;
-    const int32_t count = DBK_PADDED(last - first);
-    const span_rows span = {first, count, square + first, total + first};
+    const int32_t last = s + 1 < n_spans ? rows->span_first[s + 1] : rows->count;
+    const int32_t end = dbk_bounded(first + DBK_PADDED(last - first), DBK_ROW_CAPACITY);
+    const span_rows span = {first, end, square, total};
     fill_moments(&ctx->spheres, many_spheres, first, last, rows);
-    dbk_fill_zero(span.square, count);
-    dbk_fill_zero(span.total, count);
+    dbk_fill_zero(square, first, end);
+    dbk_fill_zero(total, first, end);
     for (int32_t k = 0; k < model->n; ++k) {
       if (k < first_joint || k >= end_joint) {
-        dbk_fill_zero(rows->a[k] + first, count);
+        dbk_fill_zero(rows->a[k], first, end);
       } else if (many_spheres) {
         fill_many_spheres(&axis, k, &span, rows);
       } else {

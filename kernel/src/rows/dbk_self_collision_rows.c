@@ -168,6 +168,7 @@ DBK_SIMD_CLONES static dbk_real set_relative_motion(const dbk_model *model, cons
   const dbk_real *w = p->motion.tw, *v = p->motion.tv;
   const dbk_real wx = w[0], wy = w[1], wz = w[2], vx = v[0], vy = v[1], vz = v[2];
   const dbk_real sampling_term = p->bend + DBK_RHS_ROUNDING;
+  const dbk_real *sx = ctx->spheres.x + p->first, *sy = ctx->spheres.y + p->first, *sz = ctx->spheres.z + p->first;
   dbk_real fastest[DBK_LANES] = {(dbk_real)0};
   /* spread: sum of half_width_k reach_k over the joints between the links */
   for (int32_t at = 0; at < count; ++at) { out->spread[at] = (dbk_real)0; }
@@ -179,8 +180,8 @@ DBK_SIMD_CLONES static dbk_real set_relative_motion(const dbk_model *model, cons
   /* velocity v + w x c from the relative twist (w, v) */
   for (int32_t base = 0; base < count; base += DBK_LANES) {
     for (int32_t l = 0; l < DBK_LANES; ++l) {
-      const int32_t at = base + l, s = p->first + at;
-      const dbk_real x = ctx->spheres.x[s], y = ctx->spheres.y[s], z = ctx->spheres.z[s];
+      const int32_t at = base + l;
+      const dbk_real x = sx[at], y = sy[at], z = sz[at];
       const dbk_real ux = vx + (wy * z - wz * y), uy = vy + (wz * x - wx * z), uz = vz + (wx * y - wy * x);
       const dbk_real change = out->spread[at] + sampling_term;
       const dbk_real speed = at < p->count ? dbk_sqrt(ux * ux + uy * uy + uz * uz) + change : (dbk_real)0;
@@ -206,10 +207,10 @@ typedef struct {
   int32_t binds;  /* 0: no control within the trust region can violate a row, and h is above the cull floor */
 } narrow_result;
 
-/* Narrow phase of proximal sphere i. A row is safe if n'v - change >= -s with s = dbk_approach_speed. With n = w / d, w
- * the vector between the centres, this is w'v + d (s - change) >= 0, which needs no division. `v` is the relative
- * velocity at the centre of sphere i, since w'v is the same at both centres. keep[] is 1 for the spheres whose row may
- * bind. */
+/* Narrow phase of proximal sphere i. A row is safe if n'v - change >= -s with s = min(alpha h, dbk_stopping_speed),
+ * at most that of dbk_approach_speed. With n = w / d, w the vector between the centres, this is w'v + d (s - change) >= 0,
+ * which needs no division. `v` is the relative velocity at the centre of sphere i, since w'v is the same at both centres.
+ * keep[] is 1 for the spheres whose row may bind. */
 DBK_SIMD_CLONES static narrow_result narrow_phase(const dbk_model *model, const dbk_sphere_set *spheres,
                                                   const link_pair *p, const dbk_real v[3], int32_t i,
                                                   int32_t *restrict keep) {
@@ -247,6 +248,8 @@ DBK_SIMD_CLONES static void bound_distal_spheres(const dbk_model *model, const d
   const dbk_sphere_set *spheres = &ctx->spheres;
   const int32_t count = DBK_PADDED(p->count);
   const dbk_real px = spheres->x[i], py = spheres->y[i], pz = spheres->z[i], radius = spheres->r[i];
+  const dbk_real *sx = spheres->x + p->first, *sy = spheres->y + p->first, *sz = spheres->z + p->first;
+  const dbk_real *sr = spheres->r + p->first;
   const dbk_row_terms t = {p->margin,
                            model->alpha_self,
                            model->braking_gain,
@@ -265,15 +268,13 @@ DBK_SIMD_CLONES static void bound_distal_spheres(const dbk_model *model, const d
   batch->end_joint = p->end_joint;
   for (int32_t at = 0; at < count; ++at) {
     if (DBK_LANES == 1 && !batch->keep[at]) { continue; }
-    const int32_t s = p->first + at;
     dbk_real nx, ny, nz, v[3], a[3];
-    relative_motion_at(p, spheres->x[s], spheres->y[s], spheres->z[s], v, a);
-    const dbk_real distance =
-        dbk_point_distance(spheres->x[s] - px, spheres->y[s] - py, spheres->z[s] - pz, &nx, &ny, &nz);
+    relative_motion_at(p, sx[at], sy[at], sz[at], v, a);
+    const dbk_real distance = dbk_point_distance(sx[at] - px, sy[at] - py, sz[at] - pz, &nx, &ny, &nz);
     const dbk_real rate = nx * v[0] + ny * v[1] + nz * v[2];
     const dbk_real across = (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]) - rate * rate;
     const dbk_real turn = dbk_max(across, (dbk_real)0) / dbk_max(distance, radius);
-    const dbk_point_motion motion = {spheres->r[s],    relative->vx[at], relative->vy[at], relative->vz[at],
+    const dbk_point_motion motion = {sr[at],           relative->vx[at], relative->vy[at], relative->vz[at],
                                      a[0] + turn * nx, a[1] + turn * ny, a[2] + turn * nz, relative->spread[at]};
     const dbk_row_bound bound = dbk_bound_row(&motion, &t, 1, distance - radius, nx, ny, nz);
     batch->h[at] = bound.h;
@@ -281,7 +282,7 @@ DBK_SIMD_CLONES static void bound_distal_spheres(const dbk_model *model, const d
     batch->ny[at] = ny;
     batch->nz[at] = nz;
     batch->rhs[at] = bound.rhs;
-    batch->index[at] = s;
+    batch->index[at] = p->first + at;
     batch->keep[at] &= dbk_row_may_bind(&bound, 0);
     batch->clip[at] = 0;
   }
@@ -379,7 +380,8 @@ void dbk_start_from_nearest_links(const dbk_model *model, const dbk_scene *scene
   if (number < 0 || number >= pair_count(model, scene)) { return; }
   const link_pair p = link_pair_of(model, scene, number, extra);
   if (i < model->link_first[p.proximal] || i >= model->link_first[p.proximal + 1]) { return; }
-  for (int32_t s = p.first; s < p.first + p.count; ++s) {
+  const int32_t end = dbk_bounded(p.first + p.count, DBK_ALL_SPHERES);
+  for (int32_t s = p.first; s < end; ++s) {
     const dbk_real x = c->x[s] - c->x[i], y = c->y[s] - c->y[i], z = c->z[s] - c->z[i], radius = c->r[i] + p.margin;
     const dbk_real h = dbk_sqrt(x * x + y * y + z * z) - c->r[s] - radius;
     ctx->h_min = dbk_min(ctx->h_min, h + model->sampling);

@@ -12,11 +12,11 @@ void dbk_place_tool(const dbk_model *model, dbk_ctx *ctx) {
 }
 
 int32_t dbk_frame_of_point(const dbk_model *model, const dbk_ctx *ctx, int32_t point, dbk_real position[3]) {
-  const int32_t tool = point >= ctx->spheres.count;
-  position[0] = tool ? ctx->speed.tool[0] : ctx->spheres.x[point];
-  position[1] = tool ? ctx->speed.tool[1] : ctx->spheres.y[point];
-  position[2] = tool ? ctx->speed.tool[2] : ctx->spheres.z[point];
-  return tool ? model->n : model->sphere_frame[point];
+  const int32_t tool = point >= ctx->spheres.count, s = dbk_bounded(point, DBK_ALL_SPHERES - 1);
+  position[0] = tool ? ctx->speed.tool[0] : ctx->spheres.x[s];
+  position[1] = tool ? ctx->speed.tool[1] : ctx->spheres.y[s];
+  position[2] = tool ? ctx->speed.tool[2] : ctx->spheres.z[s];
+  return tool ? model->n : model->sphere_frame[s];
 }
 
 /* spatial motion of every frame at the control u, relative to frame speed_first_joint; without `accelerations` only tw and tv */
@@ -44,6 +44,7 @@ static inline void chain_motion(const dbk_model *model, const dbk_frames *frames
     } else {
       dbk_add_revolute(&chain[k], z, frames->origin[k + 1], u[k], u[k], &chain[k + 1]);
     }
+    if (accelerations && k == 1 && model->moving_base) { dbk_turn_drive(chain); }
   }
 }
 

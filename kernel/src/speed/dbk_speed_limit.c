@@ -37,7 +37,7 @@ static void limit_near_obstacles(const dbk_model *model, const dbk_scene *scene,
     dbk_obstacle o = scene->obstacle[i];
     if (!(o.near_speed > (dbk_real)0) || (known_only && !(o.flags & DBK_KNOWN))) { continue; }
     for (int32_t e = 0; e < 3; ++e) { o.position[e] += o.velocity[e] * age; }
-    const dbk_real margin = o.margin + o.velocity_error * age + model->rounding;
+    const dbk_real margin = o.margin + o.velocity_error * dbk_max(age, (dbk_real)0) + model->rounding;
     const dbk_real person_speed = dbk_max(o.near_approach, scene->capsules.max_speed[i]);
     for (int32_t l = 0; l <= model->n_links; ++l) {
       const int32_t first = dbk_link_first_sphere(model, l), last = dbk_link_end_sphere(model, scene, l);
@@ -75,7 +75,7 @@ DBK_SIMD_CLONES static void reserve_growth(const dbk_model *model, const dbk_poi
 static void keep_active_cuts(dbk_ctx *ctx) {
   dbk_speed *speed = &ctx->speed;
   int32_t kept = 0;
-  for (int32_t c = 0; c < speed->n_cuts; ++c) {
+  for (int32_t c = 0; c < speed->n_cuts && kept < DBK_MAX_CUTS; ++c) {
     for (int32_t w = 0; w < ctx->n_warm; ++w) {
       if (ctx->warm[w][0] != DBK_ROW_SPEED || ctx->warm[w][2] != c) { continue; }
       if (speed->cut_point[c] >= speed->n_points) { continue; }
