@@ -180,6 +180,8 @@ NOT_THERE = "is not a memory of this ledger"
         (("rollback", "9999", "--reason", "x"), "rollback target: got 9999"),
         (("replay", "a", "--tries", "0"), "tries: got 0"),
         (("list", "--at", "yesterday"), "time: got 'yesterday', allowed: ISO 8601"),
+        (("list", "--at", "²"), "time: got '²', allowed: ISO 8601"),
+        (("list", "--at", "9" * 5000), "time: got '9999"),
     ],
 )
 def test_an_impossible_request_is_reported_and_changes_nothing(run_command, filled, words, message):

@@ -9,9 +9,11 @@ int32_t dbk_warm_start_load(const dbk_model *model, const dbk_ctx *ctx, int32_t 
   for (int32_t w = 0; w < ctx->n_warm && count < DBK_QP_DIM; ++w) {
     const int32_t kind = ctx->warm[w][0], i = ctx->warm[w][1], j = ctx->warm[w][2];
     const int32_t joint = dbk_bounded(i, model->n - 1);
-    if (kind == DBK_ROW_LOWER) { ids[count++] = joint; }
-    if (kind == DBK_ROW_UPPER) { ids[count++] = model->n + joint; }
-    if (kind == DBK_ROW_OBSTACLE || kind == DBK_ROW_SELF || kind == DBK_ROW_USER) {
+    if (kind == DBK_ROW_LOWER) {
+      ids[count++] = joint;
+    } else if (kind == DBK_ROW_UPPER) {
+      ids[count++] = model->n + joint;
+    } else if (kind == DBK_ROW_OBSTACLE || kind == DBK_ROW_SELF || kind == DBK_ROW_USER) {
       for (int32_t r = 0; r < ctx->rows.count; ++r) {
         if (ctx->rows.i[r] == i && ctx->rows.j[r] == j && ctx->rows.kind[r] == kind) {
           ids[count++] = 2 * model->n + r;

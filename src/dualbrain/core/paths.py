@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -11,10 +12,20 @@ from dualbrain.core.weights import default_cache_folder
 
 
 def dualbrain_home() -> Path:
-    """The data folder: `$DUALBRAIN_HOME`, else `dualbrain` in the XDG data folder."""
-    if chosen := os.environ.get("DUALBRAIN_HOME"):
+    """The data folder of this process."""
+    return default_home(os.environ)
+
+
+def default_home(environ: Mapping[str, str]) -> Path:
+    """The data folder: `$DUALBRAIN_HOME`, else `dualbrain` in the XDG data folder.
+
+    As the XDG specification demands, `$XDG_DATA_HOME` has no effect if it is relative.
+    """
+    if chosen := environ.get("DUALBRAIN_HOME"):
         return Path(chosen)
-    return Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share") / "dualbrain"
+    base = Path(environ.get("XDG_DATA_HOME", ""))
+    home = Path(environ.get("HOME", "") or Path.home())
+    return (base if base.is_absolute() else home / ".local" / "share") / "dualbrain"
 
 
 def secure_home() -> None:

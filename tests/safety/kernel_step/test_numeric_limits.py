@@ -323,3 +323,13 @@ def test_sine_and_cosine_in_float32_are_unbiased():
         error = found - np.stack([np.sin(x), np.cos(x)], axis=1)
         assert np.max(np.abs(error)) < 8e-8
         assert np.max(np.abs(error.mean(axis=0))) < 1.9e-8
+
+
+@pytest.mark.parametrize(("n", "kinds"), [(1, (1.0,)), (2, (0.0, 0.0)), (2, (1.0, 1.0)), (2, (1.0, 0.0))])
+def test_a_moving_base_has_a_drive_and_a_turn_as_its_first_joints(n, kinds):
+    model = chain_model(n, frames=(n,), moving_base=1.0, joint_kind=np.array(kinds))
+    if kinds == (1.0, 0.0):
+        assert _kernel64.Kernel(model)
+    else:
+        with pytest.raises(ValueError, match="moving_base"):
+            _kernel64.Kernel(model)

@@ -18,6 +18,7 @@ from dualbrain.control.gatekeeper.protocol.registration import (
     process_start_ticks,
     read_registrations,
 )
+from dualbrain.core.paths import default_home
 from dualbrain.errors import DualbrainError
 
 SPAWNED_MODULE = "dualbrain.control.gatekeeper.process"
@@ -196,11 +197,7 @@ def _home(pid: int) -> Path:
     """The data folder of dualbrain in the environment of a process (see `dualbrain.core.paths`)."""
     lines = Path(f"/proc/{pid}/environ").read_bytes().decode("utf-8", "surrogateescape").split("\0")
     parts = (line.partition("=") for line in lines)
-    environ = {name: value for name, _, value in parts}
-    if chosen := environ.get("DUALBRAIN_HOME"):
-        return Path(chosen)
-    data = Path(environ.get("XDG_DATA_HOME") or f"{environ.get('HOME', '')}/.local/share")
-    return data / "dualbrain"
+    return default_home({name: value for name, _, value in parts})
 
 
 def _start_time(pid: int) -> datetime | None:

@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 
 Flag = Annotated[bool, Parameter(negative="")]
 HASH_CHARACTERS = 8
+MAX_DIGITS = 18
+"""Digits of the largest number of an event."""
 """Number of characters of the hash of a source in a list."""
 MAX_LISTED_FAULTS = 20
 """Number of wrong vectors that `verify` lists."""
@@ -365,7 +367,7 @@ def _hit_row(use: str, hit: Exemplar) -> tuple[str, ...]:
 def _state_at(opened: LedgerReader, at: str) -> LedgerState:
     from dualbrain.memory.state.derivation import derive_state, derive_state_at
 
-    if at.isdigit():
+    if at.isdecimal() and len(at) < MAX_DIGITS:
         return derive_state(opened, head=min(int(at), opened.head().seq))
     return derive_state(opened) if not at else derive_state_at(opened, _parse_time(at) or 0.0)
 

@@ -19,6 +19,7 @@ from dualbrain.safety.integration.site import site_filter
 from dualbrain.safety.stop_cause import Reason
 from tests.safety.kernel.cartesian_speed.closed_loop import run_loop
 from tests.safety.kernel.cartesian_speed.speed_oracle import SpeedOracle
+from tests.safety.kernel.test_kinematics import moved_centres
 
 CASES = {
     "panda": ("panda", 0.4, {}),
@@ -268,3 +269,15 @@ def test_the_limit_of_a_mobile_manipulator_is_relative_to_the_mount_of_its_arm()
         )
         assert np.linalg.norm(far - near) / 2e-4 <= 0.1 * 1.02, k
     assert u[0] > 0.9 * model.joints[0].velocity.value
+
+
+@pytest.mark.parametrize("direction", [(0.2, 1.0), (0.3, -0.8), (0.4, 0.5)])
+def test_a_base_on_an_arc_needs_no_reserve_as_no_point_becomes_faster(direction):
+    """The velocity along the drive axis turns with the base: the speeds of all points are constant."""
+    body, limit, u = load_robot("base"), 0.4, np.array(direction)
+    safety = SafetyFilter(body, FilterConfig(cartesian_speed=limit, lag_compensation=False, tracking_error=0.0))
+    q = np.zeros(3)
+    x, y, _ = moved_centres(body, q).T
+    u *= 0.9985 * limit / np.hypot(u[0] - u[1] * y, u[1] * x).max()
+    safety.reset(u)
+    assert safety(q, u, u, 0.0, 0.0).status is FilterStatus.SAFE

@@ -54,7 +54,8 @@ def encode_sample(tokenizer: Any, sample: Sample, max_tokens: int) -> EncodedSam
     contract = (*tokenizer(sample.contract, add_special_tokens=False)["input_ids"], tokenizer.eos_token_id)
     encoded = EncodedSample(sample.id, tokenize_prompt(tokenizer, sample.prompt), contract)
     if (length := len(encoded.prompt) + len(contract)) > max_tokens:
-        fix = f"Exclude memory {sample.memory} with `dualbrain memory quarantine`."
+        shorter = "Use a base model with a longer context, or questions with shorter prompts."
+        fix = f"Exclude memory {sample.memory} with `dualbrain memory quarantine`." if sample.memory else shorter
         raise ConfigurationError(f"tokens of sample {sample.id}", got=length, allowed=f"at most {max_tokens}", fix=fix)
     return encoded
 
