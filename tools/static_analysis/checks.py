@@ -16,8 +16,8 @@ from tools.kernel_limits.compiled import ROOT, shipped_flags
 HARNESSES = ROOT / "tests/static_analysis/harnesses"
 KERNEL = ROOT / "kernel/src"
 SMALL = ("-DDBK_LANES=1", "-DDBK_MAX_OBSTACLES=128", "-DDBK_MAX_ROWS=64", "-DDBK_MAX_REVISITS=64")
-"""Capacities of the complete step in Eva. There are at least as many obstacles as spheres: the index of a row is of one of
-both."""
+"""Capacities of the complete step in Eva. The index of a row is of a sphere or of an obstacle: there are no fewer
+obstacles than spheres."""
 EVA = ("frama-c", "-eva", "-warn-special-float", "none", "-machdep", "gcc_x86_64", "-eva-no-show-progress")
 FUZZ_SECONDS = 60
 

@@ -17,7 +17,7 @@ def test_a_wrong_setup_gives_the_real_time_priority_back(tmp_path, monkeypatch):
     monkeypatch.setattr(signal, "signal", lambda number, handler: None)
     monkeypatch.setattr(sys, "setswitchinterval", lambda seconds: None)
     keys = str(tmp_path / "missing.keys")
-    config = GatekeeperConfig(robot="nobody", scene=open_scene("bare:0"), socket=str(tmp_path / "socket"), keys=keys)
+    config = GatekeeperConfig(robot="unknown", scene=open_scene("bare:0"), socket=str(tmp_path / "socket"), keys=keys)
     with pytest.raises(UnknownNameError):
         run_gatekeeper(config)
     assert os.sched_getscheduler(0) == os.SCHED_OTHER
