@@ -1,16 +1,19 @@
 """The address of `dualbrain operate`: the gatekeeper of the data folder, or else the only one that runs."""
 
+import threading
 import time
 from contextlib import ExitStack
 
 import pytest
 
 from dualbrain.cli.common import running_gatekeepers
+from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.common.running_gatekeepers import REGISTRATIONS
 from dualbrain.cli.main import run_command_line
 from dualbrain.cli.servers.gatekeeper import running_address
 from dualbrain.control.gatekeeper.config import GatekeeperConfig
 from dualbrain.control.gatekeeper.process import GatekeeperProcess
+from dualbrain.control.gatekeeper.protocol import emergency_stop
 from dualbrain.control.gatekeeper.protocol.authentication import load_keys, read_keys
 from dualbrain.control.gatekeeper.protocol.registration import Registration
 from dualbrain.errors import ConfigurationError, UsageError
@@ -99,6 +102,32 @@ def test_the_sockets_are_those_of_the_gatekeepers_that_are_found(tmp_path, monke
     )
     monkeypatch.setattr(running_gatekeepers, "read_registrations", lambda _: [registered])
     assert running_gatekeepers.running_sockets(tmp_path) == [tmp_path / "own", two / "socket", one / "socket"]
+
+
+@pytest.mark.parametrize("threads", [True, False])
+def test_a_gatekeeper_that_does_not_answer_delays_the_stop_of_no_other(tmp_path, monkeypatch, capsys, threads):
+    """Each stop waits for the other one: one after another, the first would wait in vain."""
+    silent, other, stopped = tmp_path / "silent", tmp_path / "other", threading.Event()
+
+    def send(where):
+        if where == other:
+            stopped.set()
+            return ""
+        return "" if stopped.wait(10.0 if threads else 0.0) else "it does not answer"
+
+    def no_thread(thread):
+        raise RuntimeError("can't start new thread")
+
+    if not threads:  # then one after another: none is left out
+        monkeypatch.setattr(threading.Thread, "start", no_thread)
+    monkeypatch.setenv("DUALBRAIN_HOME", str(tmp_path))
+    monkeypatch.setattr(emergency_stop, "send_emergency_stop", send)
+    monkeypatch.setattr(running_gatekeepers, "running_sockets", lambda home: [silent, other, silent])
+    assert run_command_line(["operate", "estop"]) == (ExitCode.SUCCESS if threads else ExitCode.SETUP)
+    assert stopped.is_set()
+    text = "".join(capsys.readouterr())
+    assert text.count(f"reported by the gatekeeper at {other}") == 1
+    assert (f"reported by the gatekeeper at {silent}" in text) == threads
 
 
 def test_a_client_never_creates_a_key(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Literal
@@ -217,17 +218,48 @@ def run_address(run: Path | None) -> tuple[Path, Path]:
 
 
 def _stop_all() -> int:
-    """Stop the gatekeeper at the default socket first, then every other running gatekeeper of this user."""
+    """Stop every running gatekeeper of this user at once: one that does not answer delays no other."""
     from dualbrain.cli.common.running_gatekeepers import running_sockets
 
-    results, default = list[int](), Path()
+    stops, default = _SimultaneousStops(), Path()
     with suppress(Exception):  # there may be no home folder
         default = dualbrain_home() / "gatekeeper.sock"
         if default.exists():
-            results.append(_stop(default))
+            stops.begin(default)
     with suppress(Exception):  # a list of processes that cannot be read must not hide the results so far
-        results += [_stop(one) for one in running_sockets(dualbrain_home()) if one != default]
-    return max(results) if results else _stop(default)
+        for one in running_sockets(dualbrain_home()):
+            stops.begin(one)
+    return stops.finish() if stops.results else _stop(default)
+
+
+class _SimultaneousStops:
+    """Emergency stops of several gatekeepers, each in a thread of its own; `results` has the exit code by socket."""
+
+    def __init__(self) -> None:
+        self.results: dict[Path, int] = {}
+        self._threads: list[threading.Thread] = []
+
+    def begin(self, where: Path) -> None:
+        """Send the stop to the gatekeeper at `where`, once."""
+        if where in self.results:
+            return
+        self.results[where] = ExitCode.SETUP
+        thread = threading.Thread(target=self._stop, args=(where,), daemon=True)
+        try:
+            thread.start()
+        except RuntimeError:  # the system has no more threads
+            self._stop(where)
+        else:
+            self._threads.append(thread)
+
+    def finish(self) -> int:
+        """The worst exit code, once every stop is confirmed or not."""
+        for thread in self._threads:
+            thread.join()
+        return max(self.results.values())
+
+    def _stop(self, where: Path) -> None:
+        self.results[where] = _stop(where)
 
 
 def _stop(where: Path) -> int:
