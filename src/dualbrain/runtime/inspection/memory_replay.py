@@ -16,7 +16,7 @@ import numpy as np
 
 from dualbrain.adaptation.curation.sample import Sample
 from dualbrain.contracts.verdict import Rejected
-from dualbrain.errors import ConfigurationError
+from dualbrain.errors import ConfigurationError, DualbrainError
 from dualbrain.grounding.outcome.outcome_check import check_outcome, collect_evidence
 from dualbrain.memory.embedding.posture_features import Posture
 from dualbrain.memory.ledger.events import ReplayFinding
@@ -145,7 +145,8 @@ def make_replay_evaluator(
     """A function (sample, contract) → (success by the robot's own verdict, Δ) of a run in the scene of the sample.
 
     The world is rebuilt from the perceived scene (`simulation.scenes.from_memory`); the same seed gives every planner
-    the same world. Raises `ConfigurationError`, before any run, if one of `samples` is of another ledger.
+    the same world. Raises `ConfigurationError`, before any run, if one of `samples` is of another ledger, or of a
+    memory whose robot or scene cannot be simulated.
     """
     state = derive_state(ledger)
     if unknown := [sample.memory for sample in samples if sample.memory not in state]:
@@ -153,9 +154,25 @@ def make_replay_evaluator(
             f"The memory {unknown[0]} of a sample is not in this ledger.",
             fix="Name the ledger of the data set with --ledger, or do not execute the contracts (--no-fly).",
         )
+    for name in dict.fromkeys(sample.memory for sample in samples):
+        _check_world(ledger, state[name])
 
     def evaluate(sample: Sample, text: str) -> tuple[bool, float | None]:
         result = run_alternative(ledger, state[sample.memory], msgspec.json.decode(text), seed=seed)
         return result.succeeded, result.Delta
 
     return evaluate
+
+
+def _check_world(ledger: LedgerReader, memory: MemoryState) -> None:
+    """Raise `ConfigurationError` if robot or scene of `memory` cannot be simulated."""
+    try:
+        load_builtin_robot(memory.robot)
+        stored = msgspec.json.decode(ledger.event(memory.seq).payload, type=_StoredPayload)
+        scene_from_memory(stored.episode.scene, np.random.default_rng(0), position_spread=POSITION_SPREAD)
+    except DualbrainError as error:
+        raise ConfigurationError.stating(
+            f"The world of memory {memory.id} cannot be simulated: {error}",
+            fix="Do not execute the contracts (--no-fly), or leave the memory out of the data set "
+            "(`dualbrain memory quarantine`).",
+        ) from error
