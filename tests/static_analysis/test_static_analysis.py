@@ -24,3 +24,9 @@ def test_the_output_of_a_step_is_proven_finite_and_within_the_limits(tmp_path):
     """For all bits of the computed control; an alarm is a possible run-time error."""
     found = checks.verify_output(tmp_path)
     assert found == {"alarms": 0, "kinds": {}, "assertions": {"valid": 1, "unknown": 0, "invalid": 0}}
+
+
+@pytest.mark.skipif(shutil.which("frama-c") is None, reason="the Debian package frama-c-base is not installed")
+def test_the_supervisor_has_no_run_time_error_for_any_time_condition_or_state(tmp_path):
+    found = checks.analyse_supervisor(tmp_path)
+    assert found == {"alarms": 0, "kinds": {}, "assertions": {"valid": 2, "unknown": 0, "invalid": 0}}

@@ -51,6 +51,13 @@ def analyse_step(folder: Path) -> dict[str, Any]:
     return run_eva(folder, options, list(SMALL), [str(HARNESSES / "eva_step.c"), *step_sources()])
 
 
+def analyse_supervisor(folder: Path) -> dict[str, Any]:
+    """Eva: the state machine of the supervisor and the enforcement of its decisions."""
+    parts = ("supervisor", "standstill", "checks")
+    sources = [str(ROOT / f"kernel/supervisor/dbk_{part}.c") for part in parts]
+    return run_eva(folder, ["-eva-precision", "2"], [], [str(HARNESSES / "eva_supervisor.c"), *sources])
+
+
 def run_eva(folder: Path, options: list[str], macros: list[str], sources: list[str]) -> dict[str, Any]:
     """Alarms by kind, and proven and unproven assertions."""
     flags = " ".join([*macros, *includes(folder)])
@@ -116,6 +123,7 @@ def run_fuzzer(folder: Path, sanitizers: str) -> dict[str, Any]:
 CHECKS: dict[str, tuple[str, Callable[[Path], dict[str, Any]]]] = {
     "output": ("frama-c", verify_output),
     "step": ("frama-c", analyse_step),
+    "supervisor": ("frama-c", analyse_supervisor),
     "misra": ("cppcheck", check_misra),
     "fuzz": ("clang", fuzz_step),
     "initialisation": ("clang", fuzz_initialisation),

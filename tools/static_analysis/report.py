@@ -35,6 +35,13 @@ Three limits of this analysis:
 - The scene has no obstacle. The rows of obstacles are covered by the fuzzer and by `tests/kernel` (arbitrary bits,
   10^6 inputs, under sanitizers)."""
 
+SUPERVISOR = """## Supervisor
+
+Eva (precision 2) analyses an endless loop of updates of the state machine of the supervisor and of the enforcement of
+its decisions, with arbitrary times, conditions and joint states. The assertions are that the action is one of the
+table, and that the drive and the standstill are on or off. That the decisions are those of the host is tested with all
+combinations of conditions that matter and over random sequences (`tests/safety/supervisor`, `tests/firmware`)."""
+
 INITIALISATION = """## Initialisation of local variables
 
 Builds in `tests/kernel` fill every local variable without a value with a pattern of bits, with and without SIMD, and
@@ -80,6 +87,7 @@ def render_page(results: dict[str, Any]) -> str:
     lines += [*STEP.splitlines(), "", _eva(results["step"]), ""]
     if kinds := results["step"]["kinds"]:
         lines += ["| alarm | number |", "|---|---|", *(f"| {name} | {count} |" for name, count in kinds.items()), ""]
+    lines += [*SUPERVISOR.splitlines(), "", _eva(results["supervisor"]), ""]
     lines += ["## Fuzzing", "", *_fuzz(results["fuzz"]).splitlines(), ""]
     lines += [*INITIALISATION.splitlines(), "", _sequences(results["initialisation"]), ""]
     lines += [*_loops(), "", *MISRA.splitlines(), "", "| rule | notes | reason |", "|---|---|---|"]
