@@ -21,10 +21,8 @@ static void open_span(dbk_rows *rows, int32_t first, const dbk_pair_batch *batch
       rows->span_end_joint[at - 1] == batch->end_joint && rows->span_many_spheres[at - 1] == many_spheres) {
     return;
   }
-  if (at >= DBK_MAX_SPANS) { /* never: there are fewer pairs of bodies */
-    rows->overflow = 1;
-    return;
-  }
+  rows->overflow |= at >= DBK_MAX_SPANS; /* never: there are fewer pairs of bodies */
+  if (at >= DBK_MAX_SPANS) { return; }
   rows->span_first[at] = first;
   rows->span_first_joint[at] = batch->first_joint;
   rows->span_end_joint[at] = batch->end_joint;
