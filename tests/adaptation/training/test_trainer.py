@@ -306,10 +306,10 @@ def test_a_saved_adapter_equals_the_one_that_peft_loads(tmp_path):
 
 def test_a_sample_that_is_too_long_is_rejected(tmp_path):
     data = Dataset(dataset().card, (sample(0, contract="x" * 3000),), ())
-    with pytest.raises(ConfigurationError, match="tokens of sample s0.*quarantine"):
+    with pytest.raises(ConfigurationError, match=r"tokens of sample s0.*quarantine"):
         TinyTraining(tmp_path / "fit", data=data)
     synthetic = msgspec.structs.replace(data.train[0], memory="")
-    with pytest.raises(ConfigurationError, match="tokens of sample s0.*shorter prompts"):
+    with pytest.raises(ConfigurationError, match=r"tokens of sample s0.*shorter prompts"):
         TinyTraining(tmp_path / "synthetic", data=Dataset(dataset().card, (synthetic,), ()))
     with pytest.raises(ConfigurationError, match="training samples"):
         TinyTraining(tmp_path / "none", data=Dataset(dataset().card, (), ()))
