@@ -12,7 +12,7 @@ from dualbrain.errors import ConfigurationError, GeometryError, UnknownNameError
 from dualbrain.records import Scene, SceneObject
 from dualbrain.robots.loader import load_robot
 from dualbrain.robots.site_config import SiteError, read_site
-from dualbrain.safety.cbf.filter import FilterConfig, Obstacle, Rank, SafetyFilter
+from dualbrain.safety.cbf.filter import FilterConfig, FilterStatus, Obstacle, Rank, SafetyFilter
 from dualbrain.safety.cbf.obstacles import NearSpeed, PersonLimits, SpeedAndSeparation, obstacles_from_scene
 from dualbrain.safety.integration.power_and_force import (
     BODY_REGIONS,
@@ -136,6 +136,19 @@ def test_the_limit_also_holds_while_the_person_comes_nearer():
     assert count > 300
     assert reports == 0
     assert inside <= NEAR.speed
+
+
+def test_a_stamp_in_the_future_does_not_bring_a_person_farther_away():
+    """The error of the velocity counts from the stamp on, and not backward: 4 ms before it the margin is that of it."""
+    model, controls = load_robot("panda"), []
+    for stamp in (0.0, 0.004):
+        safety = SafetyFilter(model, FilterConfig(lag_compensation=False, tracking_error=0.0, acceleration_limits=False))
+        unsure = msgspec.structs.replace(person(1.0), velocity_error=0.3)
+        safety.observe([unsure], stamp)
+        result = safety(np.array(model.home), np.zeros(model.n), np.full(model.n, 2.0), 0.0, 0.0)
+        assert result.status is FilterStatus.MODIFIED, "the limit near the person has an effect"
+        controls.append(result.u)
+    np.testing.assert_array_equal(*controls)
 
 
 def test_limits_of_persons_by_name():
