@@ -142,7 +142,9 @@ def test_a_stamp_in_the_future_does_not_bring_a_person_farther_away():
     """The error of the velocity counts from the stamp on, and not backward: 4 ms before it the margin is that of it."""
     model, controls = load_robot("panda"), []
     for stamp in (0.0, 0.004):
-        safety = SafetyFilter(model, FilterConfig(lag_compensation=False, tracking_error=0.0, acceleration_limits=False))
+        safety = SafetyFilter(
+            model, FilterConfig(lag_compensation=False, tracking_error=0.0, acceleration_limits=False)
+        )
         unsure = msgspec.structs.replace(person(1.0), velocity_error=0.3)
         safety.observe([unsure], stamp)
         result = safety(np.array(model.home), np.zeros(model.n), np.full(model.n, 2.0), 0.0, 0.0)
