@@ -14,6 +14,7 @@ from dualbrain.drivers.fakes import franka, ur
 from dualbrain.drivers.fakes.franka import ERROR_FLAGS, FakeFranka
 from dualbrain.drivers.fakes.ur import FakeUr
 from dualbrain.drivers.franka import SDK_EXCEPTIONS, FrankaDriver
+from dualbrain.drivers.franka_hand import FrankaHand
 from dualbrain.drivers.ur import UrDriver
 from dualbrain.drivers.vendor_limits import FR3, UR5E
 from dualbrain.robots.builtin import fr3 as fr3_definition
@@ -171,6 +172,20 @@ def test_the_hand_closes_on_an_object_and_reports_that_it_is_held():
     assert trial.state.opening == pytest.approx(0.02)
     assert ("grasp", 0.0, 20.0) in sdk.hand.calls
     trial.driver.close()
+
+
+def test_an_object_that_the_fingers_already_touch_is_gripped():
+    """As after an error of the hand, or a stop: the grasp changes the force, and not the width."""
+    sdk = FakeFranka(load_robot("fr3"))
+    sdk.hand.object_width = 0.04
+    sdk.hand.move(0.04, 0.05)
+    hand = FrankaHand(sdk.hand, (franka.NetworkException,))
+    hand.set_target(0.0, 20.0)
+    deadline = time.monotonic() + TIMEOUT
+    while hand.measured != (pytest.approx(0.02), 20.0) and time.monotonic() < deadline:
+        time.sleep(1e-3)
+    assert hand.measured == (pytest.approx(0.02), 20.0)
+    hand.close()
 
 
 def test_connecting_moves_no_finger():

@@ -96,10 +96,13 @@ class FrankaHand:
                 self._applied_force = target[1]
 
     def _move_fingers(self, opening: float, force: float) -> None:
-        """Move or grasp; a grasp succeeds at any width between the target and the present width of the fingers."""
-        width = 2.0 * opening
+        """Move or grasp; a grasp succeeds at any width between the target and the present width of the fingers.
+
+        The hand compares strictly: the tolerance exceeds the present width, at which the fingers may touch the object.
+        """
+        width, tolerance = 2.0 * opening, 2.0 * (self._last_opening + MIN_OPENING_CHANGE)
         if opening < self._last_opening - MIN_OPENING_CHANGE and force > 0.0:
-            self._gripper.grasp(width, FINGER_SPEED, force, width, 2.0 * self._last_opening)
+            self._gripper.grasp(width, FINGER_SPEED, force, width, tolerance)
         else:
             self._gripper.move(width, FINGER_SPEED)
 
