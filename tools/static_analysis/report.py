@@ -94,9 +94,9 @@ def render_page(results: dict[str, Any]) -> str:
     lines += [f"| {rule} | {count} | {REASONS.get(rule, '')} |" for rule, count in results["misra"]["rules"].items()]
     others = results["misra"]["others"]
     lines += ["", "Other findings of cppcheck: " + (", ".join(f"`{note}`" for note in others) or "none") + "."]
-    return "\n".join(
-        [*lines, "The uninitialised variable is a false alarm: its members are set before they are read.", ""]
-    )
+    if any(note.startswith("uninitvar") for note in others):
+        lines += ["The uninitialised variable is a false alarm: its members are set before they are read."]
+    return "\n".join([*lines, ""])
 
 
 def _eva(result: dict[str, Any]) -> str:
