@@ -28,7 +28,8 @@ static void mark_unavoidable(dbk_rows *rows, int32_t kind, int32_t i, int32_t j,
 /* A row that no joint can change is acceptable if it requires no motion, or if a static obstacle touches the mount of
  * the robot. Otherwise it is unavoidable, and if h < 0 the step stops. */
 static void classify_fixed_row(const dbk_model *model, dbk_rows *rows, int32_t r) {
-  const int32_t mount = rows->kind[r] == DBK_ROW_OBSTACLE && model->sphere_frame[dbk_bounded(rows->i[r], DBK_ALL_SPHERES - 1)] <= 1 && !rows->moving[r];
+  const int32_t sphere = dbk_bounded(rows->i[r], DBK_ALL_SPHERES - 1);
+  const int32_t mount = rows->kind[r] == DBK_ROW_OBSTACLE && model->sphere_frame[sphere] <= 1 && !rows->moving[r];
   if (rows->b[r] <= (dbk_real)0 || mount) { return; }
   if (rows->h[r] + model->sampling < (dbk_real)0) { rows->no_gradient = 1; }
   mark_unavoidable(rows, rows->kind[r], rows->i[r], rows->j[r], rows->h[r] + model->sampling);

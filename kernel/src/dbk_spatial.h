@@ -12,7 +12,8 @@ static inline void dbk_cross(const dbk_real a[3], const dbk_real b[3], dbk_real 
 
 /* prismatic joint: frame i+1 translates relative to frame i at rate u (t in the trust region) along the axis z, which
  * rotates with frame i */
-static inline void dbk_add_prismatic(const dbk_spatial *parent, const dbk_real z[3], dbk_real u, dbk_real t, dbk_spatial *child) {
+static inline void dbk_add_prismatic(const dbk_spatial *parent, const dbk_real z[3], dbk_real u, dbk_real t,
+                                     dbk_spatial *child) {
   dbk_real dz[3];
   dbk_cross(parent->w, z, dz);
   *child = *parent;
@@ -25,8 +26,8 @@ static inline void dbk_add_prismatic(const dbk_spatial *parent, const dbk_real z
 
 /* revolute joint: frame i+1 rotates relative to frame i at rate u (t in the trust region) about the axis z through the
  * point p, which both move with frame i */
-static inline void dbk_add_revolute(const dbk_spatial *parent, const dbk_real z[3], const dbk_real p[3], dbk_real u, dbk_real t,
-                                dbk_spatial *child) {
+static inline void dbk_add_revolute(const dbk_spatial *parent, const dbk_real z[3], const dbk_real p[3], dbk_real u,
+                                    dbk_real t, dbk_spatial *child) {
   dbk_real moment[3], dz[3], dp[3], wp[3], a[3], b[3];
   dbk_cross(p, z, moment); /* velocity at the base origin per unit rate: -z x p */
   dbk_cross(parent->w, z, dz);

@@ -70,7 +70,8 @@ static int32_t set_state(const dbk_model *model, const dbk_scene *scene, dbk_ctx
   dbk_spheres(model, scene, &ctx->frames, in->opening, &ctx->spheres);
   dbk_set_speed_limits(model, scene, ctx, in, u_prev, u_change, known_only);
   for (int32_t k = 0; k < model->n; ++k) { brake[k] = dbk_clamp(brake[k], ctx->lower[k], ctx->upper[k]); }
-  return dbk_brake_within_speed(model, scene, ctx, brake) | (conflict ? DBK_INFEASIBLE : 0) | (jerk_feasible ? 0 : DBK_JERK);
+  return dbk_brake_within_speed(model, scene, ctx, brake) | (conflict ? DBK_INFEASIBLE : 0) |
+         (jerk_feasible ? 0 : DBK_JERK);
 }
 
 /* builds the rows that a control within the trust region can violate */
@@ -178,9 +179,9 @@ static void full_braking(const dbk_model *model, const dbk_ctx *ctx, dbk_real u[
 }
 
 /* Keeps u if the next state is certified. Otherwise u moves in four steps toward braking, never toward zero, until the
- * next state is certified; u also keeps the speed limits. If none is, an obstacle is about to touch the robot: the result is the relaxed control, for
- * which no pair closes faster than under braking, or else the braking control. Adds DBK_UNVERIFIED to *flags if u
- * violates a row that the QP was to satisfy. */
+ * next state is certified; u also keeps the speed limits. If none is, an obstacle is about to touch the robot: the
+ * result is the relaxed control, for which no pair closes faster than under braking, or else the braking control. Adds
+ * DBK_UNVERIFIED to *flags if u violates a row that the QP was to satisfy. */
 static int32_t certify(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_in *in,
                        const dbk_real *brake, int32_t relaxed, dbk_real *u, int32_t *flags) {
   dbk_real start[DBK_MAX_DOF], full[DBK_MAX_DOF];

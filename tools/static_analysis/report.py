@@ -21,19 +21,20 @@ velocity limits. A NaN becomes standstill. The acceleration limits are not part 
 
 STEP = """## Complete step
 
-Eva (precision 1) analyses a loop of complete steps of the exported Panda with arbitrary bits in all fields of `dbk_in`,
-without obstacles, with room for 128 obstacles and 64 rows. An alarm is a place where Eva could not exclude a run-time
-error: an access outside of an object, an index outside of an array, an overflow, an invalid shift or conversion. The
-assertion on the control after each step is the same as above. Counts and indices that come from memory are bounded
-where they are used (`dbk_bounded`).
+Eva (precision 1) analyses a loop of complete steps of the exported Panda with arbitrary bits in all fields of `dbk_in`
+and of the scene, which changes before every step: up to 128 obstacles of all shapes, permits, held spheres and
+additional rows, with room for 64 rows. An alarm is a place where Eva could not exclude a run-time error: an access
+outside of an object, an index outside of an array, an overflow, an invalid shift or conversion. One assertion on the
+control after each step is the same as above; the other one is that a scene with a number of obstacles, held spheres or
+rows outside of its bounds is refused. Counts and indices that come from memory are bounded where they are used
+(`dbk_bounded`).
 
-Three limits of this analysis:
+Two limits of this analysis:
 
 - Local variables count as initialised (`-eva-initialized-locals`): Eva does not relate the count of the loop that fills
   an array to the count of the loop that reads it. Their initialisation is tested instead, see below.
-- Where a pointer passes a part of an array, Eva checks the bounds of the whole structure, not of the array in it.
-- The scene has no obstacle. The rows of obstacles are covered by the fuzzer and by `tests/kernel` (arbitrary bits,
-  10^6 inputs, under sanitizers)."""
+- Where a pointer passes a part of an array, Eva checks the bounds of the whole structure, not of the array in it. The
+  fuzzer and `tests/kernel` (arbitrary bits, 10^6 inputs) run under sanitizers, which check the arrays."""
 
 SUPERVISOR = """## Supervisor
 

@@ -128,8 +128,10 @@ static void list_candidates(const dbk_model *model, const uint32_t *relevant, in
   for (int32_t l = 0; l <= model->n_links; ++l) { out->count[l] = 0; }
   for (int32_t o = 0; o < lanes; ++o) {
     for (uint32_t bits = relevant[o]; bits; bits &= bits - 1u) {
-      const int32_t l = dbk_lowest_bit(bits);
-      out->index[l][out->count[l]++] = (int16_t)o;
+      const int32_t l = dbk_bounded(dbk_lowest_bit(bits), DBK_ALL_LINKS - 1);
+      const int32_t at = dbk_bounded(out->count[l], DBK_MAX_OBSTACLES - 1);
+      out->index[l][at] = (int16_t)o;
+      out->count[l] = at + 1;
     }
   }
 }
@@ -141,7 +143,7 @@ DBK_SIMD_CLONES void dbk_broadphase(const dbk_model *model, const dbk_scene *sce
   int32_t link[DBK_ALL_LINKS], count = 0;
   const int32_t lanes = DBK_PADDED(predicted->lanes);
   for (int32_t l = 0; l <= model->n_links; ++l) {
-    if (dbk_link_can_collide(model, scene, l)) { link[count++] = l; }
+    if (count < DBK_ALL_LINKS && dbk_link_can_collide(model, scene, l)) { link[count++] = l; }
   }
   for (int32_t o = 0; o < lanes; ++o) {
     nearest[o] = DBK_MAX_DISTANCE;
@@ -149,18 +151,20 @@ DBK_SIMD_CLONES void dbk_broadphase(const dbk_model *model, const dbk_scene *sce
   }
   /* lower bounds of h; the constant argument lets the compiler specialise the loop for spheres */
   for (int32_t i = 0; i < count; ++i) {
-    const dbk_real held_error = link[i] == model->n_links ? scene->held_error : (dbk_real)0;
+    const int32_t l = dbk_bounded(link[i], DBK_ALL_LINKS - 1);
+    const dbk_real held_error = l == model->n_links ? scene->held_error : (dbk_real)0;
     if (scene->capsules.any_elongated) {
-      capsule_gaps(scene, predicted, &ctx->motion, link[i], 1, held_error, gap[link[i]], nearest);
+      capsule_gaps(scene, predicted, &ctx->motion, l, 1, held_error, gap[l], nearest);
     } else {
-      capsule_gaps(scene, predicted, &ctx->motion, link[i], 0, held_error, gap[link[i]], nearest);
+      capsule_gaps(scene, predicted, &ctx->motion, l, 0, held_error, gap[l], nearest);
     }
   }
   const dbk_real h_min = minimum(nearest, lanes) + model->sampling;
   if (scene->capsules.any_half_space) { half_space_gaps(model, scene, ctx, predicted, gap); }
   /* relevance by the bounds, then by speed and separation monitoring */
   for (int32_t i = 0; i < count; ++i) {
-    mark_relevant(model, scene, &ctx->motion, predicted, link[i], gap[link[i]], h_min, relevant);
+    const int32_t l = dbk_bounded(link[i], DBK_ALL_LINKS - 1);
+    mark_relevant(model, scene, &ctx->motion, predicted, l, gap[l], h_min, relevant);
   }
   if (scene->capsules.any_separation) { mark_separation(model, scene, &ctx->motion, predicted, gap, relevant); }
   list_candidates(model, relevant, lanes, out);

@@ -67,8 +67,8 @@ int32_t dbk_cull_by_direction(const dbk_model *model, const dbk_scene *scene, co
   const link_motion b = motion_of(model, ctx, link);
   int32_t kept = 0;
   for (int32_t i = 0; i < link->n_obstacles; ++i) {
-    const int16_t o = index[i];
-    if (relevant(model, scene, ctx, predicted, &b, o)) { index[kept++] = o; }
+    const int32_t o = dbk_bounded(index[i], DBK_MAX_OBSTACLES - 1);
+    if (relevant(model, scene, ctx, predicted, &b, o) && kept < DBK_MAX_OBSTACLES) { index[kept++] = (int16_t)o; }
   }
   return kept;
 }

@@ -18,7 +18,8 @@ static dbk_real permitted_speed(const dbk_model *model, const dbk_scene *scene, 
                                 dbk_real h) {
   const dbk_rows *rows = &ctx->rows;
   const dbk_sphere_motion *m = &ctx->motion;
-  const int32_t s = dbk_bounded(rows->i[r], DBK_ALL_SPHERES - 1), o = dbk_bounded(rows->j[r], DBK_OBSTACLE_CAPACITY - 1);
+  const int32_t s = dbk_bounded(rows->i[r], DBK_ALL_SPHERES - 1);
+  const int32_t o = dbk_bounded(rows->j[r], DBK_OBSTACLE_CAPACITY - 1);
   const dbk_real own_alpha = scene->capsules.alpha[o], alpha = own_alpha > (dbk_real)0 ? own_alpha : model->alpha;
   const dbk_real along = rows->nx[r] * m->ax[s] + rows->ny[r] * m->ay[s] + rows->nz[r] * m->az[s];
   const dbk_real sampling_term = dbk_max((dbk_real)-0.5 * model->period * along, (dbk_real)0);

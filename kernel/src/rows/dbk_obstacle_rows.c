@@ -52,7 +52,10 @@ typedef struct {
 DBK_SIMD_CLONES static summary bound_link(const dbk_ctx *ctx, const dbk_link_candidates *link, const link_obstacle *o,
                                           dbk_pair_batch *restrict batch) {
   const dbk_sphere_set *spheres = &ctx->spheres;
+  const dbk_sphere_motion *m = &ctx->motion;
   const int32_t first = link->first, permitted = o->permitted;
+  const dbk_real *r = spheres->r + first, *vx = m->vx + first, *vy = m->vy + first, *vz = m->vz + first;
+  const dbk_real *ax = m->ax + first, *ay = m->ay + first, *az = m->az + first, *spread = m->spread + first;
   const dbk_row_terms t = o->terms;
   dbk_real least[DBK_LANES];
   int32_t any[DBK_LANES] = {0};
@@ -68,7 +71,7 @@ DBK_SIMD_CLONES static summary bound_link(const dbk_ctx *ctx, const dbk_link_can
   for (int32_t base = 0; base < link->count; base += DBK_LANES) {
     for (int32_t l = 0; l < DBK_LANES; ++l) {
       const int32_t at = base + l, valid = at < link->count;
-      const dbk_point_motion motion = dbk_point_motion_of(ctx, first + at);
+      const dbk_point_motion motion = {r[at], vx[at], vy[at], vz[at], ax[at], ay[at], az[at], spread[at]};
       const dbk_row_bound bound =
           dbk_bound_row(&motion, &t, 0, batch->h[at], batch->nx[at], batch->ny[at], batch->nz[at]);
       const dbk_real h = valid ? bound.h : DBK_MAX_DISTANCE;
@@ -118,7 +121,8 @@ static void single_obstacle_rows(const dbk_model *model, const dbk_scene *scene,
 static int32_t count_plain(const dbk_scene *scene, const dbk_link_candidates *link) {
   int32_t plain = 0;
   for (int32_t i = 0; i < link->n_obstacles; ++i) {
-    plain += dbk_uses_plain_capsule(scene, link->link, link->obstacle[i]);
+    const int32_t o = dbk_bounded(link->obstacle[i], DBK_MAX_OBSTACLES - 1);
+    plain = dbk_bounded(plain + dbk_uses_plain_capsule(scene, link->link, o), DBK_MAX_OBSTACLES);
   }
   return plain;
 }
@@ -136,7 +140,7 @@ static void link_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *c
   if (batched && plain > 0) { dbk_obstacle_rows_batched(model, scene, ctx, predicted, link); }
   if (batched && plain == link->n_obstacles) { return; }
   for (int32_t i = 0; i < link->n_obstacles; ++i) {
-    const int32_t o = link->obstacle[i];
+    const int32_t o = dbk_bounded(link->obstacle[i], DBK_MAX_OBSTACLES - 1);
     if (!(batched && dbk_uses_plain_capsule(scene, link->link, o))) {
       single_obstacle_rows(model, scene, ctx, predicted, link, o);
     }
@@ -162,8 +166,9 @@ void dbk_obstacle_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *
   dbk_candidates candidates;
   dbk_broadphase(model, scene, ctx, predicted, &candidates);
   for (int32_t l = 0; l <= model->n_links; ++l) {
-    if (candidates.count[l] == 0) { continue; }
-    dbk_link_candidates link = candidates_of(model, scene, l, candidates.count[l], candidates.index[l]);
+    const int32_t count = dbk_bounded(candidates.count[l], DBK_MAX_OBSTACLES);
+    if (count == 0) { continue; }
+    dbk_link_candidates link = candidates_of(model, scene, l, count, candidates.index[l]);
     link_rows(model, scene, ctx, predicted, &link, candidates.index[l]);
   }
 }

@@ -49,7 +49,8 @@ static inline void gather_capsules(const dbk_obstacle_capsules *c, const dbk_pre
   for (int32_t base = 0; base <= last; base += DBK_LANES) {
     capsule_block *b = &to->block[base / DBK_LANES];
     for (int32_t l = 0; l < DBK_LANES; ++l) {
-      gather_capsule(c, predicted, held_error, static_spheres, batch->index[base + l < last ? base + l : last], b, l);
+      const int32_t o = dbk_bounded(batch->index[base + l < last ? base + l : last], DBK_MAX_OBSTACLES - 1);
+      gather_capsule(c, predicted, held_error, static_spheres, o, b, l);
     }
   }
 }
@@ -59,8 +60,8 @@ static void gather(const dbk_scene *scene, const dbk_predicted_obstacles *predic
                    capsule_batch *restrict to, dbk_pair_batch *restrict batch) {
   int32_t n = 0, static_spheres = 1;
   for (int32_t i = 0; i < link->n_obstacles; ++i) {
-    const int32_t o = link->obstacle[i];
-    if (!dbk_uses_plain_capsule(scene, link->link, o)) { continue; }
+    const int32_t o = dbk_bounded(link->obstacle[i], DBK_MAX_OBSTACLES - 1);
+    if (n >= DBK_MAX_OBSTACLES || !dbk_uses_plain_capsule(scene, link->link, o)) { continue; }
     batch->index[n] = o;
     batch->clip[n] = 0;
     static_spheres &= scene->capsules.static_sphere[o];
@@ -153,7 +154,8 @@ void dbk_obstacle_rows_batched(const dbk_model *model, const dbk_scene *scene, d
   batch.kind = DBK_ROW_OBSTACLE;
   batch.first_joint = 0;
   batch.end_joint = link->frame;
-  for (int32_t s = link->first; s < link->first + link->count; ++s) {
+  const int32_t end = dbk_bounded(link->first + link->count, DBK_ALL_SPHERES);
+  for (int32_t s = link->first; s < end; ++s) {
     batch.sphere = s;
     const int32_t any =
         c.static_spheres ? bound_static_spheres(model, ctx, s, &c, &batch) : bound_capsules(model, ctx, s, &c, &batch);

@@ -69,7 +69,8 @@ DBK_SIMD_CLONES void dbk_append_rows(const dbk_scene *scene, dbk_ctx *ctx, const
   }
   /* the rank and the motion of the obstacle; self-collision rows have the highest rank */
   for (int32_t r = first; r < count; ++r) {
-    rows->moving[r] = obstacle ? c->moving[rows->j[r]] : 0;
-    rows->rank[r] = obstacle ? c->rank[rows->j[r]] : DBK_RANK_BODY;
+    const int32_t o = dbk_bounded(rows->j[r], DBK_OBSTACLE_CAPACITY - 1);
+    rows->moving[r] = obstacle ? c->moving[o] : 0;
+    rows->rank[r] = obstacle ? c->rank[o] : DBK_RANK_BODY;
   }
 }

@@ -38,7 +38,8 @@ typedef struct {
  * within the control bounds can reach h = 0 within this period, and another pair is closer */
 DBK_INLINED int32_t relevant(const dbk_model *model, const dbk_ctx *ctx, const link_pair *p, dbk_real closing,
                              dbk_real h) {
-  const dbk_real speed = dbk_min(model->alpha_self * h, dbk_stopping_speed(model->braking_gain, model->arc_share, h, p->bend));
+  const dbk_real stopping = dbk_stopping_speed(model->braking_gain, model->arc_share, h, p->bend);
+  const dbk_real speed = dbk_min(model->alpha_self * h, stopping);
   return !(h > p->travel && speed >= closing && h + model->sampling >= ctx->h_min);
 }
 
@@ -227,7 +228,8 @@ DBK_SIMD_CLONES static narrow_result narrow_phase(const dbk_model *model, const 
       const int32_t at = base + l, valid = at < p->count;
       const dbk_real x = sx[at] - px, y = sy[at] - py, z = sz[at] - pz;
       const dbk_real d = dbk_sqrt(x * x + y * y + z * z), h = d - sr[at] - radius;
-      const dbk_real headroom = (x * vx + y * vy + z * vz) + d * (dbk_min(alpha * h, dbk_stopping_speed(braking_gain, arc_share, h, bend)) - change);
+      const dbk_real stopping = dbk_stopping_speed(braking_gain, arc_share, h, bend);
+      const dbk_real headroom = (x * vx + y * vy + z * vz) + d * (dbk_min(alpha * h, stopping) - change);
       const int32_t safe = (headroom >= (dbk_real)0) & (h >= DBK_CULL_FLOOR);
       const dbk_real valid_h = valid ? h : DBK_MAX_DISTANCE;
       keep[at] = valid & !safe;
@@ -338,9 +340,10 @@ static void proximal_spheres(const dbk_model *model, const dbk_scene *scene, dbk
  * speeds are not set */
 static link_pair link_pair_of(const dbk_model *model, const dbk_scene *scene, int32_t number, dbk_real extra) {
   const int32_t held = number >= model->n_pairs;
+  const int32_t other = held ? dbk_bounded(number - model->n_pairs, DBK_MAX_LINKS - 1) : 0;
   link_pair p;
   p.number = number;
-  p.proximal = held ? model->held_link[number - model->n_pairs] : model->pair[number][0];
+  p.proximal = held ? model->held_link[other] : model->pair[number][0];
   p.distal = held ? model->n_links : model->pair[number][1];
   p.first = dbk_link_first_sphere(model, p.distal);
   p.first_joint = dbk_link_frame(model, p.proximal);

@@ -19,7 +19,8 @@ int32_t dbk_frame_of_point(const dbk_model *model, const dbk_ctx *ctx, int32_t p
   return tool ? model->n : model->sphere_frame[s];
 }
 
-/* spatial motion of every frame at the control u, relative to frame speed_first_joint; without `accelerations` only tw and tv */
+/* spatial motion of every frame at the control u, relative to frame speed_first_joint; without `accelerations` only tw
+ * and tv */
 static inline void chain_motion(const dbk_model *model, const dbk_frames *frames, const dbk_real *u,
                                 int32_t accelerations, dbk_spatial chain[DBK_MAX_DOF + 1]) {
   const dbk_spatial rest = {{0}, {0}, {0}, {0}, {0}, {0}};
@@ -48,13 +49,13 @@ static inline void chain_motion(const dbk_model *model, const dbk_frames *frames
   }
 }
 
-/* velocities tv + tw x c of the points first..last-1 at (x[0], y[0], z[0]) and so on. The loop runs to the end of the last SIMD vector; a
- * later call overwrites the entries after `last`, or no function reads them. */
+/* velocities tv + tw x c of `number` points from `first` at (x[0], y[0], z[0]) and so on. The loop runs to the end of the
+ * last SIMD vector; a later call overwrites the entries after the last point, or no function reads them. */
 static inline void move_points(const dbk_spatial *t, const dbk_real *x, const dbk_real *y, const dbk_real *z,
-                               int32_t first, int32_t last, dbk_point_velocities *restrict out) {
+                               int32_t first, int32_t number, dbk_point_velocities *restrict out) {
   const dbk_real wx = t->tw[0], wy = t->tw[1], wz = t->tw[2], vx = t->tv[0], vy = t->tv[1], vz = t->tv[2];
   dbk_real *restrict ux = out->vx + first, *restrict uy = out->vy + first, *restrict uz = out->vz + first;
-  const int32_t count = DBK_PADDED(last - first);
+  const int32_t count = DBK_PADDED(number);
   for (int32_t i = 0; i < count; ++i) {
     ux[i] = vx + (wy * z[i] - wz * y[i]);
     uy[i] = vy + (wz * x[i] - wx * z[i]);
@@ -64,10 +65,10 @@ static inline void move_points(const dbk_spatial *t, const dbk_real *x, const db
 
 /* accelerations dv + dw x c + w x (velocity of the point), likewise */
 static inline void accelerate_points(const dbk_spatial *t, const dbk_real *x, const dbk_real *y, const dbk_real *z,
-                                     int32_t first, int32_t last, dbk_point_velocities *restrict out) {
+                                     int32_t first, int32_t number, dbk_point_velocities *restrict out) {
   const dbk_real wx = t->tw[0], wy = t->tw[1], wz = t->tw[2];
   const dbk_real ax = t->dw[0], ay = t->dw[1], az = t->dw[2], bx = t->dv[0], by = t->dv[1], bz = t->dv[2];
-  const int32_t count = DBK_PADDED(last - first);
+  const int32_t count = DBK_PADDED(number);
   for (int32_t i = 0; i < count; ++i) {
     const int32_t s = first + i;
     const dbk_real ux = out->vx[s], uy = out->vy[s], uz = out->vz[s];
@@ -91,16 +92,17 @@ static inline void move_all(const dbk_model *model, const dbk_scene *scene, cons
     while (end <= model->n_links && dbk_link_frame(model, end) == frame) { ++end; }
     const int32_t first = dbk_link_first_sphere(model, l), last = dbk_link_end_sphere(model, scene, end - 1);
     if (first >= last) { continue; }
-    move_points(&chain[frame], c->x + first, c->y + first, c->z + first, first, last, out);
-    if (accelerations) { accelerate_points(&chain[frame], c->x + first, c->y + first, c->z + first, first, last, out); }
+    move_points(&chain[frame], c->x + first, c->y + first, c->z + first, first, last - first, out);
+    if (!accelerations) { continue; }
+    accelerate_points(&chain[frame], c->x + first, c->y + first, c->z + first, first, last - first, out);
   }
   for (int32_t e = 0; e < 3; ++e) {
     for (int32_t l = 0; l < DBK_LANES; ++l) { tool[e][l] = ctx->speed.tool[e]; }
   }
   const int32_t at = c->count;
-  move_points(&chain[model->n], tool[0], tool[1], tool[2], at, at + 1, out);
+  move_points(&chain[model->n], tool[0], tool[1], tool[2], at, 1, out);
   if (accelerations) {
-    accelerate_points(&chain[model->n], tool[0], tool[1], tool[2], at, at + 1, out);
+    accelerate_points(&chain[model->n], tool[0], tool[1], tool[2], at, 1, out);
   }
 }
 

@@ -63,7 +63,7 @@ static void set_soft_rows(const dbk_model *model, dbk_ctx *ctx, const limit_sear
   dbk_only_speed_rows(model, ctx);
   if (!search->soft) { return; }
   for (int32_t r = 0; r < rows->count; ++r) {
-    const int32_t cut = rows->j[r];
+    const int32_t cut = dbk_bounded(rows->j[r], DBK_MAX_CUTS - 1);
     if (speed->cut_ramped[cut] != (search->kind == ALLOWED)) { continue; }
     const dbk_real part = search->step[speed->cut_point[cut]] / search->largest;
     rows->soft[r] = dbk_min((dbk_real)1, ((dbk_real)1 - DBK_SPEED_SHRINK) * part * SLACK_STEP / rows->norm[r]);

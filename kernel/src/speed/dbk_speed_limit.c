@@ -24,8 +24,9 @@ static void limit_link(const dbk_obstacle *o, const dbk_sphere_set *c, int32_t f
   dbk_real d[DBK_SPHERE_CAPACITY], nx[DBK_SPHERE_CAPACITY], ny[DBK_SPHERE_CAPACITY], nz[DBK_SPHERE_CAPACITY];
   if (first >= last) { return; }
   dbk_distance(o, last - first, c->x + first, c->y + first, c->z + first, d, nx, ny, nz);
-  for (int32_t s = first; s < last; ++s) {
-    allowed[s] = dbk_min(allowed[s], speed_at(o, person_speed, d[s - first] - c->r[s] - margin));
+  for (int32_t i = 0; i < last - first; ++i) {
+    const int32_t s = dbk_bounded(first + i, DBK_ALL_SPHERES - 1);
+    allowed[s] = dbk_min(allowed[s], speed_at(o, person_speed, d[i] - c->r[s] - margin));
   }
 }
 
@@ -203,7 +204,7 @@ static void append_row(const dbk_model *model, dbk_ctx *ctx, int32_t cut) {
   const dbk_real norm = dbk_sqrt(square), limit = ramped ? speed->ramp_limit[point] : speed->limit[point];
   if (!(norm > DBK_ZERO_GRADIENT)) { return; } /* no joint can make the point faster than the limit */
   rows->overflow |= rows->count >= DBK_MAX_ROWS;
-  if (rows->overflow) { return; }
+  if (rows->overflow || rows->count >= DBK_MAX_ROWS) { return; }
   const int32_t r = rows->count++;
   for (int32_t k = 0; k < model->n; ++k) { rows->a[k][r] = a[k] / norm; }
   rows->b[r] = (-((dbk_real)1 - DBK_SPEED_SHRINK) * limit - offset) / norm;
@@ -226,7 +227,8 @@ static void pad_rows(const dbk_model *model, dbk_rows *rows) {
 }
 
 void dbk_speed_rows(const dbk_model *model, dbk_ctx *ctx) {
-  for (int32_t c = 0; c < ctx->speed.n_cuts; ++c) { append_row(model, ctx, c); }
+  const int32_t n_cuts = dbk_bounded(ctx->speed.n_cuts, DBK_MAX_CUTS);
+  for (int32_t c = 0; c < n_cuts; ++c) { append_row(model, ctx, c); }
 }
 
 void dbk_only_speed_rows(const dbk_model *model, dbk_ctx *ctx) {
