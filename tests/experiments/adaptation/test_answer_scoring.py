@@ -41,6 +41,7 @@ def test_the_correct_answer_counts_with_the_parameters_copied_from_the_exemplar(
     assert few <= every - 3
 
 
+@pytest.mark.slow
 def test_a_request_is_in_one_slice():
     ids = [one.id for _, one in ablation_curve.questions()]
     assert len(ids) == len(set(ids)) == len(ablation_curve.SLICES) * ablation_curve.QUESTIONS_PER_SLICE

@@ -9,7 +9,7 @@ from experiments.robots.zoo.zoo_adversary import run_attack
 from experiments.robots.zoo.zoo_robots import EMPTY_FILES, EXCLUDED, ROBOTS, robots_folder
 
 
-@pytest.mark.parametrize("name", ["ur3_robot", "tiago_base"])
+@pytest.mark.parametrize("name", [pytest.param("ur3_robot", marks=pytest.mark.slow), "tiago_base"])
 def test_a_foreign_robot_meets_the_claim(name):
     row = RobotZoo().run({"robot": name}, scenes=1, steps=400, states=10)
     assert failure_reasons(row) == ""

@@ -121,7 +121,7 @@ def test_a_stored_value_model_is_used_again(tmp_path, executed, monkeypatch):
     assert explore_places(CONFIG, tmp_path) == first == load_value_model(tmp_path / VALUE_MODEL_FILE)
 
 
-@pytest.mark.parametrize("stop", [0, 3, 5])
+@pytest.mark.parametrize("stop", [0, pytest.param(3, marks=pytest.mark.slow), 5])
 def test_after_an_interruption_the_data_set_is_the_same(tmp_path, executed, monkeypatch, stop):
     whole = run_cycle(tmp_path / "whole")
     executed.clear()

@@ -257,7 +257,12 @@ WAIT = contract_text(("hold", {"duration": 1.0}))
 
 
 @pytest.mark.parametrize(
-    "answers", [(GRASP_AND_PLACE,), (GRASP_AND_PLACE, decline_contract()), (GRASP_AND_PLACE, WAIT)]
+    "answers",
+    [
+        (GRASP_AND_PLACE,),
+        pytest.param((GRASP_AND_PLACE, decline_contract()), marks=pytest.mark.slow),
+        pytest.param((GRASP_AND_PLACE, WAIT), marks=pytest.mark.slow),
+    ],
 )
 def test_no_planner_leaves_an_object_in_the_hand_that_its_contract_would_place(tmp_path, monkeypatch, answers):
     """The planner grasps again, which the gate refuses, declines or waits; the rest of its own contract follows."""

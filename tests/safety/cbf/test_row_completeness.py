@@ -163,14 +163,16 @@ def check(body, changes, real, times, seed):
     assert needed > times / 4
 
 
+@pytest.mark.parametrize("times", [12, pytest.param(30, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("setting", SETTINGS, ids=str)
-def test_no_row_is_missing_and_h_min_is_the_nearest(thin, setting):
-    check(thin, SETTINGS[setting], "float32", 30, 11)
+def test_no_row_is_missing_and_h_min_is_the_nearest(thin, setting, times):
+    check(thin, SETTINGS[setting], "float32", times, 11)
 
 
-def test_no_row_is_missing_with_one_tracking_error_for_each_joint(thin):
-    check(thin, {}, "float32", 60, 12)
-    check(thin, {}, "float64", 60, 14)
+@pytest.mark.parametrize("times", [20, pytest.param(60, marks=pytest.mark.slow)])
+def test_no_row_is_missing_with_one_tracking_error_for_each_joint(thin, times):
+    check(thin, {}, "float32", times, 12)
+    check(thin, {}, "float64", times, 14)
 
 
 def test_far_from_everything_h_min_is_still_the_nearest(thin, rng):

@@ -36,8 +36,8 @@ def test_arbitrary_kept_links_give_the_same_bits(tmp_path, robot, flags, steps):
 @pytest.mark.parametrize(
     ("robot", "steps"),
     [
-        ("panda", 10_000),
-        ("ur5e", 10_000),
+        ("panda", 5_000),
+        ("ur5e", 5_000),
         *(pytest.param(r, 200_000, marks=pytest.mark.slow) for r in ("panda", "fr3")),
     ],
     ids=["panda", "ur5e", "panda, long", "fr3, long"],

@@ -32,10 +32,11 @@ def ends_approach(w, name, u):
     return distance <= gap and required <= np.abs(a) @ w.model["v_max"]
 
 
+@pytest.mark.parametrize("times", [250, pytest.param(400, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", ["everything", "mobile", "balls"])
-def test_a_step_retreats_if_every_violated_row_is_of_an_obstacle_that_it_evades(kind):
+def test_a_step_retreats_if_every_violated_row_is_of_an_obstacle_that_it_evades(kind, times):
     rng, seen = np.random.default_rng(len(kind)), {True: 0, False: 0}
-    for _ in range(400):
+    for _ in range(times):
         found = run_both(rng, 7, 6, kind, crowded=False)
         if found is None:
             continue

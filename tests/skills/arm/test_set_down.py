@@ -50,7 +50,10 @@ def set_down(robot="panda", seed=1, shift=0.0):
     return cell, heights
 
 
-@pytest.mark.parametrize(("robot", "seed", "shift"), [("panda", 1, -0.003), ("panda", 1, 0.003), ("ur5e", 2, 0.0)])
+@pytest.mark.parametrize(
+    ("robot", "seed", "shift"),
+    [pytest.param("panda", 1, -0.003, marks=pytest.mark.slow), ("panda", 1, 0.003), ("ur5e", 2, 0.0)],
+)
 def test_the_support_bears_the_load_before_the_fingers_open(robot, seed, shift):
     cell, heights = set_down(robot, seed, shift)
     assert heights[0] - heights[-1] < 0.0005

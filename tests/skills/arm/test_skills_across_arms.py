@@ -10,9 +10,19 @@ HOME = ("home", {"speed": 0.4})
 CONTRACTS = [
     (0, NO_NOISE, (grasp(speed=0.4), place(speed=0.4, route="near_base"))),
     (3, PerceptionNoise(), (grasp(finger_axis="across", opening=0.08), place(speed=0.4))),
-    (4, NO_NOISE, (grasp(approach="tilted", speed=0.35), ("hold", {"duration": 0.5}), place(route="left", speed=0.3))),
+    pytest.param(
+        4,
+        NO_NOISE,
+        (grasp(approach="tilted", speed=0.35), ("hold", {"duration": 0.5}), place(route="left", speed=0.3)),
+        marks=pytest.mark.slow,
+    ),
     (5, PerceptionNoise(), (grasp(approach="side", speed=0.3), HOME, place(clearance=0.2, speed=0.3), HOME)),
-    (1, PerceptionNoise(), (move_to("table_left", speed=0.4), move_to("blue_bowl", speed=0.4, route="right"), HOME)),
+    pytest.param(
+        1,
+        PerceptionNoise(),
+        (move_to("table_left", speed=0.4), move_to("blue_bowl", speed=0.4, route="right"), HOME),
+        marks=pytest.mark.slow,
+    ),
 ]
 
 
@@ -30,8 +40,15 @@ def test_contracts_on_the_ur5e_succeed_with_delta_zero_on_every_tick(seed, noise
     assert cell.monitor.violations() == ()
 
 
-@pytest.mark.parametrize("robot", ["panda", "ur5e"])
-@pytest.mark.parametrize(("seed", "destination", "distance"), [(1, "blue_bowl", 0.15), (2, "table_left", 0.05)])
+@pytest.mark.parametrize(
+    ("robot", "seed", "destination", "distance"),
+    [
+        ("panda", 1, "blue_bowl", 0.15),
+        ("ur5e", 2, "table_left", 0.05),
+        pytest.param("ur5e", 1, "blue_bowl", 0.15, marks=pytest.mark.slow),
+        pytest.param("panda", 2, "table_left", 0.05, marks=pytest.mark.slow),
+    ],
+)
 def test_a_push_moves_the_object_towards_its_destination(robot, seed, destination, distance):
     cell = SkillCell(seed=seed, noise=PerceptionNoise(), robot=robot)
     before = np.array(cell.plant.true_pose("red_cube").position)

@@ -80,10 +80,10 @@ def place(**changes):
 GRASPS = [
     (0, NO_NOISE, {}),
     (1, PerceptionNoise(), {"speed": 0.4}),
-    (2, NO_NOISE, {"finger_axis": "across", "clearance": 0.25}),
+    pytest.param(2, NO_NOISE, {"finger_axis": "across", "clearance": 0.25}, marks=pytest.mark.slow),
     (3, PerceptionNoise(), {"finger_axis": "across", "opening": 0.08}),
     (4, NO_NOISE, {"approach": "tilted", "speed": 0.35}),
-    (5, PerceptionNoise(), {"force": 10.0, "speed": 0.3}),
+    pytest.param(5, PerceptionNoise(), {"force": 10.0, "speed": 0.3}, marks=pytest.mark.slow),
 ]
 
 
@@ -100,7 +100,7 @@ def test_a_grasp_lifts_and_holds_the_object_without_filter_intervention(seed, no
 
 
 CONTRACTS = [
-    (NO_NOISE, (grasp(speed=0.4), place(speed=0.4, route="near_base"))),
+    pytest.param(NO_NOISE, (grasp(speed=0.4), place(speed=0.4, route="near_base")), marks=pytest.mark.slow),
     (
         PerceptionNoise(),
         (grasp(speed=0.4), place(destination="table_left", speed=0.4, clearance=0.2), ("home", {"speed": 0.4})),

@@ -47,7 +47,9 @@ def test_without_the_check_the_arm_presses_on():
     assert unsupervised_later.sum() > 20.0 * later.sum()  # impulse after the impact
 
 
-@pytest.mark.parametrize(("robot", "seed"), [("panda", 11), ("panda", 12), ("ur5e", 11)])
+@pytest.mark.parametrize(
+    ("robot", "seed"), [("panda", 11), pytest.param("panda", 12, marks=pytest.mark.slow), ("ur5e", 11)]
+)
 def test_a_grasp_and_a_placement_are_no_unexpected_contact(robot, seed):
     cell = HiddenObstacleCell(seed, robot=robot, wall=False)
     outcome = cell.run(*GRASP_AND_PLACE)
