@@ -23,9 +23,9 @@ from experiments.evaluation.repeated_contracts import RepeatedContracts
 from experiments.gatekeeper.adversary_over_mcp import AdversaryOverMcp
 from experiments.gatekeeper.check_cost import CheckCost
 from experiments.gatekeeper.commander_failure import CommanderFailure
-from experiments.gatekeeper.control_thread import ControlThreadTiming
 from experiments.gatekeeper.faults import Faults
 from experiments.gatekeeper.preempt_rt.missed_periods import PreemptRt
+from experiments.gatekeeper.thread_timing.control_thread import ControlThreadTiming
 from experiments.gatekeeper.tick import TickTiming
 from experiments.interfaces.bad_input import BadInput
 from experiments.interfaces.contract_delay import ContractDelay

@@ -1,6 +1,6 @@
 """The histogram of cyclictest, read as the summary of a variant."""
 
-from experiments.gatekeeper.empty_thread import LONGEST_US, summarize_histogram
+from experiments.gatekeeper.thread_timing.empty_thread import LONGEST_US, summarize_histogram
 
 PRINTED = """# /dev/cpu_dma_latency set to 0us
 # Histogram

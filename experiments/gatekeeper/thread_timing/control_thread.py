@@ -24,7 +24,7 @@ from dualbrain.safety.control_thread import ControlThread, ControlThreadConfig
 from dualbrain.safety.supervisor.controller import SafetyController
 from experiments.engine.experiment import Options, Row, WorkUnit
 from experiments.figures.tables import markdown_table
-from experiments.gatekeeper.empty_thread import run_cyclictest
+from experiments.gatekeeper.thread_timing.empty_thread import run_cyclictest
 
 UNIT_S, N_ROUNDS, OTHER_ROUNDS = 60.0, 10, 3
 """Duration of a unit [s]; units with SCHED_FIFO, and of each other variant."""
