@@ -42,7 +42,7 @@ def verify_output(folder: Path) -> dict[str, Any]:
 
 
 def analyse_step(folder: Path) -> dict[str, Any]:
-    """Eva: the complete step of the Panda in arbitrary scenes; about 20 minutes.
+    """Eva: the complete step of the Panda in arbitrary scenes; more than an hour.
 
     Local arrays count as initialised: Eva does not relate the count of the loop that fills an array to that of the loop
     that reads it. The memory sanitizer and the builds with patterns in `tests/kernel` test their initialisation.
