@@ -14,7 +14,7 @@ from experiments.robots.grasping import Grasping, grasp_candidates
 from experiments.safety.closed_loop import count_violations, succeeded
 from experiments.safety.no_obstacles import NoObstacles
 
-SAMPLE = (7, 26)
+SAMPLES = ((7, 26), pytest.param((0, 13, 19, 33), marks=pytest.mark.slow))
 
 
 @pytest.mark.parametrize(
@@ -48,9 +48,10 @@ def test_grasp_candidates_are_free_of_neighbours():
     assert all(name != "blue_bowl" for line in candidates for _, name, _ in line)
 
 
-def test_seeded_grasps_succeed():
+@pytest.mark.parametrize("seeds", SAMPLES)
+def test_seeded_grasps_succeed(seeds):
     experiment = Grasping()
-    rows = [{"key": str(seed), **experiment.run({"seed": seed})} for seed in SAMPLE]
+    rows = [{"key": str(seed), **experiment.run({"seed": seed})} for seed in seeds]
     assert [row["key"] for row in rows if not row["truth"]] == []
     assert not count_violations(rows)
 
