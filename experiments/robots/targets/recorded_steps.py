@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import Counter, deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -21,6 +22,8 @@ from experiments.robots.targets.random_motion import RandomMotion
 MOST_OUTSTANDING = 24
 """Cycles that the target has got and not answered; both rings of the mailbox have room for them."""
 REPLY_TIMEOUT_S = 20.0
+PAUSE_S = 0.004
+"""Sleep before replies are read [s]; the link would poll for the next one and take a core from the emulator."""
 EMPTY_REPLY = parse_cycle_reply(bytes(CYCLE_REPLY.size))
 HOST = TargetDescription(nonce=0, robot_hash=0, kernel_hash=0, joints=0, max_obstacles=48, board="host")
 
@@ -87,6 +90,7 @@ def _compare_replies(
     results: Iterator[FilterResult], session: TargetSession, kernel: TargetKernel, waiting: deque[int]
 ) -> int:
     """Compare the replies that have arrived; returns the number of those with a control."""
+    time.sleep(PAUSE_S)
     data, controls = session.link.read(REPLY_TIMEOUT_S), 0
     if not data:
         raise TargetLostError(f"no reply within {REPLY_TIMEOUT_S:g} s")
