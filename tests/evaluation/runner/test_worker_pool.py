@@ -25,7 +25,7 @@ from dualbrain.core.storage.jsonl_log import JsonlLog
 from dualbrain.evaluation.runner.worker_pool import ProcessPool
 from tests.evaluation.runner.test_worker_pool import SampleUnit, make_doubler
 if __name__ == "__main__":
-    units = [SampleUnit(str(n), {{"n": n, "pause_s": 0.2}}) for n in range(1, 100)]
+    units = [SampleUnit(str(n), {{"n": n, "pause_s": 0.2, "hang": {hang}}}) for n in range(1, 100)]
     for report in ProcessPool(make_doubler, 1).run_units(units):
         if report.line is not None:
             JsonlLog(Path({path!r})).append(report.line)
@@ -120,13 +120,15 @@ def test_a_worker_that_hangs_is_killed_and_its_lines_count():
     assert [report.line["double"] for report in reports if report.line and "double" in report.line] == [2, 4]
 
 
-def test_a_killed_parent_keeps_its_log_and_its_worker_ends(tmp_path):
+@pytest.mark.parametrize(("hang", "number"), [(False, signal.SIGKILL), (True, signal.SIGKILL), (True, signal.SIGTERM)])
+def test_a_killed_parent_keeps_its_log_and_its_worker_ends(tmp_path, hang, number):
+    """Also in the middle of a unit."""
     log = JsonlLog(tmp_path / "a.jsonl")
     script = tmp_path / "parent.py"
-    script.write_text(PARENT_SCRIPT.format(root=str(ROOT), path=str(log.path)))
+    script.write_text(PARENT_SCRIPT.format(root=str(ROOT), path=str(log.path), hang=hang))
     parent = subprocess.Popen([sys.executable, str(script)])
-    wait_until(lambda: len(log.latest()) >= 2)
-    parent.send_signal(signal.SIGKILL)
+    wait_until(lambda: len(log.latest()) >= (1 if hang else 2))
+    parent.send_signal(number)
     parent.wait()
     keys = [line["key"] for line in log.latest()]
     assert keys == [str(n) for n in range(1, len(keys) + 1)]

@@ -1,19 +1,20 @@
 """Worker pools: carry out units of work in this process, or in several processes of this machine.
 
-A worker process ends when its pipe closes, so no worker outlives its parent by more than the line under computation. A
-worker that dies, or that is killed because it reported nothing for too long, costs only the unit that it held; the next
-start continues with that unit. The evaluation and the experiments share these pools.
+A worker process ends with its parent, also in the middle of a unit and however the parent ends. A worker that dies, or
+that is killed because it reported nothing for too long, costs only the unit that it held; the next start continues with
+that unit. The evaluation and the experiments share these pools.
 """
 
 from __future__ import annotations
 
 import os
 import signal
+import threading
 import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from multiprocessing.connection import wait
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -183,6 +184,7 @@ def report_unit(run_unit: UnitRunner[U], unit: U) -> Iterator[UnitReport[U]]:
 def _worker_main(pipe: Any, make_runner: Callable[[], UnitRunner[Any]], niceness: int) -> None:
     """Main loop of a worker process: receive a unit, report on it, until the pipe closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the parent, which terminates its workers
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     os.nice(niceness)
     run_unit = make_runner()
     while True:
@@ -192,3 +194,11 @@ def _worker_main(pipe: Any, make_runner: Callable[[], UnitRunner[Any]], niceness
                 pipe.send(report)
         except (EOFError, BrokenPipeError):
             return
+
+
+def _end_with_parent() -> None:
+    """Wait for the end of the parent, and end this process."""
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
