@@ -3,8 +3,10 @@
 import json
 import os
 import resource
+import zlib
 
 import msgspec
+import numpy as np
 import pytest
 
 from dualbrain.adaptation.adapters.base_models import base_model_hash
@@ -19,6 +21,8 @@ from dualbrain.adaptation.adapters.packaged import packaged_folder
 from dualbrain.adaptation.adapters.promotion import Measurement
 from dualbrain.adaptation.adapters.registry import ADAPTER_FILES, AdapterRegistry
 from dualbrain.adaptation.config import AdaptConfig
+from dualbrain.adaptation.conversion.concatenated_lora import write_peft_adapter
+from dualbrain.adaptation.conversion.peft_lora import LoraPair
 from dualbrain.adaptation.serving.open_planner import shadow_log_path
 from dualbrain.adaptation.serving.shadow import ShadowRecord
 from dualbrain.cli.adapters.registry import MIN_SHADOW_ANSWERS
@@ -32,9 +36,9 @@ from tests.adaptation.adapters.test_registry import strip_file_hashes
 def add_adapter(home, content="weights", base="smollm2-135m-instruct", beside=""):
     """Add an adapter with the weights `content` and shadow answers beside `beside` to the registry; returns its id."""
     source = home / f"source of {content}"
-    source.mkdir()
-    (source / WEIGHTS_FILE).write_bytes(content.encode())
-    (source / "adapter_config.json").write_text("{}")
+    number = float(zlib.crc32(content.encode()))
+    pair = LoraPair(np.full((1, 2), number, np.float32), np.ones((2, 1), np.float32))
+    write_peft_adapter({"model.layers.0.self_attn.q_proj": pair}, source, base=base)
     card = AdapterCard(
         id=hash_weights(source),
         base=base,
@@ -118,7 +122,7 @@ def test_an_adapter_is_listed_shown_verified_and_exported(run_command, name, tmp
     assert name[:16] in run_command("adapters", "list")[1]
     assert json.loads(run_command("adapters", "show", name[:8])[1])["card"]["id"] == name
     assert run_command("adapters", "export", name[:8], "out")[0] == ExitCode.SUCCESS
-    assert (tmp_path / "out" / WEIGHTS_FILE).read_bytes() == b"weights"
+    assert hash_weights(tmp_path / "out") == name
     assert run_command("adapters", "verify")[0] == ExitCode.SUCCESS
     (tmp_path / "adapters" / name / WEIGHTS_FILE).write_bytes(b"others")
     code, out, _ = run_command("adapters", "verify")
@@ -203,9 +207,24 @@ def test_the_champion_cannot_be_a_candidate(run_command, name, tmp_path, canary_
     assert (code, "The candidate is the champion itself" in err) == (ExitCode.SETUP, True)
 
 
+def change_config(folder, **settings):
+    path = folder / "adapter_config.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **settings}))
+
+
+@pytest.mark.parametrize("form", ["peft", "hub", "gguf"])
+def test_only_plain_lora_is_exported(run_command, tmp_path, form):
+    """An adapter that no runtime of this package serves gets no copy either."""
+    folder = tmp_path / "source of weights"
+    add_adapter(tmp_path)
+    change_config(folder, use_dora=True)
+    code, _, err = run_command("adapters", "export", str(folder), "out", "--form", form)
+    assert (code, "use_dora" in err, (tmp_path / "out").exists()) == (ExitCode.SETUP, True, False)
+
+
 def test_missing_hashes_are_reported_and_changed_adapters_not_exported(run_command, name, tmp_path):
     assert "recorded" not in run_command("adapters", "verify")[1]
-    (tmp_path / "adapters" / name / "adapter_config.json").write_text('{"lora_alpha": 64}')
+    change_config(tmp_path / "adapters" / name, lora_alpha=64)
     code, out, _ = run_command("adapters", "verify")
     assert (code, "adapter_config.json of adapter" in out) == (ExitCode.FAILED_SAFELY, True)
     assert run_command("adapters", "export", name[:8], "out")[0] == ExitCode.SETUP
@@ -450,10 +469,13 @@ def test_an_export_for_the_hub_has_the_weights_and_a_card_and_states_a_measureme
     options = ("--form", "hub", "--measured", "measured.json")
     assert run_command("adapters", "export", name[:8], "hub", *options)[0] == ExitCode.SUCCESS
     assert {file.name for file in (tmp_path / "hub").iterdir()} == {*ADAPTER_FILES, "README.md"}
-    assert (tmp_path / "hub" / WEIGHTS_FILE).read_bytes() == b"weights"
+    assert hash_weights(tmp_path / "hub") == name
     assert read_adapter_card(tmp_path / "hub") == read_adapter_card(tmp_path / "adapters" / name)
-    config = json.loads((tmp_path / "hub" / "adapter_config.json").read_text())
-    assert config == {"base_model_name_or_path": "HuggingFaceTB/SmolLM2-135M-Instruct"}
+    own, config = (
+        json.loads((folder / "adapter_config.json").read_text())
+        for folder in (tmp_path / "adapters" / name, tmp_path / "hub")
+    )
+    assert config == {**own, "base_model_name_or_path": "HuggingFaceTB/SmolLM2-135M-Instruct"}
     assert "**Not promoted**" in (tmp_path / "hub" / "README.md").read_text()
     measured.write_bytes(msgspec.json.encode(Measurement(trial_results("o" * 64, 30), trial_results("", 31))))
     code, _, err = run_command("adapters", "export", name[:8], "other", *options)

@@ -25,7 +25,7 @@ ExportFormat = Literal["peft", "gguf", "merged", "hub"]
 def export(
     name: str, out: Path, /, *, form: ExportFormat = "peft", measured: Path | None = None, robot: str = "panda"
 ) -> int:
-    """Write an adapter for other programs, after verifying it; adapters below it in its stack are included.
+    """Write an adapter for other programs, after checking that it is plain LoRA; adapters below it are included.
 
     The output is complete or absent, with permissions according to the umask.
 
@@ -47,6 +47,7 @@ def export(
     """
     from dualbrain.adaptation.adapters.naming import resolve_folder
     from dualbrain.adaptation.adapters.stacking import load_stack
+    from dualbrain.adaptation.conversion.peft_lora import read_lora
     from dualbrain.core.storage.atomic_files import atomic_folder
 
     if out.exists():
@@ -58,6 +59,7 @@ def export(
         with atomic_folder(out) as temporary:
             _write_hub_folder(folder, measured, temporary)
     elif form == "peft" and _is_on_base_model(folder):
+        read_lora(folder)
         with atomic_folder(out) as temporary:
             for file in filter(Path.is_file, folder.iterdir()):
                 shutil.copyfile(file, temporary / file.name)
@@ -87,10 +89,12 @@ def _write_hub_folder(folder: Path, measured: Path | None, out: Path) -> None:
     from dualbrain.adaptation.adapters.registry import ADAPTER_FILES
     from dualbrain.adaptation.adapters.stacking import read_layers
     from dualbrain.adaptation.conversion.concatenated_lora import concatenate_adapters, write_peft_adapter
+    from dualbrain.adaptation.conversion.peft_lora import read_lora
 
     layers, registry = read_layers(folder), open_adapter_registry()
     cards, base = [layer.card for layer in layers], hub_model_name(layers[0].card.base)
     if len(layers) == 1:
+        read_lora(folder)
         for file in ADAPTER_FILES:
             shutil.copyfile(folder / file, out / file)
         config = msgspec.json.decode((out / CONFIG_FILE).read_bytes(), type=dict[str, object])
