@@ -429,6 +429,22 @@ def test_a_control_timestep_is_the_time_of_a_step(stated):
         assert env.guard.steps_per_action == 4
 
 
+@pytest.mark.parametrize(
+    "wrap",
+    [
+        lambda env: gymnasium.wrappers.StickyAction(env, 0.5),
+        lambda env: gymnasium.wrappers.TimeLimit(gymnasium.wrappers.DelayObservation(env, 1), 10),
+        lambda env: gymnasium.wrappers.MaxAndSkipObservation(env, 3),
+        lambda env: gymnasium.wrappers.RepeatAction(env, 3),
+    ],
+)
+def test_a_wrapper_that_changes_the_motion_is_refused(wrap):
+    """Around the filtered environment it is harmless: each of its actions is filtered."""
+    with pytest.raises(ConfigurationError, match="between the filter and the environment"):
+        FilteredEnv(wrap(ServoEnv()), make_filter(), action_space=JointPosition())
+    wrap(FilteredEnv(ServoEnv(), make_filter(), action_space=JointPosition()))
+
+
 def test_an_action_space_replaces_the_functions_for_velocities():
     with pytest.raises(ConfigurationError, match="action_space"):
         FilteredEnv(ServoEnv(), make_filter(), action_space=JointPosition(), **SPEEDS)

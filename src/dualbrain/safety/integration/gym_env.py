@@ -6,7 +6,7 @@ the environment.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from math import inf, isclose, nan
 from typing import Any, SupportsFloat, cast
 
@@ -36,6 +36,8 @@ except ImportError as error:
 
 Array = NDArray[np.float64]
 JointState = tuple[Array, Array]
+OUTSIDE = ("StickyAction", "DelayObservation", "MaxAndSkipObservation", "RepeatAction")
+"""Wrappers of gymnasium that execute an action again or later, or state an earlier observation."""
 WITHOUT_CLIP = "Leave out the wrapper `ClipAction`, or give the environment in it a wider action space."
 
 
@@ -202,17 +204,34 @@ def check_action_bounds(
     wrapper states an unbounded action space. Inside of any other wrapper of actions, the actions have other units.
 
     Raises:
-        ConfigurationError: bounds are narrower than the safe actions, or `space` cannot read them.
+        ConfigurationError: bounds are narrower than the safe actions, `space` cannot read them, or a wrapper in `env`
+            executes an action again or later, or states an earlier observation.
     """
+    _check_wrappers(env)
     if clips:
         check_action_range(env.action_space, space, robot_model, step_time)
-    while isinstance(env, gymnasium.Wrapper):
-        wrapped = cast("Any", env).env
-        if isinstance(env, gymnasium.wrappers.ClipAction):
-            check_action_range(wrapped.action_space, space, robot_model, step_time, fix=WITHOUT_CLIP)
-        elif isinstance(env, gymnasium.ActionWrapper):
+    for wrapper in _wrappers(env):
+        if isinstance(wrapper, gymnasium.wrappers.ClipAction):
+            check_action_range(cast("Any", wrapper).env.action_space, space, robot_model, step_time, fix=WITHOUT_CLIP)
+        elif isinstance(wrapper, gymnasium.ActionWrapper):
             return
-        env = wrapped
+
+
+def _check_wrappers(env: Any) -> None:
+    for wrapper in _wrappers(env):
+        name = next((one.__name__ for one in type(wrapper).__mro__ if one.__name__ in OUTSIDE), None)
+        if name is not None:
+            raise ConfigurationError.stating(
+                f"The wrapper {name} is between the filter and the environment, and changes the motion unseen.",
+                fix="Put it around the filtered environment, where every action that it causes is filtered.",
+            )
+
+
+def _wrappers(env: Any) -> Iterator[Any]:
+    """The wrappers of an environment, the outermost first."""
+    while isinstance(env, gymnasium.Wrapper):
+        yield env
+        env = cast("Any", env).env
 
 
 def find_step_time(env: Any) -> float:
