@@ -40,7 +40,7 @@ def open_closed_streams() -> None:
 def run_program(arguments: list[str]) -> int:
     """The exit code of `dualbrain` called with `arguments`."""
     if arguments == ["--version"]:
-        print(__version__)  # noqa: T201
+        _print_version()
         return ExitCode.SUCCESS
     try:
         from dualbrain.cli.main import run_command_line  # noqa: PLC0415 (only if the extra is installed)
@@ -53,6 +53,14 @@ def run_program(arguments: list[str]) -> int:
         print("dualbrain: interrupted", file=sys.stderr)  # noqa: T201
         return ExitCode.INTERRUPTED
     return run_command_line(arguments)
+
+
+def _print_version() -> None:
+    """Print the version; a closed pipe gets none."""
+    try:
+        print(__version__, flush=True)  # noqa: T201
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for the flush at the end of the process
 
 
 if __name__ == "__main__":

@@ -52,6 +52,7 @@ def has_no_run(folder):
     [
         (("--scene", "forarm:3"), "'forearm'"),
         (("--scene", "tabeltop"), "'tabletop'"),
+        (("--scene", "tabletop:x"), "got 'tabletop:x', allowed: a number, FAMILY:SEED"),
         (("--scene", "not a scene"), "FAMILY:SEED"),
         (("--scene", "missing.json"), "missing.json"),
         (("--robot", "pandaa"), "'panda'"),

@@ -50,9 +50,9 @@ def test_a_closed_stdout_keeps_messages_and_exit_code(tmp_path):
 
 COMMAND_LINE = """
 import sys
-from dualbrain.cli.main import run_command_line
+from dualbrain.__main__ import run_program
 sys.stdin.readline()
-sys.exit(run_command_line(sys.argv[1:]))
+sys.exit(run_program(sys.argv[1:]))
 """
 
 
@@ -61,6 +61,7 @@ sys.exit(run_command_line(sys.argv[1:]))
     ("arguments", "code"),
     [
         (["--help"], 0),
+        (["--version"], 0),
         (["knowledge", "list", "--help"], 0),
         (["run"], 2),
         (["no_command"], 2),

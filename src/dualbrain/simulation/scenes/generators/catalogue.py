@@ -34,7 +34,7 @@ def open_scene(choice: str, robot: str = "panda") -> SceneSpec:
     path = Path(choice)
     if path.suffix == ".json" or path.exists():
         return require_robot(robot, _load_arranged_scene(path), str(path))
-    if choice.replace(":", "").replace("_", "").isalnum():
+    if family not in families and choice.replace(":", "").replace("_", "").isalnum():
         owner = "the catalogue (a number or a scene file also works)"
         raise UnknownNameError("scene", family, families, owner=owner)
     allowed = f"a number, FAMILY:SEED with one of {', '.join(families)}, or a scene file (.json)"
