@@ -16,6 +16,16 @@ PANDA = load_skill_registry("panda")
 STOPS = (
     *("stop", "STOP!", "Stop it!", "halt", "Halt!!", "freeze", "hold on", "whoa", "Whoaaa", "stoooop", "abort"),
     *("don't move", "Don\u2019t move!", "dont move", "please stop now", "stop stop stop", "hey robot, stop!"),
+    *(
+        "wait, stop!",
+        "no... stop",
+        "Stop; freeze.",
+        "careful, stop",
+        "stop doing that",
+        "watch out!",
+        "never mind",
+        "\U0001f6d1",
+    ),
     *("emergency stop", "e-stop", "hold it", "stop moving", "stop right there", "stand still", "cease", "enough"),
     *(
         "Stopp!",
@@ -38,6 +48,14 @@ NO_STOPS = (
     *("", "please", "go home", "do not stop", "don't stop until the cube is in the bowl", "never stop"),
     *("put the stop sign in the bowl", "stop at the shelf", "stop pushing the cube", "stop if someone comes"),
     *("freeze for 3 seconds", "hold the cube", "hold the bowl", "where is the stop button", "wait for 3 seconds"),
+    *("don't stop!", "do not wait", "cancel the emergency stop", "switch off the emergency stop", "stop the pause"),
+    *(
+        "wait, put it down",
+        "no, not the red one",
+        "never mind the glass",
+        "watch out for the glass",
+        "turn off the light",
+    ),
     *("pick up the cube and stop", "stop, then put the red cube in the bowl", "the arm", "no", "halting problem"),
 )
 FOREIGN = {

@@ -7,6 +7,7 @@ bowl", "do not stop") is no stop command.
 from __future__ import annotations
 
 import re
+from itertools import groupby
 
 from dualbrain.grounding.instruction.words import normalise
 
@@ -57,6 +58,7 @@ _FILLERS = frozenset(
         "pal",
         "this",
         "instant",
+        "careful",
         "bitte",
         "sofort",
         "jetzt",
@@ -81,6 +83,7 @@ _FILLERS = frozenset(
     ]
 )
 """Words around a stop word that change nothing."""
+_SIGNS = ("\N{OCTAGONAL SIGN}", "\N{NO ENTRY}", "\N{RAISED HAND}")
 _ENGLISH = (
     "stop",
     "stpo",
@@ -93,10 +96,13 @@ _ENGLISH = (
     "stop working",
     "stop going",
     "stop driving",
+    "stop doing that",
+    "stop doing this",
     "stop what you are doing",
     "stop where you are",
     "stop dead",
     "stop now",
+    "full stop",
     "halt",
     "halt it",
     "freeze",
@@ -109,6 +115,7 @@ _ENGLISH = (
     "hold your horses",
     "hang on",
     "wait",
+    "wait stop",
     "wait a moment",
     "wait a second",
     "wait a minute",
@@ -133,6 +140,23 @@ _ENGLISH = (
     "quit it",
     "quit that",
     "quit moving",
+    "call it off",
+    "break it off",
+    "never mind",
+    "nevermind",
+    "forget it",
+    "hands off",
+    "shut down",
+    "shut it down",
+    "shut it off",
+    "switch off",
+    "switch it off",
+    "turn it off",
+    "power off",
+    "power down",
+    "cut the power",
+    "watch out",
+    "look out",
     "terminate",
     "interrupt",
     "enough",
@@ -211,14 +235,29 @@ _OTHER_LANGUAGES = (
 
 
 def is_stop_command(instruction: str) -> bool:
-    """Whether `instruction` is a stop word, alone or with words such as "please", in one of the known languages."""
-    return _core(instruction) in _STOP_COMMANDS
+    """Whether `instruction` consists of stop commands and words such as "please", in one of the known languages."""
+    words = normalise(instruction).text.split()
+    return _core(words) in _STOP_COMMANDS or _is_sequence(words) or _is_sign(instruction)
 
 
-def _core(instruction: str) -> str:
-    """The words of `instruction` without fillers and repetitions."""
-    words = [_REPEATED_LETTER.sub(r"\1", word) for word in normalise(instruction).text.split()]
-    heard = [word for word in words if any(character.isalnum() for character in word)]
+def _is_sequence(words: list[str]) -> bool:
+    """Whether `words` are stop commands between punctuation marks, such as "wait, stop!"."""
+    parts = [_core(list(part)) for is_heard, part in groupby(words, _is_heard) if is_heard]
+    stated = [part for part in parts if part]
+    return bool(stated) and _STOP_COMMANDS.issuperset(stated)
+
+
+def _is_sign(instruction: str) -> bool:
+    return any(sign in instruction for sign in _SIGNS) and not any(map(str.isalnum, instruction))
+
+
+def _is_heard(word: str) -> bool:
+    return any(map(str.isalnum, word))
+
+
+def _core(words: list[str]) -> str:
+    """The words without fillers, repetitions and punctuation marks."""
+    heard = [_REPEATED_LETTER.sub(r"\1", word) for word in words if _is_heard(word)]
     kept = " ".join(heard)
     if kept in _STOP_COMMANDS_BEFORE_FILLERS:
         return kept
@@ -231,7 +270,7 @@ def _core(instruction: str) -> str:
 
 
 def _normal(command: str) -> str:
-    return " ".join(word for word in normalise(command).text.split() if any(map(str.isalnum, word)))
+    return " ".join(filter(_is_heard, normalise(command).text.split()))
 
 
 _STOP_COMMANDS_BEFORE_FILLERS = frozenset(_normal(command) for command in (*_ENGLISH, *_OTHER_LANGUAGES))
