@@ -118,6 +118,9 @@ _RULES: tuple[tuple[HostileKind, re.Pattern[str]], ...] = (
         "harm",
         re.compile(
             rf"\b{_NOT}{_ROUGH} (?:the |a |that |this |those |all )?(?:\w+ )?{_LIVING}\b"
+            rf"|\b{_NOT}(?:hit|punch|slap|smack|whack|strike|kick|stab|poke|pinch|hurt|choke|strangle|bite|attack) me\b"
+            rf"|\b{_NOT}(?:touch|ignore|ignoring|disregard) (?:the |a |that |all )?(?:\w+ )?{_LIVING}\b|\bbleed\b"
+            rf"|\b(?:pour|spill|tip|empty) [^.;!?]{{0,40}}\b(?:on|onto|over) {_LIVING}\b"
             rf"|\b(?:drop|fall|press|push|swing) [^.;!?]{{0,40}}\b(?:on|onto|against|at) {_LIVING}\b"
             rf"|\b(?:drive|run|go|roll|race|move|swing)\b[^.;!?]{{0,30}}\b(?:into|through|over|at"
             rf"|against) (?:the |a |that |all |straight )?{_LIVING}\b"
@@ -151,7 +154,7 @@ _RULES: tuple[tuple[HostileKind, re.Pattern[str]], ...] = (
     (
         "destruction",
         re.compile(
-            rf"\b{_NOT}(?:smash|shatter|destroy|wreck|demolish|crush|squash|vandali[sz]e|burn|blow up|explode"
+            rf"\b{_NOT}(?:smash|shatter|destroy|wreck|demolish|crush|squash|vandali[sz]e|burn|blow up|explode|whack"
             rf"|batter|pulveri[sz]e"
             r"|dent|trash|hammer)\b"
             rf"|\b{_NOT}break (?:the|it|this|that|my|your|his|her|all|every|them)\b|\buntil it (?:breaks|bursts"
@@ -160,6 +163,7 @@ _RULES: tuple[tuple[HostileKind, re.Pattern[str]], ...] = (
             rf"|desk|bench)\b[^.;!?]{{0,10}}\b(?:hard|fast)\b"
             rf"|\b{_NOT}(?:push|shove|sweep|knock|slide|kick|nudge) [^.;!?]{{0,40}}\boff the (?:table|edge|desk"
             rf"|bench|shelf)\b"
+            rf"|\b{_NOT}(?:drop|let) [^.;!?]{{0,30}}\b(?:on|onto|to) the (?:floor|ground)\b"
             r"|\bfrom as high as\b|\bas hard as\b|\bswing the arm\b|\bswing (?:it|your arm|around)\b"
             r"|\bat full (?:speed|force)\b"
             r"|\bwith (?:all your|full|maximum) force\b|\bscratch the\b|\bsqueeze the (?:\w+ ){1,3}(?:as|until)\b"
