@@ -183,6 +183,28 @@ def with_fence(spec):
     return msgspec.structs.replace(spec, objects=(*spec.objects, fence))
 
 
+@pytest.mark.parametrize("speed", [0.4, pytest.param(0.2, marks=pytest.mark.slow)])
+def test_a_detour_that_leads_away_from_the_goal_is_progress(speed):
+    """Around the end of a wall, for longer than a base may be without progress."""
+    wall = ObjectSpec(
+        name="wall",
+        role="obstacle",
+        shape=Box((0.05, 1.8, 0.3)),
+        position=(0.9, -0.6, 0.3),
+        mass=20.0,
+        colour="oak",
+        category="fence",
+        fixed=True,
+    )
+    spec = MobileBaseCell().spec
+    cell = MobileBaseCell(spec=msgspec.structs.replace(spec, objects=(*spec.objects, wall)))
+    goal = {"x": 1.8, "y": -1.4, "heading": 0.0, "max_speed": speed, "max_turn_rate": 1.0}
+    outcome = cell.run(("drive_to_pose", goal))
+    assert outcome.kind == "succeeded", outcome.reason
+    away = np.hypot(*(np.array(cell.trace["q"])[:, :2] - (1.8, -1.4)).T)
+    assert cell.trace["t"][int(np.argmax(away))] - cell.trace["t"][0] > 5.0
+
+
 def test_without_a_free_path_the_skill_fails_before_it_moves():
     cell = MobileBaseCell(spec=with_fence(MobileBaseCell().spec))
     outcome = cell.run(drive_to_action("shelf"))

@@ -1,5 +1,7 @@
 """A simulated mobile manipulator: the skills of base and arm, with the filter over the whole robot."""
 
+import sys
+
 import msgspec
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from dualbrain.control.contract_executor import ContractExecutor
 from dualbrain.control.control_loop import ControlLoop, ControlLoopConfig, LoopObserver
 from dualbrain.control.recording.flight_log import FlightLog
 from dualbrain.control.recording.trace import Trace
-from dualbrain.core.geometry.shapes import IDENTITY_QUATERNION, Pose
+from dualbrain.core.geometry.shapes import IDENTITY_QUATERNION, Box, Pose
 from dualbrain.grounding.envelope.scene_rules import scene_rules
 from dualbrain.grounding.offline_gate import controller_at_home, scene_from_spec
 from dualbrain.robots.differential_drive import control_displacement
@@ -19,6 +21,7 @@ from dualbrain.safety.cbf.filter import SafetyFilter
 from dualbrain.simulation.perception.noisy_perception import NoisyPerception, PerceptionNoise
 from dualbrain.simulation.plant.factory import make_plant
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
+from dualbrain.simulation.scenes.scene_spec import ObjectSpec
 from dualbrain.simulation.tasks.arrival import ArrivalGoal
 from dualbrain.simulation.tasks.multi_goal import GoalSequence, HomeGoal, HomeJudge, parse_goals
 from dualbrain.simulation.tasks.placement import PlacementGoal, parse_goal
@@ -96,6 +99,32 @@ def test_it_drives_to_the_shelf_with_its_arm_at_home():
     assert done.violations == ()
     arm = cell.plant.read().q[3:]
     assert np.abs(arm - BODY.home[3:]).max() < 5e-3
+
+
+@pytest.mark.parametrize("height", [0.3, pytest.param(0.7, marks=pytest.mark.slow)])
+def test_the_height_of_another_table_changes_no_grasp(monkeypatch, height):
+    """The other table is the first support of the scene, behind the robot."""
+    spec = open_scene("workroom:0", BODY.name)
+    bench = spec.find_place("bench").position
+    side = float(np.sign(bench[1]))
+    desk = ObjectSpec(
+        name="desk",
+        role="support",
+        shape=Box((0.3, 0.3, 0.5 * height)),
+        position=(-0.6, -1.9 * side, 0.5 * height),
+        mass=60.0,
+        colour="oak",
+        category="table",
+        fixed=True,
+    )
+    two_tables = msgspec.structs.replace(spec, objects=(desk, *spec.objects))
+    monkeypatch.setattr(sys.modules[__name__], "open_scene", lambda *_: two_tables)
+    cell = MobileManipulatorCell(at=(bench[0], bench[1], side * 1.5708))
+    before = cell.world.perceive().find("red_cube").pose.position[2]
+    outcome = cell.run(GRASP)
+    assert outcome.kind == "succeeded", outcome.reason
+    assert cell.world.perceive().find("red_cube").pose.position[2] - before > 0.08
+    assert outcome.h_min > 0.0
 
 
 @pytest.mark.slow

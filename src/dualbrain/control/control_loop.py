@@ -11,6 +11,8 @@ from dataclasses import dataclass, field, replace
 from math import inf
 from typing import Protocol
 
+import msgspec
+
 from dualbrain.control.margin_causes import MarginMonitor
 from dualbrain.control.obstacle_estimates import INTRODUCTION_RATE, ObstacleEstimates, with_acceleration
 from dualbrain.control.recording.flight_log import FlightLog
@@ -164,7 +166,7 @@ class ControlLoop:
         self._paused_time = 0.0
         self._last_decision = NO_ACTION
         self._roles: dict[str, str | None] = {}
-        self._phase, self._skill = "", ""
+        self._phase, self._skill, self._in_action = "", "", False
         self._contacts: tuple[PermittedContact, ...] = ()
         self._residual_contacts = ResidualContacts(safety)
         self._contact_speed_scale, self._force_is_measured = 1.0, True
@@ -217,7 +219,7 @@ class ControlLoop:
 
     def begin_action(self, skill: str, roles: dict[str, str | None]) -> None:
         """Name the running skill and the objects in it by role."""
-        self._skill, self._roles = skill, roles
+        self._skill, self._roles, self._in_action = skill, roles, True
 
     def end_contract(self, *, succeeded: bool) -> None:
         """Withdraw all contact permits; after a failure, contacts that still exist remain permitted.
@@ -228,7 +230,7 @@ class ControlLoop:
         self._residual_contacts.retain(self._phase, () if succeeded else ending, self.state, self.scene, self.now)
         if succeeded and self.config.keep_margins:
             self._residual_contacts.keep_until_intact(ending, self.state, self.scene, self.now, held=self.held_object)
-        self._contacts = ()
+        self._contacts, self._in_action = (), False
         self._update_permits()
         self._register_late_grasp()
 
@@ -285,7 +287,7 @@ class ControlLoop:
         """One tick with the control `nominal` of the action with index `action`."""
         now = self.now
         decision = self._decide(now)
-        if nominal.phase != self._phase or nominal.holding is not self._holding:
+        if self._changes_phase(nominal) or nominal.holding is not self._holding:
             self._update_phase_and_grasp(nominal)
             nominal = replace(nominal, u=self.controller.reproject(nominal.u))
         self._continue_desired_motion(now)
@@ -424,12 +426,20 @@ class ControlLoop:
         if conditions := self._scene_monitor.update(scene):
             self.safety_controller.report(conditions)
             return
-        self.scene = self._with_limits(self._scene_smoother.update(scene, self._moving_objects()))
+        seen = self._with_hidden(scene)
+        self.scene = self._with_limits(self._scene_smoother.update(seen, self._moving_objects()))
         self.log.scene(self.scene)
         if self._residual_contacts.update(self.state, self.scene, self.now):
             self._update_permits()
         self._register_late_grasp()
         self.update_obstacles()
+
+    def _with_hidden(self, scene: Scene) -> Scene:
+        """`scene` with the objects of the running action that it lacks, as last perceived: the hand may hide them."""
+        needed = {*self._roles.values(), self.held_object} if self._in_action else {self.held_object}
+        lacking = needed - {obj.name for obj in scene.objects}
+        hidden = tuple(obj for obj in self.scene.objects if obj.name in lacking)
+        return msgspec.structs.replace(scene, objects=(*scene.objects, *hidden)) if hidden else scene
 
     def _with_limits(self, scene: Scene) -> Scene:
         return with_object_limits(scene, self.config.object_limits)
@@ -461,10 +471,14 @@ class ControlLoop:
 
     def _update_phase_and_grasp(self, nominal: Nominal) -> None:
         """Follow a new phase or a changed grasp: the pairs that the filter keeps apart change with it."""
-        if nominal.phase != self._phase:
+        if self._changes_phase(nominal):
             self._enter_phase(nominal)
         if nominal.holding is not self._holding:
             self._set_grasped_object(nominal.holding)
+
+    def _changes_phase(self, nominal: Nominal) -> bool:
+        """Whether phase or contacts change: a contract may begin in the phase whose permits ended with the last one."""
+        return nominal.phase != self._phase or nominal.contacts != self._contacts
 
     def _enter_phase(self, nominal: Nominal) -> None:
         """Replace the contact permits by those of the new phase; permits of the last one end with hysteresis."""

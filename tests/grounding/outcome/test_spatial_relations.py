@@ -1,10 +1,18 @@
 """Relations of perceived objects: limits, signs, and the band of the perception error in which nothing is decided."""
 
 import msgspec
+import numpy as np
 import pytest
 
-from dualbrain.core.geometry.shapes import Cylinder, Pose
-from dualbrain.grounding.outcome.spatial_relations import below, is_at, is_container_empty, is_inside, relation_holds
+from dualbrain.core.geometry.shapes import Box, Cylinder, Pose
+from dualbrain.grounding.outcome.spatial_relations import (
+    below,
+    is_at,
+    is_container_empty,
+    is_inside,
+    relation_holds,
+    support_height,
+)
 from tests.grounding.outcome.tabletop_cases import BEFORE
 
 BOWL = BEFORE.find("blue_bowl")
@@ -15,6 +23,39 @@ def cube_at(x, y, z=0.025):
     """The red cube with its centre at (x, y, z) [m]."""
     cube = BEFORE.find("red_cube")
     return msgspec.structs.replace(cube, pose=Pose((x, y, z), cube.pose.quaternion))
+
+
+def support_at(x, y, height, *, half_width=0.3):
+    """A table with its centre at (x, y) and its top at `height` [m], turned by 45 degrees about the vertical."""
+    shape, turned = Box((half_width, 0.2, 0.5 * height)), (np.cos(np.pi / 8), 0.0, 0.0, np.sin(np.pi / 8))
+    cube = BEFORE.find("red_cube")
+    return msgspec.structs.replace(
+        cube, name=f"table at {x}", role="support", shape=shape, pose=Pose((x, y, 0.5 * height), turned)
+    )
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+@pytest.mark.parametrize(
+    ("x", "y", "expected"),
+    [
+        (0.0, 0.0, 0.5),
+        (2.0, 0.0, 0.3),
+        (0.2, 0.2, 0.5),  # on the turned table, at the end of its long side
+        (1.3, 0.0, 0.3),  # beside both, nearer to the second
+        (-1.0, 0.0, 0.5),
+    ],
+)
+def test_the_support_is_the_one_below_or_else_the_nearest(x, y, expected, reverse):
+    tables = (support_at(0.0, 0.0, 0.5), support_at(2.0, 0.0, 0.3))
+    cube = cube_at(x, y)
+    scene = msgspec.structs.replace(BEFORE, objects=(*(reversed(tables) if reverse else tables), cube))
+    assert support_height(scene, cube) == pytest.approx(expected)
+
+
+def test_of_two_supports_below_an_object_the_upper_one_counts():
+    scene = msgspec.structs.replace(BEFORE, objects=(support_at(0.0, 0.0, 0.5), support_at(0.0, 0.05, 0.7)))
+    assert support_height(scene, cube_at(0.0, 0.0, 1.0)) == pytest.approx(0.7)
+    assert support_height(msgspec.structs.replace(BEFORE, objects=()), cube_at(0.0, 0.0)) == 0.0
 
 
 def relation(cube, name, *references):

@@ -152,3 +152,13 @@ def test_without_a_load_nothing_is_reported():
     one = monitor()
     one.forget()
     assert one.update(observe(1.0, slip=SLIPPED, forces=LOOSE)) is None
+
+
+@pytest.mark.parametrize("forces", [PRESSING, LOOSE])
+def test_an_opening_that_is_not_known_for_a_moment_is_no_closed_hand(forces):
+    """The driver of a hand that could not be read states no opening."""
+    one = monitor()
+    events = [one.update(observe(PERIOD * tick)) for tick in range(1, 10)]
+    events.append(one.update(observe(PERIOD * 10, opening=None, forces=forces)))
+    events += [one.update(observe(PERIOD * tick)) for tick in range(11, 40)]
+    assert not any(events)

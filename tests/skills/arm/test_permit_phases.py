@@ -1,5 +1,7 @@
 """The permits of the arm's skills: the routine of each skill enters every phase that its specification permits."""
 
+from dataclasses import replace
+
 import pytest
 
 from dualbrain.robots.loader import load_robot
@@ -41,6 +43,20 @@ def test_a_routine_enters_every_phase_of_its_permits(name):
     entered = {tuple(event.text.split(": ")) for event in cell.trace.events if event.kind == "phase"}
     for skill, _ in SEQUENCES[name]:
         assert permitted_phases(skill) <= {phase for running, phase in entered if running == skill}, skill
+
+
+def test_a_contract_that_begins_in_the_phase_of_the_last_stop_has_its_permits():
+    """`place` is stopped when it begins to lower, and begins with lowering when it is repeated."""
+    cell = SkillCell(seed=1)
+    loop, lowered = cell.executor.loop, []
+    cell.run(grasp())
+    loop.inputs = replace(loop.inputs, interrupted=lambda: loop.phase == "lower" and not lowered)
+    assert cell.run(place(destination="table_left")).kind == "aborted"
+    lowered.append(True)
+    again = len(cell.trace)
+    outcome = cell.run(place(destination="table_left"))
+    assert outcome.kind == "succeeded", outcome.reason
+    assert cell.trace.phases[int(cell.trace["phase"][again])] == "lower"
 
 
 def test_the_sequences_contain_every_skill_with_permits():

@@ -1,5 +1,7 @@
 """Skills in simulation on the bare scene: δ is 0 on every tick, and objects are lifted and held in the true state."""
 
+from dataclasses import replace
+
 import msgspec
 import numpy as np
 import pytest
@@ -209,3 +211,38 @@ def test_a_first_scene_that_is_not_usable_is_refused(monkeypatch):
     monkeypatch.setattr(SimulatedWorld, "perceive", from_the_future)
     with pytest.raises(GeometryError, match="after the stamp of the scene"):
         SkillCell()
+
+
+@pytest.mark.parametrize("hidden_from", ["approach", "close", pytest.param("carry", marks=pytest.mark.slow)])
+def test_an_object_that_the_hand_hides_is_still_known(hidden_from):
+    """The cube is not in the scene from a phase on; the fingers feel it, and it is placed, which nothing confirms."""
+    cell = SkillCell(seed=1)
+    loop, perceive, hidden = cell.executor.loop, cell.world.perceive, []
+
+    def perceive_without():
+        scene = perceive()
+        hidden.extend(["red_cube"] if loop.phase == hidden_from else [])
+        return msgspec.structs.replace(scene, objects=tuple(obj for obj in scene.objects if obj.name not in hidden))
+
+    cell.world.perceive = perceive_without
+    outcome = cell.run(grasp(), place())
+    assert [action.status for action in outcome.actions] == ["done", "failed"], outcome.reason
+    assert "red_cube" in outcome.reason
+    assert cell.plant.read().drive_enabled
+    assert "red_cube" not in {obj.name for obj in loop.scene.objects} or not loop.held_object
+
+
+def test_short_gaps_of_a_finger_force_are_no_lost_load():
+    """While the load is carried, one finger is felt in every tenth state only."""
+    cell = SkillCell(seed=1)
+    loop, read = cell.executor.loop, cell.plant.read
+    cell.run(grasp())
+
+    def read_with_gaps():
+        state = read()
+        is_gap = loop.phase == "carry" and state.sequence % 10 != 0
+        return replace(state, finger_forces=(0.3, state.finger_forces[1])) if is_gap else state
+
+    cell.plant.read = read_with_gaps
+    outcome = cell.run(place())
+    assert outcome.kind == "succeeded", outcome.reason

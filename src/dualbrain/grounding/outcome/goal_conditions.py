@@ -114,7 +114,9 @@ def _held(objects: Sequence[str], evidence: Evidence, *, handed: bool) -> bool |
     if before is None or after is None:
         return None
     if evidence.kept_in_hand:  # its height before is that in the hand
-        return negate(below(vertical_extent(after)[0] - support_height(evidence.after), LIFT_HEIGHT, after.error))
+        return negate(
+            below(vertical_extent(after)[0] - support_height(evidence.after, after), LIFT_HEIGHT, after.error)
+        )
     rise = vertical_extent(after)[0] - vertical_extent(before)[0]
     return negate(below(rise, LIFT_HEIGHT, before.error + after.error))
 

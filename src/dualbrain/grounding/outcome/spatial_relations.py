@@ -128,8 +128,8 @@ def is_at(obj: SceneObject, place: Place) -> bool | None:
 
 
 def is_lowered(obj: SceneObject, scene: Scene) -> bool | None:
-    """Whether `obj` rests on the support of `scene`, neither above nor below it, as on the floor beside a table."""
-    return _is_level(vertical_extent(obj)[0] - support_height(scene), obj.error)
+    """Whether `obj` rests on the support below it, neither above nor below it, as on the floor beside a table."""
+    return _is_level(vertical_extent(obj)[0] - support_height(scene, obj), obj.error)
 
 
 def _is_level(height: float, error: float) -> bool | None:
@@ -137,12 +137,29 @@ def _is_level(height: float, error: float) -> bool | None:
     return all_true((below(height, SURFACE_TOLERANCE, error), negate(below(height, -SURFACE_TOLERANCE, error))))
 
 
-def support_height(scene: Scene) -> float:
-    """Height [m] of the support surface: the table, or the floor."""
-    supports = [obj for obj in scene.objects if obj.role == "support"]
-    if not supports or isinstance(supports[0].shape, HalfSpace):
+def support_height(scene: Scene, obj: SceneObject) -> float:
+    """Height [m] of the highest support surface below `obj`, or else of the nearest one; without any, of the floor."""
+    supports = [one for one in scene.objects if one.role == "support"]
+    if not supports:
         return 0.0
-    return vertical_extent(supports[0])[1]
+    nearest = min(supports, key=lambda one: (_distance_outside(one, obj), -_surface_height(one)))
+    return _surface_height(nearest)
+
+
+def _surface_height(support: SceneObject) -> float:
+    return 0.0 if isinstance(support.shape, HalfSpace) else vertical_extent(support)[1]
+
+
+def _distance_outside(support: SceneObject, obj: SceneObject) -> float:
+    """Horizontal distance [m] of the centre of `obj` from the outline of a support; 0 above it."""
+    if isinstance(support.shape, HalfSpace):
+        return 0.0
+    if not isinstance(support.shape, Box):
+        return max(0.0, horizontal_distance(obj, support) - half_width(support.shape))
+    axes = quaternion_to_matrix(support.pose.quaternion)[:2, :2]
+    offset = np.subtract(obj.pose.position, support.pose.position)[:2]
+    beyond = np.maximum(np.abs(offset @ axes) - support.shape.half_extents[:2], 0.0)
+    return float(np.hypot(*beyond))
 
 
 def relation_holds(obj: SceneObject, relation: Relation, references: tuple[str, ...], scene: Scene) -> bool | None:

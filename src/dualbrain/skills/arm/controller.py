@@ -133,8 +133,9 @@ class ArmController:
 
     @property
     def support(self) -> SceneObject | None:
-        """The support surface, if one is perceived."""
-        return next((obj for obj in self.observation.scene.objects if obj.role == "support"), None)
+        """The support surface whose centre is nearest to the arm, if one is perceived."""
+        supports = (obj for obj in self.observation.scene.objects if obj.role == "support")
+        return min(supports, key=lambda obj: float(np.hypot(*obj.pose.position[:2])), default=None)
 
     @property
     def support_height(self) -> float:

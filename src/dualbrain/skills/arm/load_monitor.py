@@ -61,7 +61,7 @@ class _ToolPose:
     time: float
     position: Array
     rotation: Array
-    opening: float
+    opening: float | None
 
 
 class LoadMonitor:
@@ -105,13 +105,14 @@ class LoadMonitor:
         now = observation.now
         if press_on_object(observation.state):
             self._pressed_at = now
-        closed = self._poses[0].opening - self._poses[-1].opening > MAX_CLOSING
+        known = [one.opening for one in self._poses if one.opening is not None]
+        closed = bool(known) and known[0] - known[-1] > MAX_CLOSING
         return closed or now - self._pressed_at > LOSS_TIME
 
     def _store_pose(self, observation: Observation) -> None:
         tool, now = observation.tool, observation.now
         if not self._poses or now > self._poses[-1].time:
-            self._poses.append(_ToolPose(now, tool.position, tool.rotation, observation.state.opening or 0.0))
+            self._poses.append(_ToolPose(now, tool.position, tool.rotation, observation.state.opening))
         while now - self._poses[0].time > MAX_AGE:
             self._poses.popleft()
 

@@ -156,10 +156,9 @@ def _set_down(arm: ArmController, down: ToolGoal, surface: float) -> SubRoutine:
 
 
 def _check_load_lost(arm: ArmController, name: str) -> SkillResult | None:
-    """The result for a load that the fingers no longer press on; from then on it is an obstacle again."""
-    if arm.is_gripping():
+    """The result for a load that was lost on the way, which the monitor of the load decides."""
+    if arm.holding is not None:
         return None
-    arm.holding = None
     return SkillResult(SkillStatus.FAILED, f"carry: {name} was lost on the way", FailureCause.LOAD_LOST)
 
 

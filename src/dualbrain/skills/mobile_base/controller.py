@@ -50,6 +50,8 @@ PREDICTION_HORIZON = 3.0
 """Shortest horizon of the prediction of people [s]."""
 PASSING_DISTANCE = 2.2
 """Distance [m] on which the base passes a person: the prediction covers the time until the base has driven it."""
+DETOUR_LENGTH = 0.2
+"""Additional length of a new path [m] from which progress is measured anew."""
 REPLAN_PERIOD = 1.0
 """Time [s] between the start of two path searches while driving."""
 
@@ -129,10 +131,12 @@ class BaseController:
                 search = plan_path(self.with_keep_out_boxes(self.observation.scene), here, goal, self.footprint_radius)
                 replanning = BackgroundComputation(search, steps_per_tick(self.robot_model.period))
             if replanning is not None and replanning.advance():
-                path, planned_at, replanning = replanning.result or path, self.observation.now, None
-            if why := progress.update(
-                self.observation.active_time, away + 0.05 * abs(_heading_error(heading, path, here))
-            ):
+                before, path = path, replanning.result or path
+                planned_at, replanning = self.observation.now, None
+                if _length_left(path, here) > _length_left(before, here) + DETOUR_LENGTH:
+                    progress = self._make_watchdog(path, speed)
+            left = _length_left(path, here) + 0.05 * abs(_heading_error(heading, path, here))
+            if why := progress.update(self.observation.active_time, left):
                 return SkillResult(
                     SkillStatus.TAKEN_OVER, f"drive: {why}, {away * 100:.0f} cm from the goal", FailureCause.NO_PROGRESS
                 )
@@ -205,7 +209,7 @@ class BaseController:
         return np.array([fast, turn])
 
     def _make_watchdog(self, path: Sequence[Array], speed: float) -> ProgressWatchdog:
-        length = sum(float(np.linalg.norm(b - a)) for a, b in pairwise(path))
+        length = _length_left(path, self.pose[0])
         return ProgressWatchdog(
             self.observation.active_time, time_limit=20.0 + 4.0 * length / speed, timeout=DRIVE_PROGRESS_TIMEOUT
         )
@@ -271,16 +275,28 @@ def _heading_error(heading: float, path: Sequence[Array], here: Array) -> float:
     return wrap_angle(atan2(dy, dx) - heading)
 
 
-def _point_along(path: Sequence[Array], here: Array, distance: float) -> Array:
-    """The point (2,) that is `distance` [m] beyond the point of the path nearest to `here`."""
-    best, at, share = np.inf, 0, 0.0
+def _nearest(path: Sequence[Array], here: Array) -> tuple[int, Array]:
+    """The segment of the path nearest to `here`, and the point (2,) on it."""
+    best, at, point = np.inf, 0, path[0]
     for k, (a, b) in enumerate(pairwise(path)):
         line = b - a
         along = float(np.clip((here - a) @ line / (line @ line + 1e-12), 0.0, 1.0))
         away = float(np.linalg.norm(here - a - along * line))
         if away < best - 1e-9:
-            best, at, share = away, k, along
-    point, left = path[at] + share * (path[at + 1] - path[at]), distance
+            best, at, point = away, k, a + along * line
+    return at, point
+
+
+def _length_left(path: Sequence[Array], here: Array) -> float:
+    """The length [m] of the path from the point nearest to `here`, and the distance to that point."""
+    at, point = _nearest(path, here)
+    rest = (point, *path[at + 1 :])
+    return float(np.linalg.norm(here - point)) + sum(float(np.linalg.norm(b - a)) for a, b in pairwise(rest))
+
+
+def _point_along(path: Sequence[Array], here: Array, distance: float) -> Array:
+    """The point (2,) that is `distance` [m] beyond the point of the path nearest to `here`."""
+    (at, point), left = _nearest(path, here), distance
     for b in path[at + 1 :]:
         length = float(np.linalg.norm(b - point))
         if length >= left:
