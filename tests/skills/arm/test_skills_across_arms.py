@@ -1,8 +1,11 @@
 """The same skills on two arm models: on the bare scene every contract succeeds and the filter changes nothing."""
 
+import msgspec
 import numpy as np
 import pytest
 
+from dualbrain.core.geometry.shapes import Capsule, Pose
+from dualbrain.records import FailureCause, SceneObject
 from dualbrain.simulation.perception.noisy_perception import NO_NOISE, PerceptionNoise
 from tests.skills.arm.test_skills_in_simulation import SkillCell, grasp, move_to, place
 
@@ -71,6 +74,42 @@ def test_a_push_past_its_destination_fails():
     outcome = cell.run(push(destination="table_front", distance=0.25), push(destination="table_front", distance=0.25))
     assert outcome.kind == "failed"
     assert "nearer to red_cube than the push is long" in outcome.reason
+
+
+def test_a_push_that_gave_way_to_a_person_does_not_come_down_on_the_object():
+    """A forearm crosses above the cube while it is pushed; the arm rises over it, and the push ends."""
+    cell = SkillCell(seed=1)
+    perceive, loop = cell.world.perceive, cell.executor.loop
+    first = perceive().find("red_cube").pose.position
+    heights, crossing = [], []
+
+    def perceive_with_person():
+        scene = perceive()
+        moved = np.hypot(*np.subtract(scene.find("red_cube").pose.position, first)[:2])
+        tool = loop.safety.tool(loop.state.q).position
+        if loop.phase == "push" and moved > 0.03 and not crossing:
+            crossing.append((scene.stamp, tool))
+        if not crossing:
+            return scene
+        since, (x, y, _) = scene.stamp - crossing[0][0], crossing[0][1]
+        heights.append((loop.phase, float(tool[2])))
+        forearm = SceneObject(
+            name="forearm",
+            role="person",
+            shape=Capsule(0.045, 0.15),
+            pose=Pose((float(x), float(y) + 0.9 - 0.6 * since, 0.22), (0.5**0.5, 0.0, 0.5**0.5, 0.0)),
+            velocity=(0.0, -0.6, 0.0),
+            stamp=scene.stamp,
+            error=0.01,
+        )
+        return msgspec.structs.replace(scene, objects=(*scene.objects, forearm)) if since < 5.0 else scene
+
+    cell.world.perceive = perceive_with_person
+    outcome = cell.run(push(destination="table_left", distance=0.12))
+    assert outcome.kind == "failed"
+    assert outcome.actions[-1].cause is FailureCause.PERSON
+    risen = next(k for k, (_, height) in enumerate(heights) if height > 0.2)
+    assert min(height for _, height in heights[risen:]) > 0.15
 
 
 def test_a_push_with_something_in_the_hand_fails():

@@ -9,12 +9,11 @@ from dualbrain.contracts.skill_spec import ContactPermit, NameParameter, NumberP
 from dualbrain.records import FailureCause, SceneObject
 from dualbrain.robots.model import RobotModel
 from dualbrain.skills import parameters
-from dualbrain.skills.arm.controller import ArmController, SubRoutine, ToolGoal, goal_at_height
+from dualbrain.skills.arm.controller import YIELDED, ArmController, SubRoutine, ToolGoal, goal_at_height
 from dualbrain.skills.arm.waypoints import (
     CONTACT_APPROACH_SPEED,
     descend,
     follow_waypoints,
-    reach_goal,
     wait_for_people,
 )
 from dualbrain.skills.kinematics import object_geometry
@@ -114,12 +113,18 @@ def routine(
     before = np.array(arm.find_object(object).pose.position)
     end = low.position + (START_CLEARANCE + distance) * np.array([*direction, 0.0])
     goal = yield from arm.translate_goal(low, end)
-    if why := (yield from reach_goal(arm, goal, "push", CONTACT_APPROACH_SPEED)):
+    why = yield from arm.move_tool(goal, "push", CONTACT_APPROACH_SPEED)
+    if why is YIELDED:  # a straight line to the end would lead down onto the object
+        return SkillResult(SkillStatus.FAILED, f"push: the hand left {object} for a person", FailureCause.PERSON)
+    if why:
         return why
     back = arm.current_goal().position - RETREAT_DISTANCE * np.array([*direction, 0.0])
     for position in (back, np.array([back[0], back[1], above.position[2]])):
         goal = yield from arm.translate_goal(low, position)
-        if why := (yield from reach_goal(arm, goal, "retreat", min(speed, 0.1))):
+        why = yield from arm.move_tool(goal, "retreat", min(speed, 0.1))
+        if why is YIELDED:  # the hand is above the object
+            break
+        if why:
             return why
     moved = float((np.array(arm.find_object(object).pose.position) - before)[:2] @ direction)
     summary = f"{object} went {moved * 100:.0f} of {distance * 100:.0f} cm toward {destination}"
