@@ -13,6 +13,7 @@ from dualbrain.control.recording.grip_profile import grip_profiles
 from dualbrain.control.recording.trace import Trace
 from dualbrain.robots.interface import RobotState, home_state
 from dualbrain.robots.loader import load_robot
+from dualbrain.skills.arm.load_monitor import press_on_object
 
 PERIOD, N = 0.01, 7
 GRASP, PLACE = Action("grasp", {"object": "red_cube"}), Action("place", {"destination": "blue_bowl"})
@@ -61,6 +62,14 @@ def test_a_grip_that_lasts():
     (one,) = profiles(trace_of((0, 0.04, 0.0, 20), (0, 0.02, 20.0, 60), (-1, 0.02, 20.0, 9)), GRASP)
     assert one.holds_at_end
     assert not one.released
+
+
+@pytest.mark.parametrize("opening", [0.0, 0.0004, 0.0005, 0.0015])
+def test_a_thin_object_is_held_as_the_skills_decide(opening):
+    trace = trace_of((0, 0.04, 0.0, 20), (0, opening, 10.0, 60))
+    (one,) = profiles(trace, GRASP)
+    state = replace(home_state(load_robot("panda")), opening=opening, finger_forces=(10.0, 10.0))
+    assert one.holds_at_end == press_on_object(state)
 
 
 def test_an_object_that_is_lost():

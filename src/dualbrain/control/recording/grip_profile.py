@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 from dualbrain.contracts.contract import Action, Contract
 from dualbrain.control.recording.trace import Array, Trace
 from dualbrain.records import CLOSING_WINDOW, GripProfile
+from dualbrain.skills.arm.load_monitor import EMPTY_OPENING
 
 CONTACT_FORCE = 0.5
 """Force on each finger that counts as contact [N]."""
-EMPTY_OPENING = 0.002
-"""Fingers at or below this opening have closed on nothing [m per finger]."""
 SETTLING_TIME = 0.15
 """Time [s] after the first contact in which the fingers still close onto the surface."""
 OPENING_SKILLS = ("place", "release")
@@ -78,7 +77,7 @@ def _profile(
         released=released,
         end_force=end_force,
         end_opening=end_opening,
-        holds_at_end=not released and end_force >= CONTACT_FORCE and end_opening > EMPTY_OPENING,
+        holds_at_end=not released and end_force >= CONTACT_FORCE and end_opening >= EMPTY_OPENING,
     )
 
 
