@@ -51,7 +51,7 @@ PREDICTION_HORIZON = 3.0
 PASSING_DISTANCE = 2.2
 """Distance [m] on which the base passes a person: the prediction covers the time until the base has driven it."""
 DETOUR_LENGTH = 0.2
-"""Additional length of a new path [m] from which progress is measured anew."""
+"""Additional length of a new path [m] with which the measurement of progress starts again."""
 REPLAN_PERIOD = 1.0
 """Time [s] between the start of two path searches while driving."""
 
