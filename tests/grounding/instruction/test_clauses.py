@@ -194,3 +194,34 @@ def test_the_time_is_linear_in_the_length_of_the_text():
     for unit in units:
         short, long = (min(seconds(unit * n) for _ in range(2)) for n in (400, 1600))
         assert long < 12 * max(short, 0.01), unit
+
+
+@pytest.mark.parametrize(
+    "addition",
+    ["Never mind.", "I changed my mind.", "No.", "No!", "That was a joke.", "I was joking.", "I will do it myself."],
+)
+def test_a_request_that_is_withdrawn_is_declined(addition):
+    text = f"put the red cube in the bowl. {addition}"
+    (clause,) = find_clauses(normalise(text), capabilities(load_skill_registry("panda")), ("blue_bowl",), ("red_cube",))
+    assert clause.kind == "exclusion"
+    assert clause.quote in addition
+
+
+@pytest.mark.parametrize(
+    ("text", "declined"),
+    [
+        ("I don't want you to put the red cube in the bowl", True),
+        ("I don't think you should put the red cube in the bowl", True),
+        ("my boss says no: put the red cube in the bowl", True),
+        ("put none of the blocks in the bowl", True),
+        ("put the red cube anywhere but in the bowl", True),
+        ("I don't want it to break, so put the glass gently in the bowl", False),
+        ("no, put the red cube in the bowl", False),
+        ("never mind the mess, put the red cube in the bowl", False),
+    ],
+)
+def test_a_request_that_is_refused_by_the_person_is_declined(text, declined):
+    found = find_clauses(
+        normalise(text), capabilities(load_skill_registry("panda")), ("blue_bowl",), ("red_cube", "glass")
+    )
+    assert bool(found) is declined

@@ -58,7 +58,7 @@ class PressingCell:
 
     def press(self, seconds, speed=0.05):
         """Forces [N] on the block while the hand is commanded to move down at `speed` [m/s]."""
-        contacts = tuple(PermittedContact(part, HIDDEN, speed) for part in ("fingers", "hand"))
+        contacts = tuple(PermittedContact(part, HIDDEN, 0.05) for part in ("fingers", "hand"))
         forces = []
         for _ in range(round(seconds / self.plant.robot_model.period)):
             tool = self.safety.tool(self.loop.state.q)

@@ -174,3 +174,10 @@ ALLOWED_OR = re.compile(
 )
 EITHER = re.compile(r"\beither\b|\bwhichever\b|\bone or the other\b")
 WHETHER = re.compile(r"\bwhether\b")
+RETRACTION = re.compile(
+    r"\bchanged (?:my|our) minds?\b|\b(?:i|we) (?:am|are|was|were) (?:only |just )?(?:joking|kidding)\b"
+    r"|\b(?:it|that|this) (?:is|was) (?:only |just )?a (?:joke|mistake)\b"
+    r"|\b(?<!or )(?:i|we) (?:will|would rather) do (?:it|that) (?:myself|ourselves)\b"
+    r"|(?<=[.!?;,] )never mind(?: (?:that|it|then))?(?= ?[.!?]*$)|(?<=[.!?] )(?:no|he said no|she said no)(?= ?[.!?]*$)"
+)
+"""Words after a request that withdraw it, although they are remarks by their form."""

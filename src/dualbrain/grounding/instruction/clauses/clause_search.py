@@ -103,6 +103,8 @@ def find_clauses(
     for match in patterns.QUESTION_THEN.finditer(text):
         if not ("occupancy" in abilities.names and _is_about_occupancy(match[0], text, containers)):
             found.append((match.start(), match.end(), "condition"))
+    for match in patterns.RETRACTION.finditer(words.text):
+        found.append((match.start(), match.end(), "exclusion"))
     found = [one for one in found if not any(_is_inside(other, one) for other in found)]
     found.sort(key=lambda clause: (clause[0], -clause[1]))
     clauses: list[Clause] = []

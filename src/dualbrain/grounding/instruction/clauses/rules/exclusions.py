@@ -49,4 +49,18 @@ EXCLUSIONS: tuple[ClauseRule, ...] = (
         ),
         re.compile(r"\bleave (?:it as it is|(?:the rest|all the rest|all else|the others))\b"),
     ),
+    ClauseRule(  # refusals of the request itself
+        "exclusion",
+        re.compile(
+            r"\b(?:he|she|they|boss|nobody|mother|father|wife|husband) (?:said|says|say) no\b"
+            r"|\b(?:i|we) (?:do|did|would) not (?:want|need|ask|like|wish|tell)(?: for)? you to\b"
+            r"|\b(?:i|we) do not think (?:that )?you should\b"
+            r"|\b(?:put|place|move|take|bring|push|grasp|touch|lift|pick up) none of\b"
+            r"|\b(?:anywhere|everywhere|somewhere) but\b"
+        ),
+        re.compile(
+            r"\bnot (?:want|need|ask|like|wish|tell)(?: for)? you to "
+            r"(?:hurry|rush|worry|break|drop|spill|hurt|hit|bump|tip|topple|get hurt|be late|scratch|damage|crash)\b"
+        ),
+    ),
 )
