@@ -115,7 +115,8 @@ def routine(
     goal = yield from arm.translate_goal(low, end)
     why = yield from arm.move_tool(goal, "push", CONTACT_APPROACH_SPEED)
     if why is YIELDED:  # a straight line to the end would lead down onto the object
-        return SkillResult(SkillStatus.FAILED, f"push: a person is in the way, the hand left {object}", FailureCause.PERSON)
+        reason = f"push: a person is in the way, the hand left {object}"
+        return SkillResult(SkillStatus.FAILED, reason, FailureCause.PERSON)
     if why:
         return why
     back = arm.current_goal().position - RETREAT_DISTANCE * np.array([*direction, 0.0])
