@@ -212,7 +212,6 @@ def test_a_request_that_is_withdrawn_is_declined(addition):
     [
         ("I don't want you to put the red cube in the bowl", True),
         ("I don't think you should put the red cube in the bowl", True),
-        ("my boss said no: put the red cube in the bowl", True),
         ("put none of the blocks in the bowl", True),
         ("put the red cube anywhere but in the bowl", True),
         ("I don't want it to break, so put the glass gently in the bowl", False),
