@@ -179,6 +179,7 @@ class SimulatedWorld:
             return Judgement(success, progress, violations, JudgementBasis(self._judge is not None, reason))
         if self._has_goal:
             success = success and verdict.success is not False
+            progress = progress if success else min(progress, HARMED_PROGRESS)
             return Judgement(success, progress, violations, JudgementBasis(judged=True, reason=verdict.reason))
         progress = 1.0 if verdict.success else min(progress, HARMED_PROGRESS)
         basis = JudgementBasis(verdict.success is not None, verdict.reason)

@@ -225,8 +225,7 @@ class MobileManipulatorController:
         """The local frame: below the first axis of the arm, along the heading, at the height of the nearest support."""
         rotation, position = base_pose(self.observation.state.q)
         origin = np.array(position) + rotation @ self._mount
-        supports = [obj for obj in self.observation.scene.objects if obj.role == "support"]
-        nearest = min(supports, key=lambda obj: _floor_distance(obj, origin), default=None)
+        nearest = object_geometry.nearest_support(self.observation.scene, float(origin[0]), float(origin[1]))
         height = object_geometry.top_height(nearest) if nearest else float(origin[2])
         return LocalFrame(rotation, np.array([origin[0], origin[1], height]))
 
@@ -236,11 +235,6 @@ class MobileManipulatorController:
         if cached is None or cached[0] is not scene or cached[1] is not frame:
             cached = self._local_scene_cache = (scene, frame, frame.localize_scene(scene))
         return cached[2]
-
-
-def _floor_distance(obj: SceneObject, point: Array) -> float:
-    """Horizontal distance [m] between `point` and the centre of `obj`."""
-    return float(np.hypot(obj.pose.position[0] - point[0], obj.pose.position[1] - point[1]))
 
 
 def _vector(values: Sequence[float] | Array) -> Vector:

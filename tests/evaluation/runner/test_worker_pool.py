@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import dataclass, field
 from functools import partial
@@ -42,6 +43,8 @@ def double(unit):
     """Doubles a number, or fails, dies or hangs."""
     if unit.parameters.get("die"):
         os._exit(9)
+    if "die_after_s" in unit.parameters:
+        threading.Timer(unit.parameters["die_after_s"], os._exit, [9]).start()
     time.sleep(unit.parameters.get("pause_s", 0.0))
     n = unit.parameters["n"]
     yield {"key": unit.key, "double": n + n, "worker": os.getpid(), "nice": os.nice(0)}
@@ -118,6 +121,18 @@ def test_a_worker_that_hangs_is_killed_and_its_lines_count():
     )
     assert not ended(reports)["next"].error
     assert [report.line["double"] for report in reports if report.line and "double" in report.line] == [2, 4]
+
+
+def test_a_worker_that_dies_between_two_units_is_replaced():
+    """It is killed after it has reported the end of its unit, while its parent is busy with a line of it."""
+    units = [SampleUnit("1", {"n": 1, "die_after_s": 0.1}), SampleUnit("2", {"n": 2}), SampleUnit("3", {"n": 3})]
+    reports = []
+    for report in ProcessPool(make_doubler, 1).run_units(units):
+        reports.append(report)
+        if report.line and "worker" in report.line and report.unit.key == "1":
+            wait_until(lambda worker=report.line["worker"]: not process_state(worker))
+            time.sleep(0.2)  # its other threads end after the first one, and its pipe closes with the last
+    assert {key: report.error for key, report in ended(reports).items()} == {"1": "", "2": "", "3": ""}
 
 
 @pytest.mark.parametrize(("hang", "number"), [(False, signal.SIGKILL), (True, signal.SIGKILL), (True, signal.SIGTERM)])

@@ -198,7 +198,16 @@ def test_the_time_is_linear_in_the_length_of_the_text():
 
 @pytest.mark.parametrize(
     "addition",
-    ["Never mind.", "I changed my mind.", "No.", "No!", "That was a joke.", "I was joking.", "I will do it myself."],
+    [
+        "Never mind.",
+        "I changed my mind.",
+        "He said no.",
+        "No.",
+        "No!",
+        "That was a joke.",
+        "I was joking.",
+        "I will do it myself.",
+    ],
 )
 def test_a_request_that_is_withdrawn_is_declined(addition):
     text = f"put the red cube in the bowl. {addition}"

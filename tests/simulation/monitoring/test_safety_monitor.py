@@ -1,10 +1,12 @@
 """The safety monitor: no violation in a resting scene; every kind of violation is detected, merged and named."""
 
+import msgspec
 import numpy as np
 import pytest
 
 from dualbrain.core.geometry.shapes import Box, Cylinder
 from dualbrain.errors import UnknownNameError
+from dualbrain.records import Violation
 from dualbrain.robots.interface import Command
 from dualbrain.simulation.monitoring.contact_rules import CONTACT_PHASES
 from dualbrain.simulation.monitoring.safety_monitor import PEAK_UNITS, SafetyMonitor
@@ -313,3 +315,18 @@ def test_the_kinds_of_violation_with_a_unit():
         "shaken_load",
         "unauthorised",
     }
+
+
+@pytest.mark.parametrize("speed", [1e12, 1e155, 1e200])
+def test_a_diverged_simulation_has_violations_that_can_be_written_and_read(speed):
+    """Forces and speeds are not finite then, and the row of the episode is JSON."""
+    p = make_plant("bare", 1)
+    monitor = settled_monitor(p)
+    p.data.qvel[p.arm_slices[1]] = speed
+    for _ in range(50):
+        p.step()
+        monitor.update()
+    assert monitor.measurements().physics_warnings > 0
+    found = monitor.violations()
+    assert found
+    assert msgspec.json.decode(msgspec.json.encode(found), type=tuple[Violation, ...]) == found

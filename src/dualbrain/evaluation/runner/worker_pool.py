@@ -165,8 +165,14 @@ class ProcessPool(Generic[U]):
 
     def _assign_unit(self, busy: dict[Any, BusyWorker[U]], handle: WorkerHandle, unit: U) -> None:
         pipe, process = handle
-        busy[pipe] = BusyWorker(process, unit, self._clock())
-        pipe.send(unit)
+        try:
+            pipe.send(unit)
+        except OSError:  # the worker died after the end of its last unit
+            pipe.close()
+            process.terminate()
+            self._assign_unit(busy, self._start_worker(), unit)
+        else:
+            busy[pipe] = BusyWorker(process, unit, self._clock())
 
 
 def report_unit(run_unit: UnitRunner[U], unit: U) -> Iterator[UnitReport[U]]:

@@ -70,6 +70,13 @@ PEAK_UNITS = {
 }
 """Kinds of violation and the unit of their peak; an unauthorised skill call counts 1."""
 
+MAX_PEAK = 1e9
+"""Largest recorded peak; a value that is not finite, of a simulation that has diverged, is recorded as this one."""
+
+
+def _finite(value: float) -> float:
+    return value if value < MAX_PEAK else MAX_PEAK
+
 
 @dataclass(kw_only=True)
 class _OpenViolation:
@@ -213,6 +220,7 @@ class SafetyMonitor:
             )
 
     def _check_contact(self, bodies: tuple[str, str], verdict: int, force: float, limit: float, *, now: float) -> None:
+        force = _finite(force)
         if math.isfinite(limit):
             self._fragile_force = max(self._fragile_force, force)
         if force > limit:
@@ -250,7 +258,7 @@ class SafetyMonitor:
             self._record(kind, (name,), peak, now, hold=SLOW_CHECK_STEPS * PHYSICS_PERIOD)
 
     def _record(self, kind: str, bodies: tuple[str, ...], peak: float, now: float, hold: float = 0.0) -> None:
-        key = (kind, bodies)
+        key, peak = (kind, bodies), _finite(peak)
         known = self._open.get(key)
         if known is not None and now - known.last_seen <= MERGE_GAP + hold:
             known.last_seen, known.peak = now, max(known.peak, peak)

@@ -26,7 +26,13 @@ from dualbrain.skills.kinematics.clearance_prediction import (
     ToolGoal,
 )
 from dualbrain.skills.kinematics.inverse_kinematics import MAX_STEPS_PER_CANDIDATE, InverseKinematics
-from dualbrain.skills.kinematics.object_geometry import CLEARANCE, bottom_height, part_clearance, top_height
+from dualbrain.skills.kinematics.object_geometry import (
+    CLEARANCE,
+    bottom_height,
+    nearest_support,
+    part_clearance,
+    top_height,
+)
 from dualbrain.skills.kinematics.resolved_rate import ResolvedRate, pose_error
 from dualbrain.skills.progress_watchdog import PROGRESS_TIMEOUT, ProgressWatchdog
 from dualbrain.skills.skill import (
@@ -134,8 +140,7 @@ class ArmController:
     @property
     def support(self) -> SceneObject | None:
         """The support surface whose centre is nearest to the arm, if one is perceived."""
-        supports = (obj for obj in self.observation.scene.objects if obj.role == "support")
-        return min(supports, key=lambda obj: float(np.hypot(*obj.pose.position[:2])), default=None)
+        return nearest_support(self.observation.scene, 0.0, 0.0)
 
     @property
     def support_height(self) -> float:

@@ -10,6 +10,7 @@ fingers press. A load slips once its perceived position in the tool frame differ
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -105,8 +106,8 @@ class LoadMonitor:
         now = observation.now
         if press_on_object(observation.state):
             self._pressed_at = now
-        known = [one.opening for one in self._poses if one.opening is not None]
-        closed = bool(known) and known[0] - known[-1] > MAX_CLOSING
+        first, last = (_first_known(poses) for poses in (self._poses, reversed(self._poses)))
+        closed = first is not None and last is not None and first - last > MAX_CLOSING
         return closed or now - self._pressed_at > LOSS_TIME
 
     def _store_pose(self, observation: Observation) -> None:
@@ -129,6 +130,10 @@ class LoadMonitor:
             return 0.0
         self._offset, self._offset_error = offset, obj.error
         return distance
+
+
+def _first_known(poses: Iterable[_ToolPose]) -> float | None:
+    return next((one.opening for one in poses if one.opening is not None), None)
 
 
 def press_on_object(state: RobotState) -> bool:

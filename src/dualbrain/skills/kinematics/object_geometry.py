@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import hypot
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from dualbrain.core.geometry.distance import bounding_solid, signed_distance
 from dualbrain.core.geometry.rotations import quaternion_to_matrix
 from dualbrain.core.geometry.shapes import Bowl, Box, Capsule, Cylinder, Pose, Shape, Sphere
-from dualbrain.records import SceneObject
+from dualbrain.records import Scene, SceneObject
 
 Array = NDArray[np.float64]
 
@@ -51,6 +52,12 @@ def top_height(obj: SceneObject) -> float:
     if isinstance(obj.shape, Bowl):
         return obj.pose.position[2] + obj.shape.height
     return obj.pose.position[2] + half_height(obj.shape, obj.pose)
+
+
+def nearest_support(scene: Scene, x: float, y: float) -> SceneObject | None:
+    """The support whose centre is horizontally nearest to the point (x, y) [m]; None if the scene has none."""
+    supports = (obj for obj in scene.objects if obj.role == "support")
+    return min(supports, key=lambda obj: hypot(obj.pose.position[0] - x, obj.pose.position[1] - y), default=None)
 
 
 def bottom_height(obj: SceneObject) -> float:

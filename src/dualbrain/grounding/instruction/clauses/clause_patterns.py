@@ -178,6 +178,7 @@ RETRACTION = re.compile(
     r"\bchanged (?:my|our) minds?\b|\b(?:i|we) (?:am|are|was|were) (?:only |just )?(?:joking|kidding)\b"
     r"|\b(?:it|that|this) (?:is|was) (?:only |just )?a (?:joke|mistake)\b"
     r"|\b(?<!or )(?:i|we) (?:will|would rather) do (?:it|that) (?:myself|ourselves)\b"
-    r"|(?<=[.!?;,] )never mind(?: (?:that|it|then))?(?= ?[.!?]*$)|(?<=[.!?] )(?:no|he said no|she said no)(?= ?[.!?]*$)"
+    r"|(?<=[.!?;,] )never mind(?: (?:that|it|then))?(?= ?[.!?]*$)|(?<=[.!?] )no(?= ?[.!?]*$)"
+    r"|\b(?:he|she|they|boss|mother|father|wife|husband) (?:said|says|say) no\b"
 )
 """Words after a request that withdraw it, although they are remarks by their form."""

@@ -52,8 +52,7 @@ EXCLUSIONS: tuple[ClauseRule, ...] = (
     ClauseRule(  # refusals of the request itself
         "exclusion",
         re.compile(
-            r"\b(?:he|she|they|boss|nobody|mother|father|wife|husband) (?:said|says|say) no\b"
-            r"|\b(?:i|we) (?:do|did|would) not (?:want|need|ask|like|wish|tell)(?: for)? you to\b"
+            r"\b(?:i|we) (?:do|did|would) not (?:want|need|ask|like|wish|tell)(?: for)? you to\b"
             r"|\b(?:i|we) do not think (?:that )?you should\b"
             r"|\b(?:put|place|move|take|bring|push|grasp|touch|lift|pick up) none of\b"
             r"|\b(?:anywhere|everywhere|somewhere) but\b"
