@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 
+from dualbrain.grounding.instruction.clauses.clause_patterns import RETRACTION
 from dualbrain.grounding.instruction.goals import goal_words
 from dualbrain.grounding.instruction.goals.goal import (
     Condition,
@@ -20,6 +21,7 @@ from dualbrain.grounding.instruction.goals.goal import (
     Unread,
 )
 from dualbrain.grounding.instruction.goals.noun_phrases import Absent, Found, Resolved, Unclear, Vocabulary
+from dualbrain.grounding.instruction.words import normalise
 from dualbrain.records import Scene
 
 PRONOUNS = ("it", "them", "that", "this", "these", "those")
@@ -174,6 +176,8 @@ Form = Callable[[str, Scene, Vocabulary, tuple[str, ...]], "Conditions | Goal | 
 
 def refused_clause(text: str) -> str:
     """Why an instruction with the words `text` is to be declined in any scene; "" if it need not be."""
+    if withdrawn := RETRACTION.search(normalise(text).text):
+        return f'"{withdrawn[0].strip()}" withdraws the request'
     words = set(re.findall(r"[a-z-]+", text))
     for phrase in goal_words.UNAUTHORISED_PHRASES:
         if phrase in text and not re.search(r"\b(?:do not|don't|never)\b", text):
