@@ -82,12 +82,15 @@ def _wrong_order(goal: Goal, evidence: Evidence) -> str:
 
     Only placements of single objects have an order; the order of the objects of one phrase is free.
     """
-    if not goal.ordered:
-        return ""
-    named = [one.objects[0] for one in goal.conditions if isinstance(one, Placed) and len(one.objects) == 1]
-    order = [grip.object_name for grip in evidence.grips if grip.object_name in named]
+    ranks = {
+        one.objects[0]: rank
+        for rank, group in enumerate(goal.steps)
+        for one in group
+        if isinstance(one, Placed) and len(one.objects) == 1
+    }
+    order = [grip.object_name for grip in evidence.grips if grip.object_name in ranks]
     last = [name for index, name in enumerate(order) if name not in order[index + 1 :]]
-    wanted = [name for name in named if name in last]
+    wanted = sorted(last, key=lambda name: ranks[name])
     if last == wanted:
         return ""
     return f"The objects were placed in the order {', '.join(last)}, but the instruction states {', '.join(wanted)}."

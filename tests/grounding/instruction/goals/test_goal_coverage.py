@@ -93,6 +93,64 @@ def test_a_contract_that_does_not_do_the_whole_instruction_is_rejected_with_a_hi
 
 
 @pytest.mark.parametrize(
+    ("instruction", "steps"),
+    [
+        ("wait five seconds, then put the red cube in the bowl", [PAUSE, CUBE, BOWL]),
+        ("wait five seconds and put the red cube in the bowl", [PAUSE, CUBE, BOWL]),
+        ("wait five seconds before you put the red cube in the bowl", [PAUSE, CUBE, BOWL]),
+        ("before you put the red cube in the bowl, wait five seconds", [PAUSE, CUBE, BOWL]),
+        ("put the red cube in the bowl, but wait five seconds first", [PAUSE, CUBE, BOWL]),
+        ("put the red cube in the bowl, but first wait five seconds", [PAUSE, CUBE, BOWL]),
+        ("put the red cube in the bowl and wait five seconds", [CUBE, BOWL, PAUSE]),
+        ("pick up the red cube, wait five seconds, then put it in the bowl", [CUBE, PAUSE, BOWL]),
+        ("go home, then put the red cube in the bowl", [HOME, CUBE, BOWL]),
+        ("go home, then pick up the red cube", [HOME, CUBE]),
+        ("put the red cube in the bowl, then go home", [CUBE, BOWL, HOME]),
+        ("put the red cube in the bowl. Go home before that.", [HOME, CUBE, BOWL]),
+        ("put the tin in the bowl. Next put the red cube on table_left", [TIN, BOWL, CUBE, LEFT]),
+        ("put the tin in the bowl and next put the red cube on table_left", [TIN, BOWL, CUBE, LEFT]),
+        ("put the tin in the bowl, later put the red cube on table_left", [TIN, BOWL, CUBE, LEFT]),
+        ("Step 1: put the tin in the bowl. Step 2: put the red cube on table_left", [TIN, BOWL, CUBE, LEFT]),
+        ("put the tin in the bowl. Finally, put the red cube on table_left.", [TIN, BOWL, CUBE, LEFT]),
+        ("put the red cube on table_left, but first put the tin in the bowl", [TIN, BOWL, CUBE, LEFT]),
+        ("put the tin in the bowl before you put the red cube on table_left", [TIN, BOWL, CUBE, LEFT]),
+        ("push the red cube toward the bowl, then look at the tin", [PUSH, ("move_to", {"target": "green_tin"})]),
+    ],
+)
+def test_the_steps_of_a_contract_have_the_order_of_the_words(instruction, steps):
+    assert uncovered(instruction, *steps) is None
+    turned = [*steps[1:], steps[0]] if len(steps) < 4 else [*steps[2:], *steps[:2]]
+    if steps[0] == CUBE and PAUSE in steps:
+        turned = [PAUSE, *(step for step in steps if step != PAUSE)]
+    elif steps[-1] == HOME:
+        turned = [HOME, *steps[:-1]]
+    rejected = uncovered(instruction, *turned)
+    assert rejected is not None
+    assert "order" in rejected.hint
+
+
+@pytest.mark.parametrize(
+    ("instruction", "steps"),
+    [
+        ("put the tin in the bowl and put the red cube on table_left", [CUBE, LEFT, TIN, BOWL]),
+        ("put the tin in the bowl and put the red cube on table_left, then go home", [CUBE, LEFT, TIN, BOWL, HOME]),
+        ("put the tin in the bowl. Put the red cube on table_left.", [CUBE, LEFT, TIN, BOWL]),
+        ("wait five seconds, then put the red cube in the bowl", [PAUSE, CUBE, BOWL, PAUSE]),
+        ("put the red cube in the bowl, then have a rest", [CUBE, BOWL]),
+    ],
+)
+def test_clauses_without_an_order_word_may_be_carried_out_in_any_order(instruction, steps):
+    assert uncovered(instruction, *steps) is None
+
+
+@pytest.mark.parametrize("steps", [[CUBE, BOWL], [CUBE, BOWL, HOME]])
+def test_a_robot_that_is_to_go_home_before_a_placement_does_so(steps):
+    rejected = uncovered("go home, then put the red cube in the bowl", *steps)
+    assert rejected is not None
+    assert "home" in rejected.hint
+
+
+@pytest.mark.parametrize(
     ("places", "covered"),
     [(["charger", "shelf"], True), (["shelf", "charger"], False), (["shelf"], False), (["charger"], False)],
 )

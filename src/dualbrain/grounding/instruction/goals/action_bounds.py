@@ -18,7 +18,8 @@ def action_bounds(goal: Goal, scene: Scene, holding: str | None = None) -> tuple
     action or more than a contract may have.
     """
     least = sum(_actions(condition, scene, certain=True) for condition in goal.conditions)
-    most = sum(_actions(condition, scene, certain=False) for condition in goal.conditions) + goal.pauses
+    most = sum(_actions(condition, scene, certain=False) for condition in goal.conditions)
+    most += goal.pauses + goal.is_home_on_the_way
     if holding is not None:
         saved = 1 if holding in goal.movable else 0
         least, most = least - saved, most + 1

@@ -86,6 +86,8 @@ class RobotEnds:
 
 
 Condition = Placed | Held | Pushed | Unmoved | Observed | RobotEnds
+Step = Condition | Literal["wait"]
+"""An action that an instruction asks for, as the condition that it leads to, or a pause."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,16 +95,16 @@ class Goal:
     """All `conditions` hold at the end, and no object except `movable` has moved.
 
     With `decline`, a reason, the instruction is to be declined; nothing else carries it out. If the reason is a phrase
-    that names nothing in the scene, it is `absent`. With `ordered`, the placements are to be done in the order of
-    `conditions`. On the way the robot waits `pauses` times, and a base visits the places `visits` in this order. The
-    numbers of a contract are those of `values`.
+    that names nothing in the scene, it is `absent`. The groups of `steps` are to be done in their order, the steps of
+    one group in any order. On the way the robot waits `pauses` times, and a base visits the places `visits` in this
+    order. The numbers of a contract are those of `values`.
     """
 
     conditions: tuple[Condition, ...] = ()
     decline: str = ""
     absent: str = ""
     movable: frozenset[str] = field(default_factory=frozenset)
-    ordered: bool = False
+    steps: tuple[tuple[Step, ...], ...] = ()
     pauses: int = 0
     visits: tuple[str, ...] = ()
     values: tuple[StatedValue, ...] = ()
@@ -120,9 +122,10 @@ class Goal:
         return ""
 
     @property
-    def ends_at_home(self) -> bool:
-        """Whether the instruction asks the robot to go home."""
-        return RobotEnds("home") in self.conditions
+    def is_home_on_the_way(self) -> bool:
+        """Whether the instruction asks the robot to go home before another action."""
+        home = RobotEnds("home")
+        return home not in self.conditions and any(home in group for group in self.steps)
 
 
 @dataclass(frozen=True, slots=True)

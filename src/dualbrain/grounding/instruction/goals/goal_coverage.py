@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.schema import DECLINE, MAX_ACTIONS
@@ -24,6 +25,7 @@ from dualbrain.grounding.instruction.goals.goal import (
     Placed,
     Pushed,
     RobotEnds,
+    Step,
     Unread,
 )
 from dualbrain.grounding.instruction.goals.noun_phrases import Found, Vocabulary
@@ -44,6 +46,15 @@ _ABSENCE = re.compile(r"\bthere is no (?P<phrase>[a-z]+(?: [a-z]+){0,2}) here\b"
 """The reason of a decline that a thing is absent, in the words that the planners learn."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Event:
+    """One action: the kind of step that it carries out, its object ("" without one) and its destination."""
+
+    kind: Literal["wait", "home", "drive", "grasp", "place", "push", "observe"]
+    name: str = ""
+    destination: str = ""
+
+
 @dataclass(slots=True, kw_only=True)
 class _Effects:
     """The effects of a contract that is carried out as written: objects and their destinations in the given order."""
@@ -52,10 +63,9 @@ class _Effects:
     placed: dict[str, str] = field(default_factory=dict[str, str])
     pushed: dict[str, str] = field(default_factory=dict[str, str])
     observed: set[str] = field(default_factory=set[str])
-    homes: bool = False
-    waits: bool = False
     driven_to: str = ""
     visited: list[str] = field(default_factory=list[str])
+    events: list[_Event] = field(default_factory=list["_Event"])
 
     @property
     def moved(self) -> frozenset[str]:
@@ -65,7 +75,12 @@ class _Effects:
     def put_down(self, destination: str) -> None:
         """The object in the hand is released at `destination` ("": where the hand is)."""
         if self.in_hand is not None:
+            self.events.append(_Event("place", self.in_hand, destination))
             self.placed[self.in_hand], self.in_hand = destination, None
+
+    def has(self, kind: str) -> bool:
+        """Whether an action of this kind occurs."""
+        return any(event.kind == kind for event in self.events)
 
 
 def find_uncovered(
@@ -89,7 +104,7 @@ def find_uncovered(
             return _rejected("a plan without it", "a contract that carries out the whole instruction", hint)
     if others := sorted(effects.moved - goal.movable - {holding}):
         return _rejected(others[0], sorted(goal.movable), f"the instruction does not ask to move {_words(others[0])}")
-    return _wrong_order(goal, effects) if goal.ordered else None
+    return _wrong_order(goal, effects)
 
 
 def carries_out(contract: Contract, goal: Goal, scene: Scene) -> bool:
@@ -165,21 +180,26 @@ def _add_effect(effects: _Effects, skill: str, parameters: Mapping[str, str]) ->
         case "grasp":
             effects.in_hand = parameters.get("object")
             effects.placed.pop(effects.in_hand or "", None)
+            effects.events.append(_Event("grasp", effects.in_hand or ""))
         case "place" | "release":
             effects.put_down(parameters.get("destination", ""))
         case "push":
-            effects.pushed[parameters.get("object", "")] = parameters.get("destination", "")
+            pushed, destination = parameters.get("object", ""), parameters.get("destination", "")
+            effects.pushed[pushed] = destination
+            effects.events.append(_Event("push", pushed, destination))
         case "move_to":
             effects.observed.add(parameters.get("target", ""))
+            effects.events.append(_Event("observe", parameters.get("target", "")))
         case "drive_to":
             effects.driven_to = parameters.get("place", "")
             effects.visited.append(effects.driven_to)
+            effects.events.append(_Event("drive", destination=effects.driven_to))
         case "drive_to_pose":
             effects.driven_to = ""
         case "home":
-            effects.homes = True
+            effects.events.append(_Event("home"))
         case "hold" | "stop":
-            effects.waits = True
+            effects.events.append(_Event("wait"))
         case _:
             pass
 
@@ -197,7 +217,7 @@ def _missing(condition: Condition, goal: Goal, effects: _Effects, scene: Scene) 
             hint = f"the instruction asks to push {_words(left[0])} to {_words(reference)}" if left else ""
         case Observed(name) if name not in effects.observed:
             hint = f"the instruction asks to move the hand above {_words(name)}"
-        case RobotEnds("home") if not effects.homes:
+        case RobotEnds("home") if not effects.has("home"):
             hint = "the instruction asks the robot to go home"
         case RobotEnds("drive", place) if effects.driven_to != place:
             hint = f"the instruction asks the robot to drive to {_words(place)}"
@@ -231,7 +251,9 @@ def _missing_on_the_way(goal: Goal, effects: _Effects) -> str:
     """A hint about a place or a pause before the end of `goal` that the contract leaves out; "" if it has all."""
     if unvisited := _unvisited(goal.visits, effects.visited):
         return f"the instruction asks the robot to drive to {_words(unvisited)} before"
-    return "the instruction asks the robot to wait" if goal.pauses and not effects.waits else ""
+    if goal.is_home_on_the_way and not effects.has("home"):
+        return "the instruction asks the robot to go home before"
+    return "the instruction asks the robot to wait" if goal.pauses and not effects.has("wait") else ""
 
 
 def _other_number(contract: Contract, goal: Goal) -> str:
@@ -263,14 +285,81 @@ def _too_long(goal: Goal, scene: Scene, holding: str | None) -> str:
 
 
 def _wrong_order(goal: Goal, effects: _Effects) -> Rejected | None:
-    """The rejection of placements of single objects in another order than the words state."""
-    named = [one.objects[0] for one in goal.conditions if isinstance(one, Placed) and len(one.objects) == 1]
-    planned = [name for name in effects.placed if name in named]
-    wanted = [name for name in named if name in planned]
-    if planned == wanted:
-        return None
-    hint = f"the instruction states the order {', then '.join(map(_words, wanted))}"
-    return _rejected(list(planned), wanted, hint)
+    """The rejection of steps in another order than the words state.
+
+    A step that no action carries out is not compared: its object may be at its destination already.
+    """
+    position, planned = -1, [step for group in goal.steps for step in group if _positions(step, effects, -1)]
+    for group in goal.steps:
+        positions = [(_positions(step, effects, -1), _positions(step, effects, position)) for step in group]
+        if any(
+            len(later) < min(_number(step), len(every)) for step, (every, later) in zip(group, positions, strict=True)
+        ):
+            done = sorted(planned, key=lambda step: _positions(step, effects, -1)[0])
+            hint = f"the instruction states the order {', then '.join(map(_step_words, planned))}"
+            return _rejected(list(map(_step_words, done)), list(map(_step_words, planned)), hint)
+        ends = [later[: _number(step)] for step, (_, later) in zip(group, positions, strict=True)]
+        position = max((end for each in ends for end in each), default=position)
+    return None
+
+
+def _positions(step: Step, effects: _Effects, after: int) -> list[int]:
+    """The first position behind `after` at which each object of `step` has an event that carries it out."""
+    first: dict[str, int] = {}
+    for index, event in enumerate(effects.events):
+        if index > after and _carries_out_step(event, step):
+            first.setdefault(event.name, index)
+    return sorted(first.values())
+
+
+def _carries_out_step(event: _Event, step: Step) -> bool:
+    match step:
+        case "wait":
+            return event.kind == "wait"
+        case Placed(objects, relation, references):
+            at_reference = event.destination in references
+            return event.kind == "place" and event.name in objects and at_reference == (relation != "off")
+        case Held(objects):
+            return event.kind == "grasp" and event.name in objects
+        case Pushed(objects, _, reference):
+            return event.kind == "push" and event.name in objects and event.destination == reference
+        case Observed(name):
+            return event.kind == "observe" and event.name == name
+        case RobotEnds("rest"):
+            return event.kind in ("wait", "home")
+        case RobotEnds(movement, place):
+            return event.kind == movement and event.destination == place
+        case _:
+            return False
+
+
+def _number(step: Step) -> int:
+    """Number of objects of `step` that are moved; 1 for any other step."""
+    match step:
+        case Placed(objects, _, _, count):
+            return len(objects) if count is None else count
+        case Pushed(objects):
+            return len(objects)
+        case _:
+            return 1
+
+
+def _step_words(step: Step) -> str:
+    match step:
+        case Placed(objects):
+            return " and ".join(map(_words, objects))
+        case Held(objects):
+            return f"pick up {_words(objects[0])}"
+        case Pushed(objects):
+            return f"push {' and '.join(map(_words, objects))}"
+        case Observed(name):
+            return f"look at {_words(name)}"
+        case RobotEnds("drive", place):
+            return f"drive to {_words(place)}"
+        case RobotEnds(movement):
+            return f"go {movement}" if movement == "home" else movement
+        case _:
+            return "wait"
 
 
 def _rejected(got: str | list[str], allowed: str | Sequence[str], hint: str) -> Rejected:

@@ -16,6 +16,7 @@ from dualbrain.grounding.instruction.goals.goal import (
     Placed,
     Pushed,
     RobotEnds,
+    Step,
     Unmoved,
     Unread,
 )
@@ -48,6 +49,8 @@ CONDITIONAL = re.compile(
 )
 BEFORE = re.compile(r"before you ([^,]+), (.+)")
 """The second part comes first."""
+FOLLOWED = re.compile(rf"([^,]+),? before you ({COMMAND}[^,]+)")
+"""The first part comes first."""
 AFTER = re.compile(r"(?:^|,? )(?:after|once|when|as soon as) ")
 LIES, GOES = (
     re.compile(r" (?:is|are|lies) (?=(?:in|into|at|on) )"),
@@ -70,14 +73,36 @@ NOTHING_ELSE = re.compile(
 )
 
 
+ORDER = re.compile(r"\b(?:then|after|afterwards|once|when|later|next)\b")
+"""Words between two clauses that state an order."""
+ORDINAL = re.compile(
+    r"[ ,]*(?:and |but )?(?:next|finally|lastly|last|second(?:ly)?|third(?:ly)?|step (?:two|three|four|[2-9]))\b"
+)
+"""Words at the beginning of a clause that state an order."""
+FIRST = re.compile(r"(?:first(?: of all)?|before that|beforehand)")
+SAID_LATER = (
+    re.compile(rf"(.+?)(?:[,.;]+ (?:and |but )?| but | and ){FIRST.pattern},? (?!of\b)(.+)"),
+    re.compile(rf"(.+?)(?:[,.;]+ (?:and |but )?| but | and )((?:please )?{COMMAND}[^,.;]*?),? {FIRST.pattern}"),
+)
+"""A second part that is to be done first: "put the tin in the bowl, but first go home"."""
+
+
 @dataclass(frozen=True, slots=True)
 class _Clauses:
-    """Conditions and pauses read so far, and the objects to which "it" and "them" refer."""
+    """Conditions, steps and pauses read so far, and the objects to which "it" and "them" refer."""
 
     conditions: tuple[Condition, ...] = ()
     last: tuple[str, ...] = ()
-    pauses: int = 0
+    steps: tuple[tuple[Step, ...], ...] = ()
     visits: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class _Clause:
+    """The words of one clause; `follows`: an order word precedes them."""
+
+    words: str
+    follows: bool = False
 
 
 def read_goal(instruction: str, scene: Scene) -> Goal | Unread:
@@ -152,50 +177,90 @@ def _read_text(text: str, scene: Scene, vocabulary: Vocabulary) -> Goal | Unread
     text = GOING_TO.sub("go ", NOTHING_ELSE.sub("", text).replace("take your time and ", ""))
     if swapped := BEFORE.fullmatch(text):
         text = f"{swapped.group(2)}, then {swapped.group(1)}"
+    if followed := FOLLOWED.fullmatch(text):
+        text = f"{followed.group(1)}, then {followed.group(2)}"
     text = _in_order(text.rstrip(" .!"))
     read = _Clauses()
-    clauses = [words for clause in CLAUSE_ENDS.split(text) if (words := strip_fillers(clause))]
-    clauses = _join_phrases(clauses, vocabulary)
-    for number, words in enumerate(clauses):
-        if topic := _topic(words, clauses[number + 1 :], vocabulary):
+    clauses = _join_phrases(_clauses(text), vocabulary)
+    for number, clause in enumerate(clauses):
+        if topic := _topic(clause.words, clauses[number + 1 :], vocabulary):
             read = replace(read, last=topic)
             continue
-        found = read_clause(words, scene, vocabulary, read.last)
+        found = read_clause(clause.words, scene, vocabulary, read.last)
         if isinstance(found, Unread | Goal):
             return found
         conditions, last = found
-        pauses = read.pauses + (PAUSE.search(words) is not None and conditions != (RobotEnds("rest"),))
         visits = read.visits + _left_places(read.conditions, conditions)
-        read = _Clauses(_combine(read.conditions, conditions), last or read.last, pauses, visits)
+        steps = _with_steps(read.steps, clause, conditions)
+        read = _Clauses(_combine(read.conditions, conditions), last or read.last, steps, visits)
     if not read.conditions:
         return Unread("The instruction contains no request that the goal parser knows.")
     conditions = _observe_moved(read.conditions)
-    ordered = re.search(r"\b(?:then|after that|afterwards|once|when) \b", text) is not None
-    pauses = 0 if conditions == (RobotEnds("still"),) else read.pauses
-    return Goal(conditions=conditions, movable=_movable(conditions), ordered=ordered, pauses=pauses, visits=read.visits)
+    steps = () if conditions == (RobotEnds("still"),) else _valid_steps(read.steps, read.conditions)
+    pauses = sum(group == ("wait",) for group in steps)
+    return Goal(conditions=conditions, movable=_movable(conditions), steps=steps, pauses=pauses, visits=read.visits)
 
 
-def _join_phrases(clauses: Sequence[str], vocabulary: Vocabulary) -> list[str]:
+def _clauses(text: str) -> list[_Clause]:
+    """The clauses of `text` without their fillers."""
+    clauses: list[_Clause] = []
+    position, follows = 0, False
+    for end in (*CLAUSE_ENDS.finditer(text), None):
+        part = text[position : end.start() if end else len(text)]
+        follows = follows or ORDINAL.match(part) is not None
+        if words := strip_fillers(part):
+            clauses.append(_Clause(words, follows))
+            follows = False
+        if end:
+            position, follows = end.end(), follows or ORDER.search(end[0]) is not None
+    return clauses
+
+
+def _with_steps(
+    steps: tuple[tuple[Step, ...], ...], clause: _Clause, conditions: Sequence[Condition]
+) -> tuple[tuple[Step, ...], ...]:
+    """`steps` with those of `clause`: a group of their own after an order word, a pause or an end of the robot.
+
+    Other clauses may be carried out in any order: "put the cube in the bowl and put the tin on the left side".
+    """
+    done = tuple(one for one in conditions if not isinstance(one, Unmoved) and one != RobotEnds("still"))
+    before = steps[-1] if steps else ()
+    stands = any(one == "wait" or isinstance(one, RobotEnds) for one in (*before, *done))
+    if done and before and not (clause.follows or stands):
+        steps = (*steps[:-1], (*before, *done))
+    elif done:
+        steps = (*steps, done)
+    is_pause = PAUSE.search(clause.words) is not None and tuple(conditions) != (RobotEnds("rest"),)
+    return (*steps, ("wait",)) if is_pause else steps
+
+
+def _valid_steps(steps: Sequence[tuple[Step, ...]], conditions: Sequence[Condition]) -> tuple[tuple[Step, ...], ...]:
+    """`steps` without placements that a later clause replaces."""
+    kept = (tuple(one for one in group if not isinstance(one, Placed) or one in conditions) for group in steps)
+    return tuple(group for group in kept if group)
+
+
+def _join_phrases(clauses: Sequence[_Clause], vocabulary: Vocabulary) -> list[_Clause]:
     """`clauses` with a placement in place of an object and a destination that are phrases of their own."""
-    phrases = [phrase for clause in clauses for phrase in clause.split(": ")]
-    joined: list[str] = []
-    for words in phrases:
-        before = joined[-1] if joined else ""
-        for thing, destination in ((before, words), (words, before)):
+    phrases = [_Clause(words, clause.follows) for clause in clauses for words in clause.words.split(": ")]
+    joined: list[_Clause] = []
+    for phrase in phrases:
+        before = joined[-1].words if joined else ""
+        for thing, destination in ((before, phrase.words), (phrase.words, before)):
             relation = vocabulary.relation_to(destination) if before else ""
             if relation and isinstance(vocabulary.resolve_object(thing), Found):
-                joined[-1] = f"{thing} {relation} {destination}"
+                joined[-1] = replace(joined[-1], words=f"{thing} {relation} {destination}")
                 break
         else:
-            joined.append(words)
+            joined.append(phrase)
     if len(joined) == len(phrases):
         return list(clauses)
-    return joined[:-1] if joined[-1] in AT_ONCE else joined
+    return joined[:-1] if joined[-1].words in AT_ONCE else joined
 
 
-def _topic(words: str, following: Sequence[str], vocabulary: Vocabulary) -> tuple[str, ...]:
+def _topic(words: str, following: Sequence[_Clause], vocabulary: Vocabulary) -> tuple[str, ...]:
     """The objects that a clause only names, for a pronoun in the next one: "the brown can, push it to the bowl"."""
-    if not following or REFERRING.search(following[0]) is None:
+    if not following or REFERRING.search(following[0].words) is None:
         return ()
     found = vocabulary.resolve_object(words)
     return found.names if isinstance(found, Found) and found.count is None else ()
@@ -212,6 +277,9 @@ def _in_order(text: str) -> str:
 
     "When the tin is in the bowl, go home" and "go home once the tin is in the bowl" both ask for the tin first.
     """
+    later = next((found for form in SAID_LATER if (found := form.fullmatch(text))), None)
+    if later and FIRST.match(text) is None:
+        text = f"{later[2]}, then {later[1]}"
     head, comma, rest = text.partition(", ")
     after = AFTER.search(text)
     if text.startswith("before ") and comma and len(parts := GOES.split(head.removeprefix("before "), 1)) == 2:
@@ -254,7 +322,7 @@ def _combine(before: Sequence[Condition], new: Sequence[Condition]) -> tuple[Con
     """`before` and `new`; a placement ends the hold of the same objects, and a later placement replaces an earlier.
 
     Standing still after another request adds no condition: the robot stops once the request is done. "Do not pick it
-    up, push it" asks for the push alone.
+    up, push it" asks for the push alone. "Go home, then put it in the bowl" does not ask to end at home.
     """
     if before and tuple(new) == (RobotEnds("still"),):
         return tuple(before)
@@ -266,6 +334,8 @@ def _combine(before: Sequence[Condition], new: Sequence[Condition]) -> tuple[Con
         kept = [one for one in kept if one != RobotEnds("still")]
     if any(isinstance(one, RobotEnds) for one in new):  # only the last end of the robot remains
         kept = [one for one in kept if not isinstance(one, RobotEnds)]
+    if any(isinstance(one, Placed | Held | Pushed | Observed) for one in new):
+        kept = [one for one in kept if one != RobotEnds("home")]
     return tuple(dict.fromkeys((*kept, *new)))
 
 

@@ -53,6 +53,8 @@ def goal_scope(goal: Goal | Unread, scene: Scene, holding: str | None = None) ->
         names |= more_names
     if goal.pauses:
         skills |= STANDING
+    if goal.is_home_on_the_way:
+        skills |= {"home"}
     if holding is not None and holding not in names:  # the hand has to be emptied first, anywhere
         skills |= {"place", "release"}
         names |= set(everything.receptive)
