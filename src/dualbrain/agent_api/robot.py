@@ -33,7 +33,7 @@ from dualbrain.errors import ConfigurationError
 from dualbrain.grounding.envelope.grasp_fit import parameter_domains
 from dualbrain.grounding.envelope.object_limits import describe_limits
 from dualbrain.grounding.envelope.scene_rules import skill_order
-from dualbrain.grounding.instruction.stop_commands import is_stop_command
+from dualbrain.grounding.instruction.stop_commands import asks_to_stop, is_stop_command
 from dualbrain.grounding.scene_summary import summarise_scene
 from dualbrain.grounding.vocabulary import scene_names
 from dualbrain.planner.protocol import Planner
@@ -264,12 +264,12 @@ class Robot:
         """Plan an instruction with the robot's own planner and memory, execute the contract, and wait for the outcome.
 
         After `timeout` [s] the report shows how far it is, and the robot goes on. While a contract runs, the
-        instruction is rejected; a stop command stops the robot in any case, as `stop`, and the report is that of the
-        contract that it ended. Raises `ConfigurationError` if there is no planner, and for a stop command
-        `ConnectionLostError`.
+        instruction is rejected, unless it asks to stop; a stop command stops the robot in any case, as `stop`. The
+        report of a stop is that of the contract that it ended. Raises `ConfigurationError` if there is no planner, and
+        for a stop `ConnectionLostError`.
         """
-        if is_stop_command(instruction):
-            running = self._executions.in_progress
+        running = self._executions.in_progress
+        if is_stop_command(instruction) or (running and asks_to_stop(instruction)):
             self.stop()  # also without a submission in progress: one that was lost may still move the robot
             if running and (ended := self._executions.wait(running, timeout)):
                 return ended

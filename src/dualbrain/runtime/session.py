@@ -15,7 +15,7 @@ from dualbrain import __version__
 from dualbrain.adaptation.serving.open_planner import planner_provenance
 from dualbrain.control.recording.trace import Event, Trace
 from dualbrain.core.text import storable_text
-from dualbrain.grounding.instruction.stop_commands import is_stop_command
+from dualbrain.grounding.instruction.stop_commands import asks_to_stop
 from dualbrain.memory.ledger.anchors import RUN_ANCHOR_FILE
 from dualbrain.memory.ledger.ledger import Ledger
 from dualbrain.memory.ledger.runs import InterruptedRun
@@ -135,11 +135,12 @@ class Session:
         self._stop_requested = True
 
     def instruct(self, words: str) -> bool:
-        """Give an instruction during the run, from any thread; returns whether it was a stop command.
+        """Give an instruction during the run, from any thread; returns whether it asks to stop.
 
-        A stop command interrupts the run, within one control period and without a planner. Other words change nothing.
+        A request to stop interrupts the run, within one control period and without a planner. Other words change
+        nothing.
         """
-        if is_stop_command(words):
+        if asks_to_stop(words):
             self.interrupt()
             return True
         return False

@@ -118,10 +118,18 @@ def test_a_planner_of_other_languages_is_asked_without_the_classifier():
     assert sure.asked == 0
 
 
-def test_a_text_with_control_characters_is_not_read_by_the_classifier():
-    sure = FixedEstimate(9.0)
-    assert review_instruction("\ud800\x00\x1b[2J; --", PANDA, ["blue_bowl"], ["red_cube"], classifier=sure) is None
-    assert sure.asked == 0
+def test_hidden_characters_do_not_keep_a_text_from_the_classifier():
+    read = []
+
+    class Recorder(FixedEstimate):
+        def estimate(self, text):
+            read.append(text)
+            return super().estimate(text)
+
+    hidden = "\ud800put the red cube\x00 in\u200b the bowl\u00ad"
+    answer = review_instruction(hidden, PANDA, ["blue_bowl"], ["red_cube"], classifier=Recorder(9.0))
+    assert isinstance(answer, Refusal)
+    assert read == ["put the red cube in the bowl"]
 
 
 def test_a_robot_with_other_skills_is_judged_by_the_rules_alone(monkeypatch):

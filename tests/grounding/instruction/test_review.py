@@ -6,7 +6,7 @@ from dualbrain.adaptation.synthetic.templates import load_templates
 from dualbrain.grounding.instruction.hostile import find_hostile_request
 from dualbrain.grounding.instruction.language import detect_foreign_language
 from dualbrain.grounding.instruction.review import Refusal, StopCommand, review_instruction
-from dualbrain.grounding.instruction.stop_commands import is_stop_command
+from dualbrain.grounding.instruction.stop_commands import asks_to_stop, is_stop_command
 from dualbrain.grounding.instruction.words import normalise
 from dualbrain.grounding.vocabulary import load_skill_registry
 from dualbrain.simulation.tasks.instructions import instruction_templates, task_kinds
@@ -107,6 +107,61 @@ def test_a_stop_word_is_a_stop_command(text):
 @pytest.mark.parametrize("text", NO_STOPS)
 def test_a_sentence_that_contains_a_stop_word_is_no_stop_command(text):
     assert not is_stop_command(text)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        *("can you stop please", "can you please stop moving", "you must stop", "I want you to stop", "stop, it hurts"),
+        *("stop! there's a child", "ow! stop!", "stop that's enough", "stop pushing me", "can't you stop", "no no no"),
+        *("oh my god stop", "stop for god's sake", "make it stop", "ouch", "get off me", "that hurts!", "slow down"),
+    ],
+)
+def test_words_to_a_moving_robot_ask_it_to_stop(words):
+    assert asks_to_stop(words)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        *("", "put the stop sign in the bowl", "do not stop", "don't you stop", "never stop", "stop at the shelf"),
+        *("stop if someone comes", "go home", "don't stop until the cube is in the bowl", "where is the stop button"),
+        *("put the red cube in the bowl", "cancel the emergency stop", "drive to a stop sign", "stop waiting"),
+    ],
+)
+def test_other_words_to_a_moving_robot_do_not(words):
+    assert not asks_to_stop(words)
+
+
+def test_every_stop_command_stops_a_moving_robot():
+    assert all(map(asks_to_stop, STOPS))
+
+
+HIDDEN = ["\u00ad", "\u200b", "\u2060", "\ufeff", "\x00", "\u200d\u00ad", "\U000e0041"]
+
+
+@pytest.mark.parametrize("hidden", HIDDEN)
+@pytest.mark.parametrize(
+    "instruction", ["nev{}er put the red cube in the bowl", "put it in the bowl un{}til it is full", "do{}n't touch it"]
+)
+def test_hidden_characters_inside_a_word_are_refused(instruction, hidden):
+    refusal = review_instruction(instruction.format(hidden), PANDA)
+    assert isinstance(refusal, Refusal)
+    assert (refusal.kind, "invisible" in refusal.reason) == ("hidden", True)
+
+
+@pytest.mark.parametrize("hidden", HIDDEN)
+def test_hidden_characters_between_words_change_no_review(hidden):
+    shown = f"{hidden}put the red cube {hidden}in the bowl{hidden}"
+    assert review_instruction(shown, PANDA, ("blue_bowl",), ("red_cube",)) is None
+    refusal = review_instruction(f"never {hidden}put the red cube in the bowl", PANDA)
+    assert isinstance(refusal, Refusal)
+    assert refusal.kind == "clause"
+    assert is_stop_command(f"st{hidden}op{hidden}")
+
+
+def test_an_emoji_of_several_characters_is_no_hidden_division():
+    assert review_instruction("put the red cube in the bowl \U0001f468\u200d\U0001f4bb \u2764\ufe0f", PANDA) is None
 
 
 @pytest.mark.parametrize(("text", "language"), FOREIGN.items())

@@ -19,7 +19,7 @@ from dualbrain.grounding.instruction.clauses.rules.clause_rule import ClauseKind
 from dualbrain.grounding.instruction.hostile import find_hostile_request
 from dualbrain.grounding.instruction.language import ENGLISH, detect_foreign_language, is_understood
 from dualbrain.grounding.instruction.stop_commands import is_stop_command
-from dualbrain.grounding.instruction.words import normalise
+from dualbrain.grounding.instruction.words import has_hidden_division, normalise, without_hidden_characters
 
 ADVICE: dict[ClauseKind, str] = {
     "condition": "give the instruction when the condition holds, without it",
@@ -54,7 +54,7 @@ class StopCommand:
 class Refusal:
     """The instruction is declined: `reason` in one or two sentences, `quote` the words that it is about."""
 
-    kind: Literal["length", "language", "hostile", "clause", "absent", "grasp", "number"]
+    kind: Literal["length", "language", "hidden", "hostile", "clause", "absent", "grasp", "number"]
     reason: str
     quote: str
     brief: str
@@ -80,17 +80,18 @@ def review_instruction(
     declares. The rules read English: of an instruction in another declared language only stop commands are recognised.
     A `classifier` that is sure of a clause adds it to those of the rules, and one that is sure that there is none
     removes those that depend neither on the scene nor on the robot. It is asked only if the planner reads English alone
-    and if it knows all skills of the robot, and not about a text with control characters.
+    and if it knows all skills of the robot.
     """
     if too_long := _refuse_length(instruction):
         return too_long
     if is_stop_command(instruction):
         return StopCommand()
+    if has_hidden_division(instruction):
+        return _refuse_hidden()
     foreign = detect_foreign_language(instruction)
     if foreign is not None:
         return None if is_understood(foreign, languages) else _refuse_language(foreign.name)
-    is_plain_text = " ".join(instruction.split()).isprintable()
-    asked = classifier if is_plain_text and set(languages) == {ENGLISH} and reads_all_skills(registry) else None
+    asked = classifier if set(languages) == {ENGLISH} and reads_all_skills(registry) else None
     return refuse_hostile(instruction) or _refuse_clauses(instruction, registry, receptive, graspable, asked)
 
 
@@ -113,6 +114,12 @@ def _refuse_length(instruction: str) -> Refusal | None:
     return Refusal(kind="length", reason=reason, quote="", brief=brief)
 
 
+def _refuse_hidden() -> Refusal:
+    brief = "the instruction has invisible characters inside a word"
+    reason = "The instruction has invisible characters inside a word. Type it again instead of pasting it."
+    return Refusal(kind="hidden", reason=reason, quote="", brief=brief)
+
+
 def _refuse_language(name: str) -> Refusal:
     reason = f"The instruction seems to be in {name}, but this planner reads only English. Please say it in English."
     brief = f"this planner reads only English, and this seems to be {name}"
@@ -130,7 +137,7 @@ def _refuse_clauses(
     clauses = find_clauses(words, capabilities(registry), receptive, graspable)
     if classifier is not None:
         of_any_robot = find_clauses(words, ALL_CAPABILITIES, receptive, graspable)
-        clauses = _weigh(clauses, of_any_robot, classifier.estimate(instruction))
+        clauses = _weigh(clauses, of_any_robot, classifier.estimate(without_hidden_characters(instruction)))
     if not clauses:
         return None
     first = clauses[0]

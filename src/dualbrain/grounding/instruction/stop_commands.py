@@ -83,6 +83,66 @@ _FILLERS = frozenset(
     ]
 )
 """Words around a stop word that change nothing."""
+_OPENINGS = frozenset(
+    (
+        *("can", "could", "would", "will", "must", "should", "shall", "have", "need", "want", "has", "to", "we", "it"),
+        *("make", "let", "us", "go", "my", "damn", "dammit", "fucking", "bloody", "ow", "ouch", "ah", "argh", "for"),
+        *(
+            "god's",
+            "heaven's",
+            "sake",
+            "robbie",
+            "is",
+            "that",
+            "think",
+            "better",
+            "had",
+            "so",
+            "ok",
+            "and",
+            "yes",
+            "well",
+        ),
+        *("thanks", "thank", "wait", "told", "really", "am", "be", "quickly", "asking", "sorry", "excuse", "me"),
+    )
+)
+"""Words in front of a stop word that do not turn its meaning, besides `_FILLERS`."""
+_STOP_WORDS = frozenset(
+    ("stop", "stopp", "stopping", "stpo", "sotp", "stoop", "stahp", "halt", "freeze", "abort", "cease", "quit", "whoa")
+)
+_QUESTION = re.compile(r"^(?:why (?:do|can|could|will|would)|can|could|will|would) (?:not you|you not) ")
+"""A negation that asks for the stop: "can't you stop"."""
+_DEPENDENCES = frozenset(
+    (
+        *("at", "if", "when", "whenever", "once", "until", "after", "before", "in", "near", "by", "behind", "on"),
+        *(
+            "next",
+            "beside",
+            "above",
+            "over",
+            "between",
+            "as",
+            "unless",
+            "sign",
+            "button",
+            "waiting",
+            "pausing",
+            "pause",
+        ),
+    )
+)
+"""Words that follow a stop word if the stop depends on a place, a time or a condition, or if the word is none."""
+_ALARMS = frozenset(
+    (
+        *("ouch", "ow", "help", "help me", "it hurts", "that hurts", "this hurts", "it is hurting me", "let me go"),
+        *("are hurting me", "back off", "get off me", "get off", "do not touch me", "no more", "do not go on"),
+        *("do not continue", "do not go further", "danger", "person", "mayday", "panic", "kill it", "no", "no way"),
+        *("that is it", "do not proceed", "cut the power", "kill the power", "get away from me", "stay away from me"),
+        *("kill switch", "desist", "time out", "timeout", "slow down", "slower", "not so fast", "too fast", "careful"),
+        *("hold up", "that will do", "not any more", "turn off", "ah", "aah", "argh"),
+    )
+)
+"""Words without a stop word that a moving robot takes as one."""
 _SIGNS = ("\N{OCTAGONAL SIGN}", "\N{NO ENTRY}", "\N{RAISED HAND}")
 _ENGLISH = (
     "stop",
@@ -238,6 +298,32 @@ def is_stop_command(instruction: str) -> bool:
     """Whether `instruction` consists of stop commands and words such as "please", in one of the known languages."""
     words = normalise(instruction).text.split()
     return _core(words) in _STOP_COMMANDS or _is_sequence(words) or _is_sign(instruction)
+
+
+def asks_to_stop(words: str) -> bool:
+    """Whether words that a person says while the robot moves ask it to stop: "can you stop please", "stop, it hurts".
+
+    Wider than `is_stop_command`, because other words have no effect during a motion. A stop that depends on a place, a
+    time or a condition ("stop at the shelf") and a negated one ("do not stop") are none.
+    """
+    heard = normalise(words).text.split()
+    parts = [list(part) for is_part, part in groupby(heard, _is_heard) if is_part]
+    return is_stop_command(words) or any(_is_alarm(part) or _orders_stop(part) for part in parts)
+
+
+def _is_alarm(words: list[str]) -> bool:
+    distinct = [word for word, _ in groupby(_REPEATED_LETTER.sub(r"\1", word) for word in words)]
+    return " ".join(distinct) in _ALARMS or _core(words) in _ALARMS
+
+
+def _orders_stop(words: list[str]) -> bool:
+    """Whether the first words apart from `_OPENINGS` and `_FILLERS` are a stop word, and an unconditional one."""
+    heard = _QUESTION.sub("", " ".join(_REPEATED_LETTER.sub(r"\1", word) for word in words)).split()
+    number = next((index for index, word in enumerate(heard) if word not in _OPENINGS | _FILLERS), len(heard))
+    if number == len(heard) or heard[number] not in _STOP_WORDS:
+        return False
+    after = next((word for word in heard[number + 1 :] if word not in _FILLERS - {"at"}), "")
+    return after not in _DEPENDENCES
 
 
 def _is_sequence(words: list[str]) -> bool:

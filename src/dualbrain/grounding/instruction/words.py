@@ -11,12 +11,16 @@ import unicodedata
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from dualbrain.core.untrusted.hidden_characters import is_hidden_character, remove_hidden_characters
+
 NUMBER_WORDS = {
     **{"one": 1, "two": 2, "three": 3, "four": 4, "five": 5, "six": 6, "seven": 7, "eight": 8, "nine": 9, "ten": 10},
     **{"eleven": 11, "twelve": 12, "fifteen": 15, "twenty": 20, "thirty": 30, "forty": 40, "fifty": 50},
 }
 """The numbers that instructions state as a word."""
 _TOKEN = re.compile(r"\d+(?:[.,]\d+)?|[^\W\d_]+(?:'[^\W\d_]+)*|[^\w\s'_-]")
+_SPACE = re.compile(r"\s")
+_DIVISION = re.compile(r"[a-zA-Z0-9]\0+[a-zA-Z0-9]")
 _APOSTROPHES = dict.fromkeys(map(ord, "\u2018\u2019\u02bc\u00b4`\u2032"), "'")
 _CONTRACTIONS = {
     "dont": "do not",
@@ -173,9 +177,22 @@ class Words:
         return " ".join(self.original[first:last].split())
 
 
+def without_hidden_characters(instruction: str) -> str:
+    """`instruction` without the characters that a reader does not see; line ends and tabs become spaces."""
+    return remove_hidden_characters(_SPACE.sub(" ", instruction))
+
+
+def has_hidden_division(instruction: str) -> bool:
+    """Whether hidden characters stand between two letters or digits, so that what is read depends on the reader."""
+    if instruction.isprintable():
+        return False
+    shown = "".join("\0" if is_hidden_character(character) else character for character in _SPACE.sub(" ", instruction))
+    return _DIVISION.search(shown) is not None
+
+
 def normalise(instruction: str) -> Words:
-    """The normal form of `instruction`; the time is linear in its length."""
-    original = unicodedata.normalize("NFKC", instruction).translate(_APOSTROPHES)
+    """The normal form of `instruction` without hidden characters; the time is linear in its length."""
+    original = unicodedata.normalize("NFKC", without_hidden_characters(instruction)).translate(_APOSTROPHES)
     parts: list[str] = []
     starts: list[int] = []
     ends: list[int] = []

@@ -68,7 +68,7 @@ def play(monkeypatch):
         monkeypatch.setattr("dualbrain.cli.run.stop_command.stop_running_robots", lambda _: [])
         out = StringIO()
         shell = Shell(ShellOptions(), Console(file=out, width=200))
-        shell.run()
+        shell.worker.exit_code = shell.run()
         return shell.worker, out.getvalue()
 
     return run
@@ -107,6 +107,20 @@ def test_a_stop_before_the_planner_is_loaded_cancels_the_instruction(play):
     worker, out = play("one", "stop", "two", end, end)
     assert worker.submitted == ["two"]
     assert "stopping" not in out
+
+
+def test_the_exit_code_states_that_an_instruction_was_discarded(play):
+    assert play("one", end, end)[0].exit_code == 0
+    assert play("help", "stop", end)[0].exit_code == 0
+    worker, _ = play("one", "stop", end)
+    assert worker.submitted == []
+    assert worker.exit_code == 130
+
+
+@pytest.mark.parametrize("words", ["can you stop please", "stop, it hurts", "you must stop", "no!", "ouch"])
+def test_a_person_at_the_terminal_stops_a_motion_in_any_words(play, words):
+    assert "stopping" in play(end, "one", words, end, terminal=True)[1]
+    assert "stopping" not in play(end, "one", "put the tin in the bowl", end, terminal=True)[1]
 
 
 def test_help_is_a_command_and_during_a_motion_the_cry_of_a_person(play):

@@ -3,11 +3,13 @@
 import tomllib
 from pathlib import Path
 
+import msgspec
 import pytest
 
+from dualbrain.core.geometry.shapes import Cylinder
 from dualbrain.grounding.instruction.goals.goal import Goal, Held, Observed, Placed, Pushed, RobotEnds, Unmoved, Unread
 from dualbrain.grounding.instruction.goals.goal_reading import MAX_CHARACTERS, corrected_instruction, read_goal
-from tests.grounding.outcome.tabletop_cases import BEFORE
+from tests.grounding.outcome.tabletop_cases import BEFORE, thing
 
 SENTENCES = Path(__file__).parents[1] / "sentences.toml"
 CUBE, TIN, BLOCKS = ("red_cube",), ("green_tin",), ("red_block", "yellow_block")
@@ -213,6 +215,12 @@ ACCOUNTED_FOR = (
 )
 def test_a_misspelled_instruction_is_corrected_only_if_it_is_read_only_so(instruction, corrected):
     assert corrected_instruction(instruction, BEFORE) == corrected
+
+
+def test_a_general_noun_is_no_misspelled_colour():
+    tin = thing("black_tin", 0.4, -0.1, Cylinder(0.03, 0.05), 0.05)
+    scene = msgspec.structs.replace(BEFORE, objects=(*BEFORE.objects, tin))
+    assert corrected_instruction("put the block in the bowl", scene) == "put the block in the bowl"
 
 
 def test_no_other_clause_is_lost_in_a_goal():

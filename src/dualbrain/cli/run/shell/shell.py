@@ -19,7 +19,7 @@ from dualbrain.cli.common.exit_codes import ExitCode
 from dualbrain.cli.run.run import DEFAULT_TRIES, MAX_TRIES
 from dualbrain.cli.run.shell.commands import QUIT_WORDS, SHELL_COMMANDS
 from dualbrain.cli.run.shell.line_reader import LineReader
-from dualbrain.cli.run.shell.options import ShellOptions
+from dualbrain.cli.run.shell.options import HistoryEntry, ShellOptions
 from dualbrain.cli.run.shell.worker import InstructionWorker
 from dualbrain.errors import UsageError
 
@@ -182,8 +182,13 @@ class Shell:
         """Carry out a line that waited, unless a person stopped the robot meanwhile."""
         if stops == self.worker.stops or line.strip().lower() in QUIT_WORDS:
             self._carry_out(line)
-        else:
-            self.console.print(f"discarded, because a stop followed: {line}", markup=False)
+            return
+        self.console.print(f"discarded, because a stop followed: {line}", markup=False)
+        if (words := line.strip()) and words.lower() not in SHELL_COMMANDS:
+            entry = HistoryEntry(
+                instruction=words, outcome="discarded: a stop followed", code=ExitCode.INTERRUPTED, folder=None
+            )
+            self.worker.history.append(entry)
 
     def _carry_out(self, line: str) -> None:
         """A command of the shell, or an instruction."""
@@ -204,13 +209,14 @@ class Shell:
         return self.worker.busy and not self.worker.loading
 
     def _stops(self, line: str) -> bool:
-        """Whether a line is a stop command. `quit` is none, and `help` is one if a person types it during a motion."""
-        from dualbrain.grounding.instruction.stop_commands import is_stop_command
+        """Whether a line is a stop command, or asks a moving robot to stop if a person types it. `quit` is none."""
+        from dualbrain.grounding.instruction.stop_commands import asks_to_stop, is_stop_command
 
         words = line.strip(" \t!.").lower()
+        is_said_to_moving_robot = self._moves() and self._reader.is_terminal
         if words == "help":
-            return self._moves() and self._reader.is_terminal
-        return words not in QUIT_WORDS and is_stop_command(line)
+            return is_said_to_moving_robot
+        return words not in QUIT_WORDS and (asks_to_stop(line) if is_said_to_moving_robot else is_stop_command(line))
 
     def _stop(self) -> None:
         """Stop the present instruction; without one, stop every running gatekeeper of this user."""

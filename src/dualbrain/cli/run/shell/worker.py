@@ -81,10 +81,10 @@ class InstructionWorker:
         return ""
 
     def submit_from_page(self, instruction: str) -> str:
-        """Begin an instruction that was entered in the live page; a stop command stops the present one."""
-        from dualbrain.grounding.instruction.stop_commands import is_stop_command
+        """Begin an instruction that was entered in the live page; a request to stop stops the present one."""
+        from dualbrain.grounding.instruction.stop_commands import asks_to_stop, is_stop_command
 
-        if is_stop_command(instruction):
+        if asks_to_stop(instruction) if self._busy else is_stop_command(instruction):
             self.interrupt()
             return ""
         return self.submit(instruction)

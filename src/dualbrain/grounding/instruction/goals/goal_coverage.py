@@ -289,48 +289,53 @@ def _wrong_order(goal: Goal, effects: _Effects) -> Rejected | None:
 
     A step that no action carries out is not compared: its object may be at its destination already.
     """
-    position, planned = -1, [step for group in goal.steps for step in group if _positions(step, effects, -1)]
+    planned = [step for group in goal.steps for step in group if _positions(step, effects)]
+    position = -1
     for group in goal.steps:
-        positions = [(_positions(step, effects, -1), _positions(step, effects, position)) for step in group]
-        if any(
-            len(later) < min(_number(step), len(every)) for step, (every, later) in zip(group, positions, strict=True)
-        ):
-            done = sorted(planned, key=lambda step: _positions(step, effects, -1)[0])
-            hint = f"the instruction states the order {', then '.join(map(_step_words, planned))}"
-            return _rejected(list(map(_step_words, done)), list(map(_step_words, planned)), hint)
-        ends = [later[: _number(step)] for step, (_, later) in zip(group, positions, strict=True)]
-        position = max((end for each in ends for end in each), default=position)
+        end = position
+        for step in group:
+            needed = min(_number(step), len(_positions(step, effects)))
+            later = _positions(step, effects, position)
+            if len(later) < needed:
+                return _rejected_order(planned, effects)
+            end = max(end, later[needed - 1]) if needed else end
+        position = end
     return None
 
 
-def _positions(step: Step, effects: _Effects, after: int) -> list[int]:
+def _rejected_order(stated: Sequence[Step], effects: _Effects) -> Rejected:
+    """The rejection of the steps `stated` in their order in the contract."""
+    done = sorted(stated, key=lambda step: _positions(step, effects)[0])
+    wanted = list(map(_step_words, stated))
+    return _rejected(list(map(_step_words, done)), wanted, f"the instruction states the order {', then '.join(wanted)}")
+
+
+def _positions(step: Step, effects: _Effects, after: int = -1) -> list[int]:
     """The first position behind `after` at which each object of `step` has an event that carries it out."""
     first: dict[str, int] = {}
     for index, event in enumerate(effects.events):
-        if index > after and _carries_out_step(event, step):
+        if index > after and _is_carried_out(step, event):
             first.setdefault(event.name, index)
     return sorted(first.values())
 
 
-def _carries_out_step(event: _Event, step: Step) -> bool:
-    match step:
-        case "wait":
-            return event.kind == "wait"
-        case Placed(objects, relation, references):
-            at_reference = event.destination in references
-            return event.kind == "place" and event.name in objects and at_reference == (relation != "off")
-        case Held(objects):
-            return event.kind == "grasp" and event.name in objects
-        case Pushed(objects, _, reference):
-            return event.kind == "push" and event.name in objects and event.destination == reference
-        case Observed(name):
-            return event.kind == "observe" and event.name == name
-        case RobotEnds("rest"):
-            return event.kind in ("wait", "home")
-        case RobotEnds(movement, place):
-            return event.kind == movement and event.destination == place
+def _is_carried_out(step: Step, event: _Event) -> bool:
+    """Whether `event` carries out `step` for one of its objects."""
+    match step, event.kind:
+        case Placed(objects, relation, references), "place":
+            done = event.name in objects and (event.destination in references) == (relation != "off")
+        case Held(objects), "grasp":
+            done = event.name in objects
+        case Pushed(objects, _, reference), "push":
+            done = event.name in objects and event.destination == reference
+        case Observed(name), "observe":
+            done = event.name == name
+        case RobotEnds(movement, place), kind:
+            kinds = ("wait", "home") if movement == "rest" else (movement,)
+            done = kind in kinds and event.destination == place
         case _:
-            return False
+            done = step == "wait" == event.kind
+    return done
 
 
 def _number(step: Step) -> int:
@@ -347,19 +352,18 @@ def _number(step: Step) -> int:
 def _step_words(step: Step) -> str:
     match step:
         case Placed(objects):
-            return " and ".join(map(_words, objects))
+            words = " and ".join(map(_words, objects))
         case Held(objects):
-            return f"pick up {_words(objects[0])}"
+            words = f"pick up {_words(objects[0])}"
         case Pushed(objects):
-            return f"push {' and '.join(map(_words, objects))}"
+            words = f"push {' and '.join(map(_words, objects))}"
         case Observed(name):
-            return f"look at {_words(name)}"
-        case RobotEnds("drive", place):
-            return f"drive to {_words(place)}"
-        case RobotEnds(movement):
-            return f"go {movement}" if movement == "home" else movement
+            words = f"look at {_words(name)}"
+        case RobotEnds(movement, place):
+            words = {"drive": f"drive to {_words(place)}", "home": "go home"}.get(movement, movement)
         case _:
-            return "wait"
+            words = "wait"
+    return words
 
 
 def _rejected(got: str | list[str], allowed: str | Sequence[str], hint: str) -> Rejected:

@@ -23,6 +23,7 @@ from dualbrain.grounding.instruction.goals.goal import (
 from dualbrain.grounding.instruction.goals.noun_phrases import Found, Vocabulary
 from dualbrain.grounding.instruction.goals.remarks import without_remarks, without_values
 from dualbrain.grounding.instruction.stated_values import StatedValue, stated_values
+from dualbrain.grounding.instruction.words import without_hidden_characters
 from dualbrain.grounding.outcome.spatial_relations import is_container_empty
 from dualbrain.records import Scene
 
@@ -117,14 +118,15 @@ def corrected_instruction(instruction: str, scene: Scene) -> str:
 
 def _read(instruction: str, scene: Scene) -> tuple[Goal | Unread, str]:
     """The goal, and the words from which it was read: `instruction`, or its corrected form."""
-    text = " ".join(instruction.lower().replace("\u2019", "'").split())
+    visible = without_hidden_characters(instruction)
+    text = " ".join(visible.lower().replace("\u2019", "'").split())
     if not text or len(text) > MAX_CHARACTERS:
         return Unread(_unreadable(text)), instruction
     vocabulary = Vocabulary(scene)
     if reason := refused_clause(text):
         return Goal(decline=reason), instruction
     corrected = vocabulary.correct_spelling(text)
-    spoken = without_remarks(instruction, (*scene.graspable, *scene.receptive))
+    spoken = without_remarks(visible, (*scene.graspable, *scene.receptive))
     short = without_values(spoken)
     candidates = (
         (text, instruction),

@@ -265,13 +265,18 @@ def _is_noun_phrase(words: Sequence[str], objects: Sequence[SceneObject]) -> boo
     )
 
 
+_OTHER_NOUNS = GENERIC_NOUNS | GENERAL_CONTAINERS | frozenset[str]().union(*SYNONYMS)
+"""Nouns that name things in any scene: "block" is no misspelled "black"."""
+
+
 def _corrected(word: str, known: frozenset[str]) -> str:
     """`word`, or the known word that it misspells."""
     if (function_word := corrected_function_word(word)) != word:
         return function_word
     if exchanged := next((one for one in sorted(known) if are_letters_exchanged(word, one)), ""):
         return exchanged
-    if len(word) < MIN_CORRECTED or word in known | COLOURS or _singular(word) in known:
+    spelled = known | COLOURS | _OTHER_NOUNS
+    if len(word) < MIN_CORRECTED or word in spelled or _singular(word) in spelled:
         return word
     return next((one for one in sorted(known) if is_one_edit_away(word, one)), word)
 
