@@ -96,7 +96,7 @@ def run_episode(
         first, executor.scene, contract, outcome, q_before, q_after, executor.robot_model, held=context.holding
     )
     if request.first_scene is not None:
-        evidence = replace(evidence, in_hand_before=request.first_held)
+        evidence = replace(evidence, in_hand_before=request.first_held, earlier_grips=request.earlier_grips)
     checked = check_outcome(request.instruction, outcome, contract, evidence)
     episode = Episode(
         id=request.id,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from importlib import metadata
@@ -23,7 +23,7 @@ from dualbrain.memory.maintenance.edits import record_uses
 from dualbrain.memory.memory import Memory, StoreReport
 from dualbrain.planner.prompt.full_prompt import MAX_RECALLED, conditional_text_hash
 from dualbrain.planner.protocol import Planner
-from dualbrain.records import Episode, FailureFeedback, Scene
+from dualbrain.records import Episode, FailureFeedback
 from dualbrain.robots.model import RobotModel
 from dualbrain.runtime.agent import Agent
 from dualbrain.runtime.backends.backend import Backend, RunContext, RunningRobot
@@ -191,7 +191,7 @@ class Session:
                 details = msgspec.to_builtins(feedback)
                 log.note(executor.state.stamp, "planner", self._describe_retry(feedback, one.tries_left), **details)
             self._ending.begin_try()
-            request = self._episode_request(one, episodes[0].scene if episodes else None, first_held)
+            request = self._episode_request(one, episodes, first_held)
             result = run_episode(request, agent, executor, robot.clock, robot.ground_truth)
             log_weight_changes(log, executor.state.stamp, result[1])
             results.append(result)
@@ -206,7 +206,7 @@ class Session:
             return f"planning again ({number}), because this machine may have been too busy: {check.description}"
         return f"planning again: {feedback.outcome.replace('_', ' ')}: {feedback.failed_action}: {feedback.reason}"
 
-    def _episode_request(self, one: Try, first_scene: Scene | None, first_held: str) -> EpisodeRequest:
+    def _episode_request(self, one: Try, earlier: Sequence[Episode], first_held: str) -> EpisodeRequest:
         """The request of one try; a given contract has one shot, and nothing is retrieved for it."""
         config, given = self.config, self.config.contract is not None
         return EpisodeRequest(
@@ -222,8 +222,9 @@ class Session:
             failure_feedback=one.failure_feedback,
             continuation=one.continuation,
             grants=self._resources.site.grants,
-            first_scene=first_scene,
+            first_scene=earlier[0].scene if earlier else None,
             first_held=first_held,
+            earlier_grips=tuple(grip for episode in earlier for grip in episode.outcome.grips),
             machine_was_busy=self._machine_was_busy,
             instruction_check="given_contract" if given else "all",
         )

@@ -106,6 +106,13 @@ def test_intact_reads_force_profile_gap_and_the_object_afterwards(fields, expect
     assert judge_intact(glass_moved(**fields)).verdict == expected
 
 
+def test_a_grip_of_an_earlier_try_that_broke_the_object_is_not_forgotten():
+    gentle = glass_moved(force=9.0)
+    assert judge_intact(replace_fields(gentle, earlier_grips=(grip("clear_glass", 60.0),))).verdict == "contradicted"
+    assert judge_intact(replace_fields(gentle, earlier_grips=(grip("clear_glass", 9.0),))).verdict == "confirmed"
+    assert judge_intact(replace_fields(gentle, grips=(), earlier_grips=gentle.grips)).verdict == "confirmed"
+
+
 def test_a_robust_object_may_be_gripped_firmly():
     assert judge_intact(evidence(CUBE_IN, grips=(grip("red_cube", 60.0),))).verdict == "confirmed"
     crushed = evidence(CUBE_IN, grips=(grip("red_cube", 60.0, fastest_closing=0.004),))

@@ -278,3 +278,7 @@ def test_no_planner_leaves_an_object_in_the_hand_that_its_contract_would_place(t
     assert "holding red_cube" in request.scene
     assert "grasp" not in first_skills(request.schema)
     assert story.episode.judgement.success
+    grips = (*first.outcome.grips, *story.episode.outcome.grips)
+    (intact,) = (one for one in story.episode.senses if one.sense == "intact")
+    assert first.outcome.grips
+    assert intact.reason.count("red_cube: at most") == len(grips)

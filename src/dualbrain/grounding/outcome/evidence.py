@@ -27,7 +27,8 @@ class Evidence:
     `q_before`, `q_after` (n,) [rad] are joint positions, `home` the home posture; for a base `base_after` is its (x, y)
     [m]. `executed` are the skills that ran, `placements` the last destination of each object that the contract places,
     `in_hand` the object in the gripper at the end, `in_hand_before` the one in the scene before, `held_at_start` the
-    one at the beginning of the contract, which may be a later try. `touched` are the objects that a finger touches.
+    one at the beginning of the contract, which may be a later try. `earlier_grips` are those of the tries before it.
+    `touched` are the objects that a finger touches.
     `unsettled` are objects that still move. `broken` are objects that are known to be broken.
     """
 
@@ -40,6 +41,7 @@ class Evidence:
     declined: bool = False
     executed: tuple[str, ...] = ()
     placements: dict[str, str] = field(default_factory=dict)
+    earlier_grips: tuple[GripProfile, ...] = ()
     grips: tuple[GripProfile, ...] = ()
     in_hand: str = ""
     in_hand_before: str = ""
@@ -47,6 +49,11 @@ class Evidence:
     touched: frozenset[str] = frozenset()
     unsettled: frozenset[str] = frozenset()
     broken: frozenset[str] = frozenset()
+
+    @property
+    def all_grips(self) -> tuple[GripProfile, ...]:
+        """The grips since the instruction was given, in their order."""
+        return (*self.earlier_grips, *self.grips)
 
     def object_before(self, name: str) -> SceneObject | None:
         """The object `name` before the episode."""

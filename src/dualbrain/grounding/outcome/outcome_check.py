@@ -54,7 +54,7 @@ def check_outcome(instruction: str, outcome: Outcome, contract: Contract | None,
         judge_undisturbed(evidence, handled),
         judge_fulfilled(goal, evidence),
     )
-    check = combine_verdicts(outcome, verdicts, gripped=bool(evidence.grips), instructed=bool(instruction.strip()))
+    check = combine_verdicts(outcome, verdicts, gripped=bool(evidence.all_grips), instructed=bool(instruction.strip()))
     return CheckedOutcome(verdicts, describe_changes(evidence), check)
 
 

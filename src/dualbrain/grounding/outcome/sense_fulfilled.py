@@ -88,7 +88,7 @@ def _wrong_order(goal: Goal, evidence: Evidence) -> str:
         for one in group
         if isinstance(one, Placed) and len(one.objects) == 1
     }
-    order = [grip.object_name for grip in evidence.grips if grip.object_name in ranks]
+    order = [grip.object_name for grip in evidence.all_grips if grip.object_name in ranks]
     last = [name for index, name in enumerate(order) if name not in order[index + 1 :]]
     wanted = sorted(last, key=lambda name: ranks[name])
     if last == wanted:

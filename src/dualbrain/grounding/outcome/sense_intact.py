@@ -17,15 +17,19 @@ FORCE_MARGIN = 0.95
 
 
 def judge_intact(evidence: Evidence) -> SenseVerdict:
-    """Whether every gripped object survived; not judged if nothing was gripped or no finger force was measured."""
-    if not evidence.grips:
+    """Whether every object that was gripped in any try survived.
+
+    Not judged if nothing was gripped or no finger force was measured.
+    """
+    grips = evidence.all_grips
+    if not grips:
         return SenseVerdict(NAME, "not judged", "Nothing was gripped.")
-    for grip in evidence.grips:
+    for grip in grips:
         if reason := _damage(grip, evidence):
             return SenseVerdict(NAME, "contradicted", reason)
-    if unknown := next((reason for grip in evidence.grips if (reason := _unknown(grip, evidence))), ""):
+    if unknown := next((reason for grip in grips if (reason := _unknown(grip, evidence))), ""):
         return SenseVerdict(NAME, "not judged", unknown)
-    text = "; ".join(f"{grip.object_name}: at most {grip.max_force:.1f} N" for grip in evidence.grips)
+    text = "; ".join(f"{grip.object_name}: at most {grip.max_force:.1f} N" for grip in grips)
     return SenseVerdict(NAME, "confirmed", f"{text}; the gap did not collapse.")
 
 

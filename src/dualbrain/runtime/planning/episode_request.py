@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from dualbrain.control.executor import Grants
 from dualbrain.planner.prompt.full_prompt import MAX_RECALLED
-from dualbrain.records import FailureFeedback, Scene
+from dualbrain.records import FailureFeedback, GripProfile, Scene
 
 InstructionCheck = Literal["all", "before_planning", "given_contract"]
 """Which checks an instruction passes.
@@ -29,8 +29,8 @@ class EpisodeRequest:
     `failure_feedback` is the feedback on the one before, `continuation` the actions that remain of it for the object in
     the hand: if the gate rejects every proposal, or the planner declines, the gate gets a contract of these actions.
     `first_scene` is the scene in which the instruction was given, if an earlier contract may have changed it, and
-    `first_held` the object in the hand at that time. `grants` defines which principal may call which skills; by default
-    the planner may call all of them.
+    `first_held` the object in the hand at that time; `earlier_grips` are the grips of the hand since then. `grants`
+    defines which principal may call which skills; by default the planner may call all of them.
     """
 
     id: str
@@ -48,6 +48,7 @@ class EpisodeRequest:
     grants: Grants | None = None
     first_scene: Scene | None = None
     first_held: str = ""
+    earlier_grips: tuple[GripProfile, ...] = ()
     machine_was_busy: Callable[[], bool] = lambda: False
     """Whether a busy machine can have ended the contract of a simulated robot; see `should_retry`."""
     instruction_check: InstructionCheck = "all"
