@@ -8,6 +8,7 @@ import pytest
 from dualbrain.errors import UnknownNameError
 from dualbrain.evaluation.fault_injection.faults import EXPECTED_ACTIONS, KINDS, MOMENTS, SOURCES, Fault, draw_moment
 from dualbrain.evaluation.fault_injection.trial import MotionRecorder, run_fault_trial
+from dualbrain.records import Violation
 from dualbrain.robots.interface import Command
 from dualbrain.robots.loader import load_robot
 from dualbrain.safety.supervisor.actions import SafetyAction
@@ -96,8 +97,32 @@ def test_a_base_that_drives_below_a_resting_arm_moves():
         world.plant.write(Command(u=np.array([0.3, *np.zeros(robot.n - 1)]), opening=0.0, force=10.0))
         world.advance()
     assert np.abs(world.plant.robot_velocity()[2:]).max() < 0.001
-    assert recorder.was_moving_at(world.plant.now)
+    bodies = ("link5", "box_1")
+    touch = Violation(kind="collision_env", start=world.plant.now, duration=0.0, peak=1.0, bodies=bodies)
+    assert recorder.was_moving_during(touch)
     assert recorder.time_to_rest(0.0) is None
+
+
+@pytest.mark.parametrize(
+    ("start", "moves", "is_unsafe"),
+    [
+        (1.0, (0.0, 0.0), False),
+        (1.0, (1.5, 4.0), True),  # at rest when the contact begins, then it presses on
+        (1.6, (1.5, 1.7), True),
+        (1.6, (0.0, 1.3), False),
+        (1.0, (1.5, 1.51), False),  # a push by the person
+    ],
+)
+def test_a_contact_counts_as_unsafe_if_the_robot_moves_before_or_during_it(start, moves, is_unsafe):
+    recorder, time = MotionRecorder(), [0.0]
+    recorder._speed = lambda: 0.5 if moves[0] < time[0] < moves[1] else 0.0
+    for number in range(1, 500):
+        time[0] = 0.01 * number
+        recorder(time[0])
+    touch = Violation(
+        kind="collision_human", start=start, duration=4.0 - start, peak=120.0, bodies=("forearm", "link5")
+    )
+    assert recorder.was_moving_during(touch) == is_unsafe
 
 
 @pytest.mark.parametrize(

@@ -56,6 +56,8 @@ UNSAFE_VIOLATIONS = (
     "joint_velocity",
 )
 """Kinds of violation that a fault must not lead to; others (such as a dropped object) are only listed."""
+REST_TRAVEL = 0.01
+"""Travel [rad, m] of a joint up to which a robot that is pushed counts as at rest."""
 REST_SPEED = 0.02
 """Speed of joints and base [rad/s, m/s] below which the robot is at rest; a contact at rest is not caused by it."""
 COMMANDER_SOURCES = ("planner", "socket")
@@ -220,7 +222,7 @@ def _fault_report(
     decisions = [(t, SafetyAction[event.data["action"]]) for t, event in orders if "action" in event.data]
     since = [(t, action) for t, action in decisions if struck is not None and t >= struck - robot_model.period]
     reacted_at = next((t for t, action in since if action >= expected), None) if expected else None
-    unsafe = tuple(one for one in violations if one.kind in UNSAFE_VIOLATIONS and motion.was_moving_at(one.start))
+    unsafe = tuple(one for one in violations if one.kind in UNSAFE_VIOLATIONS and motion.was_moving_during(one))
     return FaultReport(
         fault=f"{fault.source} {fault.kind} {fault.moment}",
         scene=scene,
@@ -254,11 +256,17 @@ class MotionRecorder:
         self.times.append(now)
         self._speeds.append(self._speed())
 
-    def was_moving_at(self, when: float) -> bool:
-        """Whether the robot moved within the tenth of a second before `when`."""
+    def was_moving_during(self, violation: Violation) -> bool:
+        """Whether the robot moved within the tenth of a second before `violation`, or travelled during it.
+
+        A person who pushes against a resting arm moves its joints by less than `REST_TRAVEL`.
+        """
         t, speed = np.array(self.times), np.array(self._speeds)
-        near = (t > when - 0.1) & (t <= when + 1e-9)
-        return bool(near.any() and speed[near].max() > REST_SPEED)
+        before = (t > violation.start - 0.1) & (t <= violation.start + 1e-9)
+        during = (t > violation.start) & (t <= violation.start + violation.duration + 1e-9)
+        moved = bool(before.any() and speed[before].max() > REST_SPEED)
+        travel = float((speed * np.diff(t, prepend=t[:1]))[during].sum())
+        return moved or travel > REST_TRAVEL
 
     def time_to_rest(self, struck: float | None) -> float | None:
         """Time [s] from `struck` until the robot was finally at rest; None if it was not."""

@@ -289,7 +289,7 @@ def _wrong_order(goal: Goal, effects: _Effects) -> Rejected | None:
 
     A step that no action carries out is not compared: its object may be at its destination already.
     """
-    planned = [step for group in goal.steps for step in group if _positions(step, effects)]
+    planned: list[Step] = [step for group in goal.steps for step in group if _positions(step, effects)]
     position = -1
     for group in goal.steps:
         end = position
