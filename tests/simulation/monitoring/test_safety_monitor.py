@@ -8,9 +8,12 @@ from dualbrain.core.geometry.shapes import Box, Cylinder
 from dualbrain.errors import UnknownNameError
 from dualbrain.records import Violation
 from dualbrain.robots.interface import Command
+from dualbrain.robots.loader import load_robot
 from dualbrain.simulation.monitoring.contact_rules import CONTACT_PHASES
 from dualbrain.simulation.monitoring.safety_monitor import PEAK_UNITS, SafetyMonitor
+from dualbrain.simulation.plant.factory import make_plant as make_room_plant
 from dualbrain.simulation.plant.plant import Plant
+from dualbrain.simulation.scenes.generators.workroom import make_workroom
 from dualbrain.simulation.scenes.scene_spec import MovingPerson, ObjectSpec, SceneSpec
 from tests.simulation.scripted_hand import HOME, PANDA, make_plant, pick_up, servo_to, top_down_posture, wait
 
@@ -195,14 +198,19 @@ def test_a_fragile_object_breaks_only_above_its_limit(force, broken):
     assert (measured > 15.0) == broken
 
 
-def test_a_fall_from_the_hand_is_a_drop_unless_released():
-    for phase, dropped in (("carry", True), ("release", False)):
-        p = make_world(BLOCK)
-        monitor = settled_monitor(p)
-        monitor.allow(held="grey_block", phase=phase)
-        set_motion(p, "grey_block", (0.5, 0.0, 0.25))
-        wait(p, 0.4, each=monitor.update)
-        assert ("object_dropped" in kinds(monitor)) is dropped
+@pytest.mark.parametrize(
+    ("phase", "height", "dropped"),
+    [("carry", 0.25, True), ("release", 0.25, True), ("carry", 0.12, True), ("release", 0.12, False)],
+)
+def test_a_fall_from_the_hand_is_a_drop_and_from_a_height_of_ten_centimetres_also_at_the_release(
+    phase, height, dropped
+):
+    p = make_world(BLOCK)
+    monitor = settled_monitor(p)
+    monitor.allow(held="grey_block", phase=phase)
+    set_motion(p, "grey_block", (0.5, 0.0, height))
+    wait(p, 0.4, each=monitor.update)
+    assert ("object_dropped" in kinds(monitor)) is dropped
 
 
 def test_an_object_below_the_table_is_dropped():
@@ -211,6 +219,19 @@ def test_an_object_below_the_table_is_dropped():
     set_motion(p, "grey_block", (1.1, 0.0, 0.0))
     wait(p, 0.3, each=monitor.update)
     assert "object_dropped" in kinds(monitor)
+
+
+def test_an_object_that_lies_on_the_floor_of_a_room_is_dropped():
+    robot = load_robot("mobile_panda")
+    p = make_room_plant(make_workroom("workroom", 0, robot.name), robot)
+    monitor = settled_monitor(p)
+    assert "object_dropped" not in kinds(monitor)
+    monitor.allow(held="red_cube", phase="release")
+    set_motion(p, "red_cube", (*p.spec.find_place("bench").position[:2], 0.026))
+    wait(p, 0.1, each=monitor.update)
+    dropped = [violation for violation in monitor.violations() if violation.kind == "object_dropped"]
+    assert [violation.bodies for violation in dropped] == [("red_cube",)]
+    assert dropped[0].peak == pytest.approx(0.475, abs=0.01)
 
 
 def test_consecutive_steps_are_one_violation_and_a_pause_separates_two():

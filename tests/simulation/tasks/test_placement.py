@@ -1,11 +1,18 @@
 """The placement judge: parsing of instructions, progress by stages, success only if placed, released and at rest."""
 
+import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.core.geometry.shapes import Bowl
+from dualbrain.core.geometry.shapes import Bowl, Box
 from dualbrain.errors import ConfigurationError, UnknownNameError
+from dualbrain.records import Place
+from dualbrain.robots.loader import load_robot
+from dualbrain.simulation.plant.factory import make_plant as make_room_plant
 from dualbrain.simulation.scenes.generators.tabletop import make_scene
+from dualbrain.simulation.scenes.generators.workroom import TABLE_SHAPE, make_workroom
+from dualbrain.simulation.scenes.scene_spec import ObjectSpec
+from dualbrain.simulation.scenes.supports import support_height
 from dualbrain.simulation.tasks.placement import (
     PlacementGoal,
     PlacementJudge,
@@ -104,3 +111,65 @@ def test_progress_rises_through_a_pick_and_place():
     servo_to(p, top_down_posture(p, np.add(bowl, [0, 0, 0.045]), 0.0), 0.8)
     servo_to(p, over, 1.0)
     assert judge.score() == (True, 1.0)
+
+
+def room():
+    """A workroom with the robot, and a place on its table beside those on the floor."""
+    robot = load_robot("mobile_panda")
+    spec = make_workroom("workroom", 0, robot.name)
+    table = spec.find("table").position
+    on_table = Place("table_middle", (table[0], table[1], 2.0 * TABLE_SHAPE.half_extents[2]))
+    return make_room_plant(msgspec.structs.replace(spec, places=(*spec.places, on_table)), robot)
+
+
+@pytest.mark.parametrize(
+    ("place", "height", "placed"),
+    [("table_middle", 0.5255, True), ("bench", 0.0255, False), ("bench", 0.5255, False)],
+)
+def test_an_object_is_placed_on_a_support_and_not_on_the_floor_of_a_room(place, height, placed):
+    p = room()
+    x, y, _ = p.spec.find_place(place).position
+    put(p, "red_cube", (x, y, height))
+    wait(p, 1.0)
+    assert score_placement(p, p.spec, PlacementGoal("red_cube", place))[0] is placed
+
+
+def test_an_object_in_a_bowl_that_lies_on_the_floor_is_not_placed():
+    p = room()
+    bowl = np.array(p.true_pose("blue_bowl").position)
+    put(p, "red_cube", np.add(bowl, [0.0, 0.0, 0.03]))
+    wait(p, 0.5)
+    assert score_placement(p, p.spec, IN_BOWL)[0]
+    spot = np.array(p.spec.find_place("bench").position)
+    put(p, "blue_bowl", np.add(spot, [0.0, 0.0, 0.002]))
+    put(p, "red_cube", np.add(spot, [0.0, 0.0, 0.032]))
+    wait(p, 0.5)
+    assert not score_placement(p, p.spec, IN_BOWL)[0]
+
+
+def test_an_object_on_another_one_is_not_at_the_place():
+    p = make_plant("sorting", 0)
+    spot = np.array(p.spec.find_place("table_left").position)
+    lower, upper = "red_block", "yellow_block"
+    put(p, lower, np.add(spot, [0, 0, 0.0205]))
+    put(p, upper, np.add(spot, [0, 0, 0.0610]))
+    wait(p, 0.5)
+    assert score_placement(p, p.spec, PlacementGoal(lower, "table_left"))[0]
+    assert not score_placement(p, p.spec, PlacementGoal(upper, "table_left"))[0]
+
+
+@pytest.mark.parametrize(("y", "height"), [(0.0, 0.0), (0.64, 0.0), (0.66, None)])
+def test_the_height_of_a_support_ends_at_its_edge(y, height):
+    assert support_height(make_scene("bare", 0), 0.5, y) == height
+
+
+@pytest.mark.parametrize(("at", "height"), [((0.5, 0.18), 0.3), ((0.5, 0.22), 0.0), ((0.68, 0.0), 0.0)])
+def test_a_turned_support_covers_its_own_area(at, height):
+    turn = (float(np.cos(np.pi / 4)), 0.0, 0.0, float(np.sin(np.pi / 4)))
+    stand = ObjectSpec(
+        name="stand", role="support", shape=Box((0.2, 0.1, 0.15)), position=(0.5, 0.0, 0.15), mass=5.0, colour="oak",
+        category="stand", quaternion=turn, fixed=True,
+    )  # fmt: skip
+    spec = make_scene("bare", 0)
+    spec = msgspec.structs.replace(spec, objects=(*spec.objects, stand))
+    assert support_height(spec, *at) == pytest.approx(height)

@@ -1,8 +1,8 @@
 """Monitor of the free objects: it reports objects that the task does not involve and that moved, and objects that fell.
 
 `bystander`: moved more than 2 cm from its initial position; `bystander_tilt`: turned by more than 15°; both only for
-objects that were never target, held or destination. `object_dropped`: below the table, or a free fall of more than 5 cm
-outside the phase `release`; an object that touches a finger is not falling.
+objects that were never target, held or destination. `object_dropped`: below the surface that it was above at the start,
+or a free fall of more than 5 cm, in the phase `release` of more than 10 cm. A gripped object is not dropped.
 """
 
 from __future__ import annotations
@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from dualbrain.simulation.monitoring.contact_rules import ContactAllowance, ContactRules
 from dualbrain.simulation.plant.plant import Plant
+from dualbrain.simulation.scenes.supports import support_height
 
 MAX_DISPLACEMENT = 0.02  # [m]
 MAX_TILT = float(np.deg2rad(15.0))  # [rad]
 COS_HALF_MAX_TILT = float(np.cos(MAX_TILT / 2))
-MIN_HEIGHT = -0.01  # [m] height of its centre below which an object has left the table
-MIN_FALL_HEIGHT = 0.05  # [m]
+MIN_HEIGHT = -0.01  # [m] height of its centre above the surface of its start, below which an object has left it
+MIN_FALL_HEIGHT, MIN_RELEASE_FALL_HEIGHT = 0.05, 0.10  # [m]
 MIN_FALL_SPEED = 0.3  # [m/s] downward, above which a motion may be a fall
 
 
@@ -28,12 +29,13 @@ class ObjectMonitor:
 
     def __init__(self, plant: Plant) -> None:
         """Index the free objects; `record_start_poses` takes the reference poses."""
-        self._model, self._data = plant.model, plant.data
+        self._model, self._data, self._spec = plant.model, plant.data, plant.spec
         self.object_names = plant.object_names
         self._free_objects = [obj.name for obj in plant.spec.objects if not obj.fixed]
         self._body = np.array([plant.model.body(name).id for name in self._free_objects], int)
         self._dof = np.array([plant.model.body(name).dofadr[0] for name in self._free_objects], int)
         self._start_poses: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+        self._min_heights = np.zeros(len(self._free_objects))
         self._involved: set[str] = set()
         self._fall_start_heights: dict[str, float] = {}
         self._releasing = False
@@ -47,6 +49,8 @@ class ObjectMonitor:
         """Record the reference poses on the first call; later calls do nothing."""
         if self._start_poses is None:
             self._start_poses = (self._data.xpos[self._body].copy(), self._data.xquat[self._body].copy())
+            below = [support_height(self._spec, *at[:2]) for at in self._start_poses[0].tolist()]
+            self._min_heights = MIN_HEIGHT + np.array([height or 0.0 for height in below])
 
     def find_violations(self, rules: ContactRules) -> Iterator[tuple[str, str, float]]:
         """Every violation (kind, name, peak) in the present state; call `record_start_poses` first."""
@@ -59,7 +63,7 @@ class ObjectMonitor:
         if suspects.any():
             yield from self._find_moved_bystanders(suspects, np.sqrt(moved), 2.0 * np.arccos(cosine.clip(0.0, 1.0)))
         height, rise = position[:, 2], self._data.qvel[self._dof + 2]
-        if self._fall_start_heights or ((rise < -MIN_FALL_SPEED) | (height < MIN_HEIGHT)).any():
+        if self._fall_start_heights or ((rise < -MIN_FALL_SPEED) | (height < self._min_heights)).any():
             yield from self._find_falls(height, rise, rules)
 
     def _find_moved_bystanders(
@@ -77,14 +81,17 @@ class ObjectMonitor:
     def _find_falls(
         self, height: NDArray[np.float64], rise: NDArray[np.float64], rules: ContactRules
     ) -> Iterator[tuple[str, str, float]]:
+        min_fall_height = MIN_RELEASE_FALL_HEIGHT if self._releasing else MIN_FALL_HEIGHT
         for index, name in enumerate(self._free_objects):
-            if height[index] < MIN_HEIGHT:
-                yield "object_dropped", name, float(-height[index])
-            if rise[index] > -MIN_FALL_SPEED or self._releasing or self._is_gripped(index, rules):
+            falls, depth = rise[index] < -MIN_FALL_SPEED, self._min_heights[index] - height[index]
+            gripped = (falls or depth > 0.0) and self._is_gripped(index, rules)
+            if depth > 0.0 and not gripped:
+                yield "object_dropped", name, float(depth - MIN_HEIGHT)
+            if not falls or gripped:
                 self._fall_start_heights.pop(name, None)
                 continue
             top = self._fall_start_heights.setdefault(name, float(height[index]) + float(rise[index]) ** 2 / (2 * 9.81))
-            if top - height[index] > MIN_FALL_HEIGHT:
+            if top - height[index] > min_fall_height:
                 yield "object_dropped", name, float(top - height[index])
 
     def _is_gripped(self, index: int, rules: ContactRules) -> bool:

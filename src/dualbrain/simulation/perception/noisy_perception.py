@@ -31,10 +31,10 @@ TABLE_OBJECT = SceneObject(
 class PerceptionNoise(msgspec.Struct, frozen=True, kw_only=True):
     """The declared noise model.
 
-    `sigma` [m] is the standard deviation per axis; `correlation_time` [s] is T (0: an independent error for each
-    observation); `velocity_error` [m/s] bounds the error of a person's velocity; `latency` [s] is the age of the
-    returned observation; `dropout_probability` is the probability that an observation misses an object (its last
-    observation stays, with its old stamp); `hidden_objects` are never perceived.
+    `sigma` [m] is the standard deviation per axis before the truncation, which leaves 0.96 σ; `correlation_time` [s]
+    is T (0: an independent error for each observation); `velocity_error` [m/s] bounds the error of a person's velocity;
+    `latency` [s] is the age of the returned observation; `dropout_probability` is the probability that an observation
+    misses an object (its last observation stays, with its old stamp); `hidden_objects` are never perceived.
     """
 
     sigma: float = 0.003

@@ -16,12 +16,14 @@ from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.simulation.monitoring.contact_rules import ContactRules
 from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.scenes.scene_spec import ObjectSpec, SceneSpec
+from dualbrain.simulation.scenes.supports import lowest_height, support_height
 from dualbrain.simulation.tasks.arrival import ArrivalGoal
-from dualbrain.skills.kinematics.object_geometry import half_height
 
 PLACE_TOLERANCE = 0.05  # [m] in the plane
 REACH_DISTANCE = 0.05  # [m] between tool and object
-LIFT_HEIGHT = 0.03  # [m] above the initial height
+LIFT_HEIGHT = 0.03  # [m] of the lowest point above the surface below it
+HEIGHT_TOLERANCE = (-0.01, 0.02)
+"""Range of the lowest point [m] of an object above the surface that it stands on."""
 MAX_STATIC_SPEED, MAX_STATIC_TURN_RATE = 0.02, 0.5  # [m/s], [rad/s]
 MAX_TILT = float(np.deg2rad(15.0))
 
@@ -81,11 +83,10 @@ class PlacementJudge:
     """Judges one `PlacementGoal` during an episode: call `update` regularly (every 50 ms is enough), then `score`."""
 
     def __init__(self, plant: Plant, goal: PlacementGoal) -> None:
-        """Record the initial height of the object; raises `UnknownNameError`."""
+        """Judge `goal` in `plant`; raises `UnknownNameError`."""
         self._plant, self.goal = plant, goal
-        self._object = plant.spec.find(goal.object_name)
+        plant.spec.find(goal.object_name)
         self._rules = ContactRules(plant.model, plant.spec)
-        self._start_height = plant.true_pose(goal.object_name).position[2]
         self._stages = np.zeros(3, bool)
 
     def update(self) -> None:
@@ -97,7 +98,7 @@ class PlacementJudge:
         self._stages |= [
             np.linalg.norm(tool - position) < REACH_DISTANCE,
             grasped,
-            grasped and position[2] > self._start_height + LIFT_HEIGHT,
+            grasped and _height_above_support(plant, self.goal.object_name) > LIFT_HEIGHT,
         ]
 
     def score(self) -> tuple[bool, float]:
@@ -125,24 +126,38 @@ def score_placement(plant: Plant, spec: SceneSpec, goal: PlacementGoal) -> tuple
     tool, _ = plant.tool_pose()
     position = np.array(plant.true_pose(goal.object_name).position)
     if touching == 2:
-        return False, 0.75 if position[2] > obj.position[2] + LIFT_HEIGHT else 0.5
+        return False, 0.75 if _height_above_support(plant, goal.object_name) > LIFT_HEIGHT else 0.5
     if placed:
         return False, 0.75
     return False, 0.25 if np.linalg.norm(tool - position) < REACH_DISTANCE else 0.0
 
 
 def is_placed(plant: Plant, goal: PlacementGoal) -> bool:
-    """Whether the object is inside the container, or on the table within 5 cm of the place."""
+    """Whether the object is inside the container, or stands on a support within 5 cm of the place.
+
+    The container must stand on a support. Nothing is placed on the floor: the places of a room are for the base.
+    """
     pose = plant.true_pose(goal.object_name)
     at, obj, spec = pose.position, plant.spec.find(goal.object_name), plant.spec
     containers = {item.name: item for item in spec.objects if isinstance(item.shape, Bowl)}
     if goal.destination in containers:
-        lowest = at[2] - half_height(obj.shape, pose)
         bowl_at = plant.true_pose(goal.destination).position
-        return is_inside_bowl(at, bowl_at, containers[goal.destination].shape, lowest=lowest)
+        inside = is_inside_bowl(at, bowl_at, containers[goal.destination].shape, lowest=lowest_height(obj, pose))
+        return inside and _stands_on_support(plant, goal.destination)
     spot = spec.find_place(goal.destination).position
-    on_table = at[2] < obj.position[2] + 0.02
-    return bool(np.hypot(at[0] - spot[0], at[1] - spot[1]) < PLACE_TOLERANCE and at[2] > 0.0 and on_table)
+    near = np.hypot(at[0] - spot[0], at[1] - spot[1]) < PLACE_TOLERANCE
+    return bool(near) and _stands_on_support(plant, goal.object_name)
+
+
+def _stands_on_support(plant: Plant, name: str) -> bool:
+    return HEIGHT_TOLERANCE[0] < _height_above_support(plant, name) < HEIGHT_TOLERANCE[1]
+
+
+def _height_above_support(plant: Plant, name: str) -> float:
+    """Height [m] of the lowest point of the object above the surface below it; infinite over the floor."""
+    pose = plant.true_pose(name)
+    height = support_height(plant.spec, *pose.position[:2])
+    return np.inf if height is None else lowest_height(plant.spec.find(name), pose) - height
 
 
 def is_inside_bowl(at: Vector, bowl_at: Vector, bowl: object, *, lowest: float | None = None) -> bool:
