@@ -19,17 +19,19 @@ from experiments.gatekeeper.faults import ARMS, ROOMS, SCENES
 ROBOTS = (*(robot for robot in ARMS if robot != "fr3"), "base")
 SOURCES = (*(source for source in HOST_SOURCES if source not in COMMANDER_SOURCES), TARGET)
 """Sources in front of a gatekeeper are left out, because a gatekeeper does not use a target."""
+HOST_FILTER = "qp"
+"""The source whose faults change the results of the host's filter, behind the kernels that are compared."""
 
 
 class TargetFaults:
-    """The declared action follows on host and target, nothing is unsafe, and no bit differs."""
+    """The declared action follows on host and target, nothing is unsafe, and no bit differs without a faulty filter."""
 
     name = "target_faults"
     claim = (
         "With filter and supervisor on an emulated board, at least the declared action follows after every fault of "
         "joint states, scene, clock, filter, drive and the link to the board, and the independent monitor reports no "
         "violation. The strongest action of the board's supervisor is at least the host's wherever it is asked, and no "
-        "control has another bit than the host's."
+        "control has another bit than the host's, except after faults of the host's filter itself."
     )
 
     def units(self, options: Options) -> list[WorkUnit]:
@@ -66,6 +68,11 @@ class TargetFaults:
         """The summary, a table by board and one by fault, and each failed episode by name."""
         bad = [row for row in rows if not (row["safe"] and row["as_declared"] and agrees(row))]
         failed = [f"- {row['key']}: {self.summarize_row(row)}; {row['reason']}; {row['unsafe']}" for row in bad]
+        different = [
+            f"- {row['key']}: {row['target']['differences']} of {row['target']['steps']} steps with other bits"
+            for row in rows
+            if row["target"]["differences"]
+        ]
         heads = (
             "board",
             "episodes",
@@ -81,14 +88,18 @@ class TargetFaults:
             *summary(rows),
             *markdown_table(heads, [row for row in by_board if row]),
             *markdown_table(fault_heads, by_fault),
+            *different,
             *failed,
         ]
 
 
 def agrees(row: Row) -> bool:
-    """Whether no bit differed, and the board decided as the host; a board that was not asked any more agrees."""
+    """Whether the board decided as the host, and no bit differed; a board that was not asked any more agrees.
+
+    A host whose own filter is faulty brakes by itself and continues from there, which the board may refuse.
+    """
     target = row["target"]
-    if target["differences"]:
+    if target["differences"] and row["fault"][0] != HOST_FILTER:
         return False
     if target["lost"]:
         return row["fault"][0] == TARGET
