@@ -39,7 +39,7 @@ def test_two_runs_count_the_same(tmp_path):
 
 
 def test_compilers_and_levels_give_the_same_bits(committed):
-    for robot in ("panda", "ur5e", "fr3"):
+    for robot in ("panda", "ur5e", "ur5e_lean", "fr3"):
         for count in map(str, OBSTACLES):
             assert len({committed[p.name][count]["hash"] for p in SHIPPED if p.robot == robot}) == 1
 
@@ -48,3 +48,11 @@ def test_the_worst_step_with_twelve_obstacles_is_below_the_target(committed):
     """150 000 instructions: the target for the arm with the compiler of the firmware."""
     assert max(committed[f"gcc {level} panda"]["12"]["most"] for level in ("-O2", "-Os")) <= 155_000
     assert committed["gcc -O2 panda"]["12"]["most"] <= 150_000
+
+
+def test_the_lean_cover_saves_a_quarter_of_the_instructions(committed):
+    for program in SHIPPED:
+        if program.robot == "ur5e":
+            lean = committed[program.name.replace("ur5e", "ur5e_lean")]["12"]
+            assert lean["mean"] <= 0.75 * committed[program.name]["12"]["mean"]
+            assert lean["most"] <= 0.75 * committed[program.name]["12"]["most"]

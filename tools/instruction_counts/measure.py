@@ -33,7 +33,7 @@ SHIPPED = tuple(
     Build(toolchain, level, robot)
     for toolchain in ("gcc", "zig")
     for level in ("-O2", "-Os")
-    for robot in ("panda", "ur5e", "fr3")
+    for robot in ("panda", "ur5e", "ur5e_lean", "fr3")
 )
 """The builds in the committed counts."""
 

@@ -22,7 +22,7 @@ from dualbrain.core.untrusted.bounded_file import FileRefusal, read_regular_file
 from dualbrain.errors import DECODE_ERRORS, ConfigurationError, UnknownNameError
 from dualbrain.robots.model import Joint, Quaternion, RobotModel, Vector
 
-SIMULATED_ROBOTS = ("panda", "fr3", "ur5e", "base", "mobile_panda")
+SIMULATED_ROBOTS = ("panda", "fr3", "ur5e", "ur5e_lean", "base", "mobile_panda")
 """Packaged robots with a MuJoCo model, scenes and tasks."""
 BUILTIN_ROBOTS = (*SIMULATED_ROBOTS, "so101", "vx300s")
 """All packaged robots."""

@@ -4,6 +4,7 @@ import xml.etree.ElementTree as ET
 from functools import lru_cache
 from importlib import metadata
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -13,7 +14,7 @@ from dualbrain.robots.collision_model.self_collision import chain_frames, random
 from dualbrain.robots.loader import load_robot
 from tests.robots.panda_oracle import axis_rotation, roll_pitch_yaw
 
-UR5E = load_robot("ur5e")
+UR5E, LEAN = load_robot("ur5e"), load_robot("ur5e_lean")
 NAMES = (
     "base_link_inertia",
     "shoulder_link",
@@ -82,8 +83,9 @@ def test_the_tool_points_down_at_home():
 
 
 @pytest.mark.parametrize("link", ur5e.LINK_COVERS)
-def test_the_stored_spheres_are_verified_to_cover_every_part(link):
-    stored = [sphere for sphere in UR5E.spheres if sphere.link == link]
+@pytest.mark.parametrize("robot", [UR5E, LEAN], ids=lambda robot: robot.name)
+def test_the_stored_spheres_are_verified_to_cover_every_part(robot, link):
+    stored = [sphere for sphere in robot.spheres if sphere.link == link]
     spheres = SphereSet(np.array([sphere.centre for sphere in stored]), np.array([sphere.radius for sphere in stored]))
     for spec in ur5e.LINK_COVERS[link]:
         assert is_proven_covered(ur5e.part_mesh(spec.mesh), spheres)
@@ -98,3 +100,9 @@ def test_the_right_side_of_the_hand_is_the_left_side_rotated_by_180_degrees(part
         np.array([s.centre for s in UR5E.spheres if s.link == f"{side}_{part}"]) for side in ("left", "right")
     )
     assert np.array_equal(right, left * (-1.0, -1.0, 1.0))
+
+
+def test_the_lean_robot_differs_in_name_and_spheres_only():
+    assert msgspec.structs.replace(LEAN, name=UR5E.name, spheres=UR5E.spheres, self_pairs=UR5E.self_pairs) == UR5E
+    assert LEAN.self_pairs.kept == UR5E.self_pairs.kept
+    assert len(LEAN.spheres) == 57

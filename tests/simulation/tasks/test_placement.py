@@ -134,7 +134,7 @@ def test_an_object_is_placed_on_a_support_and_not_on_the_floor_of_a_room(place, 
     assert score_placement(p, p.spec, PlacementGoal("red_cube", place))[0] is placed
 
 
-def test_an_object_in_a_bowl_that_lies_on_the_floor_is_not_placed():
+def test_an_object_in_a_bowl_on_the_floor_is_not_placed():
     p = room()
     bowl = np.array(p.true_pose("blue_bowl").position)
     put(p, "red_cube", np.add(bowl, [0.0, 0.0, 0.03]))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -89,7 +89,8 @@ def make_arm(
     """The model of the arm `name`: its definition, spheres fitted to its parts, link pairs chosen by sampling."""
     definition = ARM_DEFINITIONS[name]
     previous = load_robot(name) if name in BUILTIN_ROBOTS and data_file(name).is_file() else None
-    cover = fit_spheres(definition, seed, options, report_progress)
+    link_covers = OTHER_COVERS.get(name, definition.LINK_COVERS)
+    cover = fit_spheres(definition, link_covers, seed, options, report_progress)
     joints, links = definition.joints(), definition.links()
     report_progress(f"self pairs: {n_configurations} random configurations")
     rng = np.random.default_rng([seed, len(links)])
@@ -123,11 +124,15 @@ def make_arm(
 
 
 def fit_spheres(
-    definition: RobotDefinition, seed: int, options: FitOptions, report_progress: ProgressReporter
+    definition: RobotDefinition,
+    link_covers: Mapping[str, tuple[LinkCoverSpec, ...]],
+    seed: int,
+    options: FitOptions,
+    report_progress: ProgressReporter,
 ) -> dict[str, SphereSet]:
     """Spheres of every link; each part has a random generator of its own, so a change of one part affects no other."""
     cover: dict[str, SphereSet] = {}
-    for i, (name, parts) in enumerate(definition.LINK_COVERS.items()):
+    for i, (name, parts) in enumerate(link_covers.items()):
         fitted = [
             _fit_part(definition, spec, [seed, i, *([1 + k] if k else [])], options, report_progress)
             for k, spec in enumerate(parts)
@@ -173,8 +178,10 @@ def _to_vector(values: NDArray[np.float64]) -> Vector:
     return (x, y, z)
 
 
-ARM_DEFINITIONS: dict[str, RobotDefinition] = {"panda": panda, "fr3": fr3, "ur5e": ur5e}
+ARM_DEFINITIONS: dict[str, RobotDefinition] = {"panda": panda, "fr3": fr3, "ur5e": ur5e, "ur5e_lean": ur5e}
 """Definitions of the arms. To add a packaged robot, write its definition and add it here and to `BUILTIN_ROBOTS`."""
+OTHER_COVERS = {"ur5e_lean": ur5e.LEAN_LINK_COVERS}
+"""Cover specifications of the arms that do not have that of their definition."""
 
 
 def _to_stderr(line: str) -> None:

@@ -7,6 +7,7 @@ knuckles, which swing, is enlarged so that it contains them while it moves with 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import sqrt
 
 import numpy as np
@@ -146,6 +147,28 @@ LINK_COVERS: dict[str, tuple[LinkCoverSpec, ...]] = {
     "left_finger": (LinkCoverSpec(mesh="tip", n_spheres=12, weighted_faces=((UP, 1.6), (INWARD, 1.5), (DOWN, 0.5))),),
 }
 """Cover specification of each link, 108 spheres; the right side of the hand is the left one rotated by 180° about z."""
+
+LEAN_SPHERES = {
+    "shoulder": 3,
+    "upper_arm_link_part_0": 2,
+    "upper_arm_link_part_1": 3,
+    "upper_arm_link_part_2": 2,
+    "forearm_link_part_0": 2,
+    "forearm_link_part_1": 3,
+    "forearm_link_part_2": 2,
+    "wrist1": 3,
+    "wrist2": 3,
+    "wrist3": 2,
+    "mount": 3,
+    "housing": 6,
+    "knuckle": 4,
+    "tip": 6,
+}
+"""Numbers of spheres of the robot `ur5e_lean`, by mesh: 57 in all, for filters on a microcontroller."""
+LEAN_LINK_COVERS = {
+    link: tuple(replace(part, n_spheres=LEAN_SPHERES.get(part.mesh, part.n_spheres)) for part in parts)
+    for link, parts in LINK_COVERS.items()
+}
 
 ALLOWED_PAIRS = {
     (f"left_{one}", f"right_{other}"): "the gripper's own motion; opposite fingers close on each other by design"

@@ -27,7 +27,14 @@ from dualbrain.robots.model import RobotModel
 from dualbrain.simulation.models.menagerie import adapt_panda, find_menagerie_file
 from dualbrain.simulation.models.visual_meshes import add_visual_meshes, find_mesh_folder
 
-MODEL_FILES = {"panda": "panda", "fr3": "panda", "ur5e": "ur5e", "base": "base", "mobile_panda": "platform"}
+MODEL_FILES = {
+    "panda": "panda",
+    "fr3": "panda",
+    "ur5e": "ur5e",
+    "ur5e_lean": "ur5e",
+    "base": "base",
+    "mobile_panda": "platform",
+}
 """File of the built-in model of each robot; the joint limits are those of the robot model."""
 MOUNTED_ARMS = {"mobile_panda": ("panda", ARM_MOUNT_POSITION)}
 """The arm of each mobile manipulator, and its mounting position on the platform [m]."""

@@ -2,7 +2,7 @@
 
 `bystander`: moved more than 2 cm from its initial position; `bystander_tilt`: turned by more than 15°; both only for
 objects that were never target, held or destination. `object_dropped`: below the surface that it was above at the start,
-or a free fall of more than 5 cm, in the phase `release` of more than 10 cm. A gripped object is not dropped.
+or a free fall of more than 5 cm, in the phase `release` of more than 15 cm. A gripped object is not dropped.
 """
 
 from __future__ import annotations
@@ -20,7 +20,9 @@ MAX_DISPLACEMENT = 0.02  # [m]
 MAX_TILT = float(np.deg2rad(15.0))  # [rad]
 COS_HALF_MAX_TILT = float(np.cos(MAX_TILT / 2))
 MIN_HEIGHT = -0.01  # [m] height of its centre above the surface of its start, below which an object has left it
-MIN_FALL_HEIGHT, MIN_RELEASE_FALL_HEIGHT = 0.05, 0.10  # [m]
+MIN_FALL_HEIGHT = 0.05  # [m]
+MIN_RELEASE_FALL_HEIGHT = 0.15
+"""Fall [m] in the phase `release` that counts; an object falls up to 0.11 m into a bowl of 9 cm."""
 MIN_FALL_SPEED = 0.3  # [m/s] downward, above which a motion may be a fall
 
 

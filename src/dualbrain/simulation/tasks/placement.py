@@ -23,7 +23,7 @@ PLACE_TOLERANCE = 0.05  # [m] in the plane
 REACH_DISTANCE = 0.05  # [m] between tool and object
 LIFT_HEIGHT = 0.03  # [m] of the lowest point above the surface below it
 HEIGHT_TOLERANCE = (-0.01, 0.02)
-"""Range of the lowest point [m] of an object above the surface that it stands on."""
+"""Range of the lowest point [m] of an object above the surface that supports it."""
 MAX_STATIC_SPEED, MAX_STATIC_TURN_RATE = 0.02, 0.5  # [m/s], [rad/s]
 MAX_TILT = float(np.deg2rad(15.0))
 
@@ -133,9 +133,9 @@ def score_placement(plant: Plant, spec: SceneSpec, goal: PlacementGoal) -> tuple
 
 
 def is_placed(plant: Plant, goal: PlacementGoal) -> bool:
-    """Whether the object is inside the container, or stands on a support within 5 cm of the place.
+    """Whether the object is inside the container, or on a support within 5 cm of the place.
 
-    The container must stand on a support. Nothing is placed on the floor: the places of a room are for the base.
+    The container must be on a support. Nothing is placed on the floor: the places of a room are for the base.
     """
     pose = plant.true_pose(goal.object_name)
     at, obj, spec = pose.position, plant.spec.find(goal.object_name), plant.spec
@@ -143,13 +143,13 @@ def is_placed(plant: Plant, goal: PlacementGoal) -> bool:
     if goal.destination in containers:
         bowl_at = plant.true_pose(goal.destination).position
         inside = is_inside_bowl(at, bowl_at, containers[goal.destination].shape, lowest=lowest_height(obj, pose))
-        return inside and _stands_on_support(plant, goal.destination)
+        return inside and _is_on_support(plant, goal.destination)
     spot = spec.find_place(goal.destination).position
     near = np.hypot(at[0] - spot[0], at[1] - spot[1]) < PLACE_TOLERANCE
-    return bool(near) and _stands_on_support(plant, goal.object_name)
+    return bool(near) and _is_on_support(plant, goal.object_name)
 
 
-def _stands_on_support(plant: Plant, name: str) -> bool:
+def _is_on_support(plant: Plant, name: str) -> bool:
     return HEIGHT_TOLERANCE[0] < _height_above_support(plant, name) < HEIGHT_TOLERANCE[1]
 
 

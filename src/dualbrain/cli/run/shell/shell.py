@@ -213,10 +213,10 @@ class Shell:
         from dualbrain.grounding.instruction.stop_commands import asks_to_stop, is_stop_command
 
         words = line.strip(" \t!.").lower()
-        is_said_to_moving_robot = self._moves() and self._reader.is_terminal
+        is_for_moving_robot = self._moves() and self._reader.is_terminal
         if words == "help":
-            return is_said_to_moving_robot
-        return words not in QUIT_WORDS and (asks_to_stop(line) if is_said_to_moving_robot else is_stop_command(line))
+            return is_for_moving_robot
+        return words not in QUIT_WORDS and (asks_to_stop(line) if is_for_moving_robot else is_stop_command(line))
 
     def _stop(self) -> None:
         """Stop the present instruction; without one, stop every running gatekeeper of this user."""
