@@ -81,9 +81,10 @@ ORDINAL = re.compile(
 )
 """Words at the beginning of a clause that state an order."""
 FIRST = re.compile(r"(?:first(?: of all)?|before that|beforehand)")
-SAID_LATER = (
-    re.compile(rf"(.+?)(?:[,.;]+ (?:and |but )?| but | and ){FIRST.pattern},? (?!of\b)(.+)"),
-    re.compile(rf"(.+?)(?:[,.;]+ (?:and |but )?| but | and )((?:please )?{COMMAND}[^,.;]*?),? {FIRST.pattern}"),
+PART_END = re.compile(r"[,.;] (?:and |but )?| but | and ")
+DONE_FIRST = (
+    re.compile(rf"{FIRST.pattern},? (?!of\b)(.+)"),
+    re.compile(rf"((?:please )?{COMMAND}[^,.;]*?),? {FIRST.pattern}"),
 )
 """A second part that is to be done first: "put the tin in the bowl, but first go home"."""
 
@@ -281,9 +282,7 @@ def _in_order(text: str) -> str:
 
     "When the tin is in the bowl, go home" and "go home once the tin is in the bowl" both ask for the tin first.
     """
-    later = next((found for form in SAID_LATER if (found := form.fullmatch(text))), None)
-    if later and FIRST.match(text) is None:
-        text = f"{later[2]}, then {later[1]}"
+    text = _second_part_first(text)
     head, comma, rest = text.partition(", ")
     after = AFTER.search(text)
     if text.startswith("before ") and comma and len(parts := GOES.split(head.removeprefix("before "), 1)) == 2:
@@ -292,6 +291,18 @@ def _in_order(text: str) -> str:
         return f"put {parts[0]} {parts[1]}, then {rest}"
     if after and after.start() and len(parts := LIES.split(text[after.end() :], 1)) == 2 and "," not in parts[1]:
         return f"put {parts[0]} {parts[1]}, then {text[: after.start()]}"
+    return text
+
+
+def _second_part_first(text: str) -> str:
+    """`text` with a second part that is to be done first in front of the first part."""
+    if FIRST.match(text):
+        return text
+    ends = [end for end in PART_END.finditer(text) if end.start() > 0]
+    for form in DONE_FIRST:
+        for end in ends:
+            if found := form.fullmatch(text, end.end()):
+                return f"{found[1]}, then {text[: end.start()].rstrip(',.;')}"
     return text
 
 
