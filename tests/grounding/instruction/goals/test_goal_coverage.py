@@ -113,6 +113,8 @@ def test_a_contract_that_does_not_do_the_whole_instruction_is_rejected_with_a_hi
         ("Step 1: put the tin in the bowl. Step 2: put the red cube on table_left", [TIN, BOWL, CUBE, LEFT]),
         ("put the tin in the bowl. Finally, put the red cube on table_left.", [TIN, BOWL, CUBE, LEFT]),
         ("put the red cube on table_left, but first put the tin in the bowl", [TIN, BOWL, CUBE, LEFT]),
+        ("first put the tin in the bowl, finally put the red cube on table_left", [TIN, BOWL, CUBE, LEFT]),
+        ("put the tin in the bowl, second put the red cube on table_left", [TIN, BOWL, CUBE, LEFT]),
         ("put the tin in the bowl before you put the red cube on table_left", [TIN, BOWL, CUBE, LEFT]),
         ("push the red cube toward the bowl, then look at the tin", [PUSH, ("move_to", {"target": "green_tin"})]),
     ],

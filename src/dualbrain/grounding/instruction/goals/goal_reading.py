@@ -37,12 +37,13 @@ COMMAND = (
     r"don't|never|leave|let|store|park|collect|gather|relocate|dump|lower|grip|begin|start|head|turn|point|show|find|"
     r"stay|clear|run|stick|pop|hover|see|check|peek|visit|finish|end|freeze|shift|pause|proceed|remain|relocate)\b"
 )
+ORDINALS = r"(?:next|finally|lastly|last|second(?:ly)?|third(?:ly)?|step (?:two|three|four|[2-9]))\b"
 CLAUSE_ENDS = re.compile(
     r" {0,2}[.;!?]+(?!\d) {0,2}|,? {0,2}\b(?:and,? )?(?:then|after that|afterwards|(?:once|when|after) (?:that is done"
     r"|you have finished(?: that| it)?|you are done(?: with that| with it)?)"
     r"|later(?=,? \w)|next(?! to\b| time\b| week\b))\b,? {0,2}"
-    rf"|,? {{1,2}}(?:and|but) {{1,2}}(?:(?:you|please|just|simply) ){{0,2}}(?={COMMAND})"
-    rf"|[,:] {{0,2}}(?:(?:please|just|so|(?:could|can|would|will) you|you) ){{0,3}}(?={COMMAND})"
+    rf"|,? {{1,2}}(?:and|but) {{1,2}}(?:(?:you|please|just|simply) ){{0,2}}(?=(?:{ORDINALS},? )?{COMMAND})"
+    rf"|[,:] {{0,2}}(?:(?:please|just|so|(?:could|can|would|will) you|you) ){{0,3}}(?=(?:{ORDINALS},? )?{COMMAND})"
 )
 REFERRING = re.compile(r"\b(?:it|them|that|those|these|this)\b(?! \w+(?:_| (?:bowl|table)))")
 CONDITIONAL = re.compile(
@@ -76,10 +77,9 @@ NOTHING_ELSE = re.compile(
 
 ORDER = re.compile(r"\b(?:then|after|afterwards|once|when|later|next)\b")
 """Words between two clauses that state an order."""
-ORDINAL = re.compile(
-    r"[ ,]*(?:and |but )?(?:next|finally|lastly|last|second(?:ly)?|third(?:ly)?|step (?:two|three|four|[2-9]))\b"
-)
-"""Words at the beginning of a clause that state an order."""
+ORDINAL = re.compile(rf"[ ,]*(?:and |but )?{ORDINALS}")
+ORDINAL_COMMAND = re.compile(rf"^{ORDINAL.pattern},? (?={COMMAND})")
+"""Words at the beginning of a clause that state an order, in front of anything, or of a command."""
 FIRST = re.compile(r"(?:first(?: of all)?|before that|beforehand)")
 PART_END = re.compile(r"[,.;] (?:and |but )?| but | and ")
 DONE_FIRST = (
@@ -211,7 +211,7 @@ def _clauses(text: str) -> list[_Clause]:
     for end in (*CLAUSE_ENDS.finditer(text), None):
         part = text[position : end.start() if end else len(text)]
         follows = follows or ORDINAL.match(part) is not None
-        if words := strip_fillers(part):
+        if words := strip_fillers(ORDINAL_COMMAND.sub("", part)):
             clauses.append(_Clause(words, follows))
             follows = False
         if end:
