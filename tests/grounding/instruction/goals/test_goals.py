@@ -188,6 +188,10 @@ def test_words_that_the_parser_does_not_account_for_are_not_read(instruction, pa
         ("push the tin to the right", '"right"', False),
         ("push the red cube to the left", "", False),
         ("push the red cube toward the bowl", "", False),
+        ("lift the tin, then put the red cube in the bowl", "still holds green_tin", False),
+        ("grab the tin, then push the red cube to the left", "still holds green_tin", False),
+        ("put the red cube in the bowl, then lift the tin", "", False),
+        ("pick up the tin, then put it on the left, then put the red cube in the bowl", "", False),
     ],
 )
 def test_a_goal_states_whether_contracts_can_state_it_and_whether_it_ends_at_home(instruction, beyond, at_home):
