@@ -149,8 +149,9 @@ def test_an_unreadable_or_empty_instruction_ends_in_a_recorded_decline(instructi
     assert exit_code(story.episode) == ExitCode.REJECTED
     assert story.displacement < MAX_DISPLACEMENT
     assert len(ledger_episodes(story.config.ledger)) == 1
-    if len(instruction) > MAX_INSTRUCTION:
-        assert story.planner.requests == []
+    assert story.episode.outcome.reason.isprintable()
+    if len(instruction) > MAX_INSTRUCTION or not instruction.isprintable():
+        assert story.planner.requests == []  # declined by the local layer
         return
     prompt = render(story.planner.requests[0])[-1]["content"]
     inside = prompt.split("<instruction>")[1].split("</instruction>")[0]

@@ -45,7 +45,7 @@ def test_a_robot_without_scenes_is_refused(run_command, command):
     code, out, err = run_command(*command, "--robot", "so101")
     assert (code, out) == (ExitCode.SETUP, "")
     assert "so101 has no scenes" in err
-    assert "panda, fr3, ur5e, base, mobile_panda" in " ".join(err.split())
+    assert "panda, fr3, ur5e, ur5e_lean, base, mobile_panda" in " ".join(err.split())
 
 
 def test_an_unknown_robot_is_answered_with_the_closest(run_command):
