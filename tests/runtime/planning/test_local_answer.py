@@ -39,10 +39,18 @@ def test_an_object_that_is_not_there_is_declined_with_the_names_that_are(context
     assert f'there is no "{phrase}" in the scene. Objects and places here: red cube, ' in answer.reason
 
 
+def test_steps_that_need_a_full_hand_are_declined_before_a_planner(context):
+    answer = answer_locally("lift the teal can, then put the red cube in the bowl", context, PLANNER)
+    assert isinstance(answer, Refusal)
+    assert answer.kind == "hand"
+    assert "the hand still holds teal can when it is to move red cube" in answer.reason
+
+
 @pytest.mark.parametrize(
     "instruction",
     [
         "put the red cube in the bowl",
+        "put the red cube in the bowl, then lift the teal can",
         "put the turquoise tin in the bowl",
         "pick up the soda",
         "put the drink on the left side of the table",

@@ -54,7 +54,7 @@ class StopCommand:
 class Refusal:
     """The instruction is declined: `reason` in one or two sentences, `quote` the words that it is about."""
 
-    kind: Literal["length", "language", "hidden", "hostile", "clause", "absent", "grasp", "number"]
+    kind: Literal["length", "language", "hidden", "hostile", "clause", "absent", "grasp", "hand", "number"]
     reason: str
     quote: str
     brief: str

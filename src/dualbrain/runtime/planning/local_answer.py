@@ -49,9 +49,9 @@ def answer_locally(
 ) -> StopCommand | Refusal | None:
     """The answer of the local layer to `instruction`; None if `planner` is to be asked.
 
-    An instruction about an object that is certainly not in the scene, one whose objects the hand cannot grasp, or whose
-    numbers no skill takes, is declined here with the reason: every contract but a decline would be rejected. A fixed
-    contract is judged as it is.
+    An instruction about an object that is certainly not in the scene, one whose objects the hand cannot grasp or that
+    needs the hand while it is to hold an object, or one whose numbers no skill takes, is declined here with the reason:
+    every contract but a decline would be rejected. A fixed contract is judged as it is.
     """
     if check == "given_contract":
         return StopCommand() if is_stop_command(instruction) else refuse_hostile(instruction)
@@ -73,7 +73,7 @@ def answer_locally(
 
 
 def _refuse_goal(instruction: str, context: PlanningContext) -> Refusal | None:
-    """The refusal of a goal with an absent object, an impossible grasp, or a number that no skill takes."""
+    """The refusal of a goal with an absent object, a full hand, an impossible grasp, or an impossible number."""
     scene, registry = context.scene, context.registry
     goal = read_goal(instruction, scene)
     if not isinstance(goal, Goal):
@@ -84,9 +84,17 @@ def _refuse_goal(instruction: str, context: PlanningContext) -> Refusal | None:
         return Refusal(kind="absent", reason=reason, quote=goal.absent, brief=goal.decline)
     if goal.decline:
         return None
+    if why := goal.full_hand:
+        reason = f"The instruction is declined, because {why}. State where to put it first, or ask for one of both."
+        return Refusal(kind="hand", reason=reason, quote="", brief=why)
     if why := why_out_of_bounds(goal.values, registry):
         reason = f"The instruction is declined, because {why}. State a number within these bounds, or none."
         return Refusal(kind="number", reason=reason, quote="", brief=why)
+    return _refuse_grasp(goal, context)
+
+
+def _refuse_grasp(goal: Goal, context: PlanningContext) -> Refusal | None:
+    scene, registry = context.scene, context.registry
     names = ungraspable(goal, scene, parameter_domains(scene, registry), context.holding)
     if not names:
         return None

@@ -7,16 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from dualbrain.core.geometry.rotations import quaternion_to_matrix
-from dualbrain.core.geometry.shapes import Bowl, Box, Pose
+from dualbrain.core.geometry.shapes import Box, Pose
 from dualbrain.simulation.scenes.scene_spec import TABLE_X, TABLE_Y, ObjectSpec, SceneSpec
 from dualbrain.skills.kinematics.object_geometry import half_height
-
-
-def lowest_height(spec: ObjectSpec, pose: Pose) -> float:
-    """Height [m] of the lowest point of the object `spec` at `pose`."""
-    if isinstance(spec.shape, Bowl):
-        return pose.position[2]
-    return pose.position[2] - half_height(spec.shape, pose)
 
 
 def support_height(spec: SceneSpec, x: float, y: float) -> float | None:

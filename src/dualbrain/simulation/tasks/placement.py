@@ -16,8 +16,9 @@ from dualbrain.errors import ConfigurationError, UnknownNameError
 from dualbrain.simulation.monitoring.contact_rules import ContactRules
 from dualbrain.simulation.plant.plant import Plant
 from dualbrain.simulation.scenes.scene_spec import ObjectSpec, SceneSpec
-from dualbrain.simulation.scenes.supports import lowest_height, support_height
+from dualbrain.simulation.scenes.supports import support_height
 from dualbrain.simulation.tasks.arrival import ArrivalGoal
+from dualbrain.skills.kinematics.object_geometry import lowest_height
 
 PLACE_TOLERANCE = 0.05  # [m] in the plane
 REACH_DISTANCE = 0.05  # [m] between tool and object
@@ -142,7 +143,7 @@ def is_placed(plant: Plant, goal: PlacementGoal) -> bool:
     containers = {item.name: item for item in spec.objects if isinstance(item.shape, Bowl)}
     if goal.destination in containers:
         bowl_at = plant.true_pose(goal.destination).position
-        inside = is_inside_bowl(at, bowl_at, containers[goal.destination].shape, lowest=lowest_height(obj, pose))
+        inside = is_inside_bowl(at, bowl_at, containers[goal.destination].shape, lowest=lowest_height(obj.shape, pose))
         return inside and _is_on_support(plant, goal.destination)
     spot = spec.find_place(goal.destination).position
     near = np.hypot(at[0] - spot[0], at[1] - spot[1]) < PLACE_TOLERANCE
@@ -157,7 +158,7 @@ def _height_above_support(plant: Plant, name: str) -> float:
     """Height [m] of the lowest point of the object above the surface below it; infinite over the floor."""
     pose = plant.true_pose(name)
     height = support_height(plant.spec, *pose.position[:2])
-    return np.inf if height is None else lowest_height(plant.spec.find(name), pose) - height
+    return np.inf if height is None else lowest_height(plant.spec.find(name).shape, pose) - height
 
 
 def is_inside_bowl(at: Vector, bowl_at: Vector, bowl: object, *, lowest: float | None = None) -> bool:

@@ -62,9 +62,12 @@ def nearest_support(scene: Scene, x: float, y: float) -> SceneObject | None:
 
 def bottom_height(obj: SceneObject) -> float:
     """Height of the lowest point of `obj` [m]."""
-    if isinstance(obj.shape, Bowl):
-        return obj.pose.position[2]
-    return obj.pose.position[2] - half_height(obj.shape, obj.pose)
+    return lowest_height(obj.shape, obj.pose)
+
+
+def lowest_height(shape: Shape, pose: Pose) -> float:
+    """Height of the lowest point of `shape` at `pose` [m]."""
+    return pose.position[2] if isinstance(shape, Bowl) else pose.position[2] - half_height(shape, pose)
 
 
 def grasp_width(obj: SceneObject, finger_axis: str) -> float:

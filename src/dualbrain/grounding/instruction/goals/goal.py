@@ -119,17 +119,18 @@ class Goal:
                 return "no contract can state that a person takes an object"
             if isinstance(one, Pushed) and one.direction != "toward":
                 return f'no contract can state a push "{one.direction.replace("_", " ")}"'
-        return self._full_hand
+        return self.full_hand
 
     @property
-    def _full_hand(self) -> str:
+    def full_hand(self) -> str:
         """The first step that would need the hand while it holds an object until the end, in words; "" without one."""
         held: tuple[str, ...] = ()
         for group in self.steps:
             moved = [one for one in group if isinstance(one, Placed | Held | Pushed)]
             for one in moved:
                 if held and not set(one.objects) <= set(held):
-                    return f"the hand still holds {held[0]} when it is to move {one.objects[0]}"
+                    holds, moves = (names[0].replace("_", " ") for names in (held, one.objects))
+                    return f"the hand still holds {holds} when it is to move {moves}"
             held = next((one.objects for one in moved if isinstance(one, Held) and one in self.conditions), held)
         return ""
 

@@ -239,9 +239,9 @@ def _with_steps(
 
 def _valid_steps(steps: Sequence[tuple[Step, ...]], conditions: Sequence[Condition]) -> tuple[tuple[Step, ...], ...]:
     """`steps` without placements that a later clause replaces."""
-    kept: list[tuple[Step, ...]] = []
-    for group in steps:
-        kept.append(tuple(one for one in group if not isinstance(one, Placed) or one in conditions))
+    kept: list[tuple[Step, ...]] = [
+        tuple(one for one in group if not isinstance(one, Placed) or one in conditions) for group in steps
+    ]
     return tuple(group for group in kept if group)
 
 
