@@ -105,4 +105,6 @@ def test_the_right_side_of_the_hand_is_the_left_side_rotated_by_180_degrees(part
 def test_the_lean_robot_differs_in_name_and_spheres_only():
     assert msgspec.structs.replace(LEAN, name=UR5E.name, spheres=UR5E.spheres, self_pairs=UR5E.self_pairs) == UR5E
     assert LEAN.self_pairs.kept == UR5E.self_pairs.kept
+    for link, parts in ur5e.LEAN_LINK_COVERS.items():
+        assert sum(part.n_spheres for part in parts) == sum(sphere.link == link for sphere in LEAN.spheres)
     assert len(LEAN.spheres) == 57
